@@ -1,0 +1,187 @@
+"""Triangle meshes: positions, UVs and shading normals, each with its own indices."""
+
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
+from jaxdr.geometry.vectors import unit_or_zero
+
+
+class Mesh(eqx.Module):
+    """Indexed triangles, counter-clockwise seen from outside.
+
+    Positions, UVs and normals are indexed separately, so a UV seam or a hard edge never splits a vertex. Vertices (and
+    UVs) are the float leaves; the topology is integer leaves built once on the host.
+
+    **Fields**
+
+    - `vertices`: positions, in scene units.
+    - `faces`: corner -> row of `vertices`.
+    - `uvs`, `uv_faces`: texture coordinates, and corner -> row of `uvs`; both None without texture coordinates.
+    - `normal_faces`: corner -> smoothing group, whose corners share one interpolated normal; None for flat shading.
+    - `edges`: the edges and the faces at them.
+    - `closed`: watertight and consistently oriented, that is, every edge is interior.
+    - `normal_group_count`: number of smoothing groups G, zero for flat shading.
+    """
+
+    vertices: Float[Array, "V 3"]
+    faces: Int[Array, "F 3"]
+    uvs: Float[Array, "T 2"] | None
+    uv_faces: Int[Array, "F 3"] | None
+    normal_faces: Int[Array, "F 3"] | None
+    edges: Edges
+    closed: bool = eqx.field(static=True)
+    normal_group_count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        uvs: ArrayLike | None = None,
+        uv_faces: ArrayLike | None = None,
+        normal_faces: ArrayLike | None = None,
+    ):
+        """Check concrete arrays (see the fields for their shapes) and build the topology. Equal positions stay separate
+        vertices: call `weld` first where they should not.
+
+        Vertices are stored in JAX's default float type. Faces without area in that precision are dropped, with one
+        warning that counts them. Raises `ValueError` for traced arrays, wrong shapes or types, positions or UVs that are
+        not finite, an index out of range, and a mesh without any face.
+        """
+        if isinstance(vertices, jax.core.Tracer):
+            raise ValueError("Mesh needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
+        if (uvs is None) != (uv_faces is None):
+            raise ValueError("Mesh needs uvs and uv_faces together, or neither")
+        points = _checked_floats("vertices", vertices, 3)
+        corners = _checked_indices("faces", faces, len(points), "vertices")
+        kept = _has_area(points, corners)
+        if not kept.any():
+            raise ValueError(f"Mesh has no face with area (faces: {len(corners)}); is the file or the scale right?")
+        if not kept.all():
+            warnings.warn(f"Mesh: dropped {np.sum(~kept)} of {len(kept)} faces, which have no area", stacklevel=2)
+
+        def kept_corners(name, indices, count, target):
+            checked = _checked_indices(name, indices, count, target)
+            if len(checked) != len(kept):
+                raise ValueError(f"Mesh {name} has {len(checked)} rows for {len(kept)} faces; give one per face")
+            return jnp.asarray(checked[kept], jnp.int32)
+
+        self.vertices = jnp.asarray(points)
+        self.faces = jnp.asarray(corners[kept], jnp.int32)
+        self.uvs = self.uv_faces = self.normal_faces = None
+        self.normal_group_count = 0
+        if uvs is not None:
+            texture_points = _checked_floats("uvs", uvs, 2)
+            self.uvs = jnp.asarray(texture_points)
+            self.uv_faces = kept_corners("uv_faces", uv_faces, len(texture_points), "uvs")
+        if normal_faces is not None:
+            self.normal_faces = kept_corners("normal_faces", normal_faces, None, "smoothing groups")
+            self.normal_group_count = int(self.normal_faces.max()) + 1
+        self.edges = build_edges(corners[kept])
+        self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
+
+    def with_vertices(self, vertices: Float[Array, "V 3"]) -> "Mesh":
+        """The same topology at other positions. Traceable; the values are not checked.
+
+        Raises `ValueError` if the number of vertices changes.
+        """
+        vertices = jnp.asarray(vertices)
+        if vertices.shape != self.vertices.shape:
+            raise ValueError(f"with_vertices got shape {vertices.shape}; this mesh needs {self.vertices.shape}")
+        return eqx.tree_at(lambda mesh: mesh.vertices, self, vertices)
+
+    def vertex_normals(self) -> Float[Array, "G 3"]:
+        """Unit normal of every smoothing group: face normals weighted by the corner's angle (Thuermer & Wuethrich 1998).
+
+        Differentiable in the vertices and finite everywhere; zero for a group whose faces have no area or cancel out.
+        Raises `ValueError` for a flat-shaded mesh.
+        """
+        if self.normal_faces is None:
+            raise ValueError("a flat-shaded mesh has no vertex normals; use mesh.smooth().vertex_normals()")
+        corners = self.vertices[self.faces]  # [F, 3 corners, 3]
+        to_next = unit_or_zero(jnp.roll(corners, -1, axis=1) - corners)
+        to_previous = unit_or_zero(jnp.roll(corners, 1, axis=1) - corners)
+        normals = unit_or_zero(jnp.cross(to_next, to_previous))  # the same one at all three corners of a face
+        # Sine by the normal rather than by a norm, and atan2 rather than arccos: smooth at 0, 90 and 180 degrees alike.
+        sine = jnp.sum(normals * jnp.cross(to_next, to_previous), axis=-1)
+        cosine = jnp.sum(to_next * to_previous, axis=-1)
+        no_edge = (sine == 0) & (cosine == 0)
+        angle = jnp.arctan2(sine, jnp.where(no_edge, 1.0, cosine))
+        weighted = (angle[..., None] * normals).reshape(-1, 3)
+        return unit_or_zero(jax.ops.segment_sum(weighted, self.normal_faces.reshape(-1), self.normal_group_count))
+
+    def smooth(self) -> "Mesh":
+        """The same mesh with one interpolated normal per vertex. Traceable."""
+        return self._with_normal_faces(self.faces, self.vertices.shape[0])
+
+    def flat(self) -> "Mesh":
+        """The same mesh with the face normal all over each face. Traceable."""
+        return self._with_normal_faces(None, 0)
+
+    def _with_normal_faces(self, normal_faces, group_count) -> "Mesh":
+        return eqx.tree_at(
+            lambda mesh: (mesh.normal_faces, mesh.normal_group_count),
+            self,
+            (normal_faces, group_count),
+            is_leaf=lambda leaf: leaf is None,
+        )
+
+
+def weld(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "F 3"]]:
+    """Merge vertices whose positions are equal in float32, on the host; the first of each set stays, in its order."""
+    vertices, faces = np.asarray(vertices), np.asarray(faces)
+    position = vertices.astype(np.float32) + 0.0  # +0 makes -0.0 a plain zero, and both sort alike
+    order = np.lexsort(position.T)
+    position = position[order]
+    starts_set = np.concatenate([[True], np.any(position[1:] != position[:-1], axis=1)])
+    # lexsort is stable: the first of a set in sorted order is the first in the input as well.
+    representative = np.empty(len(order), np.int64)
+    representative[order] = order[starts_set][np.cumsum(starts_set) - 1]
+    kept, new_index = np.unique(representative, return_inverse=True)
+    return vertices[kept], new_index[faces]
+
+
+def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:
+    array = np.asarray(values)
+    if array.size == 0:
+        raise ValueError(f"Mesh {name} is empty")
+    if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "fiu":
+        raise ValueError(f"Mesh {name} must be numbers of shape [n, {width}], not {array.dtype} {list(array.shape)}")
+    with np.errstate(over="ignore"):  # an overflow becomes inf, which the next check names
+        array = array.astype(jnp.result_type(float))
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ValueError(f"Mesh {name}[{row}] = {array[row].tolist()} is not finite ({np.sum(~finite)} such rows)")
+    return array
+
+
+def _checked_indices(name: str, indices: ArrayLike, count: int | None, target: str) -> np.ndarray:
+    array = np.asarray(indices)
+    if array.size == 0:
+        raise ValueError(f"Mesh {name} is empty")
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
+        raise ValueError(f"Mesh {name} must be integers of shape [n, 3], not {array.dtype} {list(array.shape)}")
+    limit = np.iinfo(np.int32).max if count is None else count
+    outside = np.any((array < 0) | (array >= limit), axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise ValueError(f"Mesh {name}[{row}] = {array[row].tolist()} is out of range: there are {limit} {target}")
+    return array
+
+
+def _has_area(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether each face's sine of the smallest angle is above the rounding of the vertices' own type."""
+    a, b, c = (points[corners[:, k]].astype(np.float64) for k in range(3))
+    longest_squared = np.max([np.sum((q - p) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return distinct & (double_area > np.finfo(points.dtype).eps * longest_squared)

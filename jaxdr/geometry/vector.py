@@ -1,0 +1,34 @@
+"""Small vector algebra, safe to differentiate."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def dot(a: Float[Array, "*n d"], b: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+    """Inner product over the last axis."""
+    return (a * b).sum(-1)
+
+
+def norm(a: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+    """Length over the last axis; zero vectors give length zero and derivative zero."""
+    squared = dot(a, a)
+    positive = squared > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+
+def normalize(a: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
+    """Unit vectors; zero vectors stay zero with derivative zero."""
+    squared = dot(a, a)[..., None]
+    positive = squared > 0
+    return jnp.where(positive, a / jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+
+def orthonormal_basis(n: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
+    """Two tangents that complete unit `n` to a right-handed frame (Duff et al. 2017, branchless)."""
+    x, y, z = n[..., 0], n[..., 1], n[..., 2]
+    sign = jnp.where(z >= 0, 1.0, -1.0).astype(n.dtype)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    s = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x], -1)
+    t = jnp.stack([b, sign + y * y * a, -y], -1)
+    return s, t

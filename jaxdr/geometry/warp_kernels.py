@@ -1,0 +1,232 @@
+"""Warp kernels behind the ray queries. They answer discrete questions only: which face, which edge, occluded or not.
+
+Every kernel works on the slice that starts at `start`, so that a CPU launch can be split over threads.
+"""
+
+import warp as wp
+
+MISS = wp.constant(wp.float32(3.0e38))
+
+
+@wp.kernel
+def closest_hit(
+    mesh: wp.uint64,
+    start: int,
+    origin: wp.array(dtype=wp.vec3),
+    direction: wp.array(dtype=wp.vec3),
+    t_max: wp.array(dtype=float),
+    face: wp.array(dtype=int),
+    t: wp.array(dtype=float),
+):
+    i = start + wp.tid()
+    query = wp.mesh_query_ray(mesh, origin[i], direction[i], t_max[i])
+    if query.result:
+        face[i] = query.face
+        t[i] = query.t
+    else:
+        face[i] = -1
+        t[i] = MISS
+
+
+@wp.kernel
+def occluded(
+    mesh: wp.uint64,
+    start: int,
+    origin: wp.array(dtype=wp.vec3),
+    direction: wp.array(dtype=wp.vec3),
+    t_max: wp.array(dtype=float),
+    result: wp.array(dtype=int),
+):
+    i = start + wp.tid()
+    result[i] = int(wp.mesh_query_ray_anyhit(mesh, origin[i], direction[i], t_max[i]))
+
+
+@wp.func
+def directed_volume(o: wp.vec3, d: wp.vec3, p: wp.vec3, q: wp.vec3, i: int, j: int):
+    """Signed volume of the ray with edge (p, q), evaluated in the order of the vertex indices: both faces agree on it."""
+    if i < j:
+        return wp.dot(d, wp.cross(p - o, q - o))
+    return -wp.dot(d, wp.cross(q - o, p - o))
+
+
+@wp.kernel
+def all_hits(
+    bvh: wp.uint64,
+    start: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    origin: wp.array(dtype=wp.vec3),
+    direction: wp.array(dtype=wp.vec3),
+    t_max: wp.array(dtype=float),
+    face: wp.array2d(dtype=int),
+    t: wp.array2d(dtype=float),
+    count: wp.array(dtype=int),
+):
+    """All faces a ray crosses; the nearest `capacity` of them are kept, sorted by distance (insertion sort)."""
+    i = start + wp.tid()
+    o = origin[i]
+    d = direction[i]
+    capacity = face.shape[1]
+    found = int(0)
+    f = int(0)
+    query = wp.bvh_query_ray(bvh, o, d)
+    while wp.bvh_query_next(query, f, t_max[i]):
+        v = faces[f]
+        a = vertices[v[0]]
+        b = vertices[v[1]]
+        c = vertices[v[2]]
+        u0 = directed_volume(o, d, b, c, v[1], v[2])
+        u1 = directed_volume(o, d, c, a, v[2], v[0])
+        u2 = directed_volume(o, d, a, b, v[0], v[1])
+        volume = u0 + u1 + u2
+        inside = (u0 >= 0.0 and u1 >= 0.0 and u2 >= 0.0) or (u0 <= 0.0 and u1 <= 0.0 and u2 <= 0.0)
+        if inside and volume != 0.0:
+            n = wp.cross(b - a, c - a)
+            distance = wp.dot(a - o, n) / wp.dot(d, n)
+            if distance > 0.0 and distance < t_max[i]:
+                slot = wp.min(found, capacity)
+                found += 1
+                while slot > 0 and t[i, slot - 1] > distance:
+                    if slot < capacity:
+                        t[i, slot] = t[i, slot - 1]
+                        face[i, slot] = face[i, slot - 1]
+                    slot -= 1
+                if slot < capacity:
+                    t[i, slot] = distance
+                    face[i, slot] = f
+    count[i] = found
+
+
+@wp.func
+def all_on_one_side(
+    vertices: wp.array(dtype=wp.vec3), opposite: wp.array2d(dtype=int), edge: int, plane: wp.vec3, apex: wp.vec3
+):
+    """+1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0."""
+    side = wp.dot(plane, vertices[opposite[edge, 0]] - apex)
+    for k in range(1, opposite.shape[1]):
+        v = opposite[edge, k]
+        if v >= 0:
+            if wp.dot(plane, vertices[v] - apex) * side <= 0.0:
+                return 0.0
+    return wp.sign(side)
+
+
+@wp.func
+def keeps(segment: int, element: int, seed: int, probability: float):
+    """Unbiased thinning: whether this (segment, element) pair survives; a hash, so the choice is reproducible."""
+    if probability >= 1.0:
+        return True
+    return wp.randf(wp.rand_init(seed + 977 * element, segment)) < probability
+
+
+@wp.kernel
+def edge_candidates(
+    bvh: wp.uint64,
+    start: int,
+    vertices: wp.array(dtype=wp.vec3),
+    edges: wp.array(dtype=wp.vec2i),
+    opposite: wp.array2d(dtype=int),
+    radius: wp.array(dtype=float),
+    apex: wp.array(dtype=wp.vec3),
+    target: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    scale: wp.array(dtype=float),
+    seed: int,
+    probability: float,
+    segment_out: wp.array(dtype=int),
+    edge_out: wp.array(dtype=int),
+    found: wp.array(dtype=int),
+):
+    """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
+
+    `radius` of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
+    `found` = [kept, all].
+    """
+    i = start + wp.tid()
+    if scale[i] <= 0.0:
+        return
+    a = apex[i]
+    b = target[i]
+    n = normal[i]
+    height = wp.dot(n, b - a)
+    e = int(0)
+    query = wp.bvh_query_ray(bvh, a, b - a)
+    while wp.bvh_query_next(query, e, 1.0):
+        r = radius[e] * scale[i]
+        p0 = vertices[edges[e][0]]
+        p1 = vertices[edges[e][1]]
+        plane = wp.cross(p0 - a, p1 - a)
+        side = all_on_one_side(vertices, opposite, e, plane, a)
+        if r > 0.0 and side * wp.dot(plane, b - a) < 0.0:
+            # The part of the edge between the apex and the target's plane (0 < f <= 1), projected.
+            f0 = wp.dot(n, p0 - a) / height
+            f1 = wp.dot(n, p1 - a) / height
+            if wp.min(f0, f1) < 1.0 and wp.max(f0, f1) > 1.0e-6:
+                c0 = wp.clamp(f0, 1.0e-6, 1.0)
+                c1 = wp.clamp(f1, 1.0e-6, 1.0)
+                q0 = p0
+                q1 = p1
+                if c0 != f0:
+                    q0 = p0 + (c0 - f0) / (f1 - f0) * (p1 - p0)
+                if c1 != f1:
+                    q1 = p1 + (c1 - f1) / (f0 - f1) * (p0 - p1)
+                m0 = a + (q0 - a) / c0
+                along = a + (q1 - a) / c1 - m0
+                length = wp.length(along)
+                s = wp.dot(b - m0, along) / length
+                distance = wp.length(b - m0 - s / length * along)
+                if s >= 0.0 and s < length and distance < r:
+                    wp.atomic_add(found, 1, 1)
+                    if keeps(i, e, seed, probability):
+                        j = wp.atomic_add(found, 0, 1)
+                        if j < segment_out.shape[0]:
+                            segment_out[j] = i
+                            edge_out[j] = e
+
+
+@wp.kernel
+def point_candidates(
+    bvh: wp.uint64,
+    start: int,
+    vertices: wp.array(dtype=wp.vec3),
+    edges: wp.array(dtype=wp.vec2i),
+    opposite: wp.array2d(dtype=int),
+    point: wp.array(dtype=wp.vec3),
+    point_edge: wp.array(dtype=int),
+    radius: wp.array(dtype=float),
+    apex: wp.array(dtype=wp.vec3),
+    target: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    scale: wp.array(dtype=float),
+    seed: int,
+    probability: float,
+    segment_out: wp.array(dtype=int),
+    point_out: wp.array(dtype=int),
+    found: wp.array(dtype=int),
+):
+    """Points on silhouette edges whose projection onto the target's plane lies in the disc around the target."""
+    i = start + wp.tid()
+    if scale[i] <= 0.0:
+        return
+    a = apex[i]
+    b = target[i]
+    n = normal[i]
+    height = wp.dot(n, b - a)
+    j = int(0)
+    query = wp.bvh_query_ray(bvh, a, b - a)
+    while wp.bvh_query_next(query, j, 1.0):
+        e = point_edge[j]
+        r = radius[j] * scale[i]
+        p0 = vertices[edges[e][0]]
+        plane = wp.cross(p0 - a, vertices[edges[e][1]] - a)
+        side = all_on_one_side(vertices, opposite, e, plane, a)
+        if r > 0.0 and side * wp.dot(plane, b - a) < 0.0:
+            f = wp.dot(n, point[j] - a) / height
+            if f > 1.0e-6 and f <= 1.0:
+                if wp.length(a + (point[j] - a) / f - b) < r:
+                    wp.atomic_add(found, 1, 1)
+                    if keeps(i, j, seed, probability):
+                        k = wp.atomic_add(found, 0, 1)
+                        if k < segment_out.shape[0]:
+                            segment_out[k] = i
+                            point_out[k] = j

@@ -1,0 +1,100 @@
+"""Scene: shapes, camera and environment as one pytree with named parameters."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
+
+RESERVED = ("camera", "environment")
+
+
+class Shape(eqx.Module):
+    """A mesh with its BSDF (default: grey diffuse) and, where it glows, its emitter."""
+
+    mesh: Mesh
+    bsdf: BSDF | TwoSided = eqx.field(default_factory=Diffuse)
+    emitter: AreaEmitter | None = None
+
+    def __check_init__(self):
+        for name, kind in (("mesh", Mesh), ("bsdf", (BSDF, TwoSided)), ("emitter", (AreaEmitter, type(None)))):
+            value = getattr(self, name)
+            if not isinstance(value, kind):
+                raise ValueError(f"Shape: {name} is a {type(value).__name__}; see jaxdr.{name.capitalize()} and its kind")
+
+
+class Scene(eqx.Module):
+    """Shapes by id, one camera, and an environment or None.
+
+    Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`.
+    """
+
+    shapes: dict[str, Shape]
+    camera: Perspective
+    environment: ConstantEnvironment | None = None
+
+    def __check_init__(self):
+        if not self.shapes:
+            raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
+        for name, shape in self.shapes.items():
+            if not name or "." in name or name in RESERVED:
+                raise ValueError(f"Scene: {name!r} can't be a shape id (no dots, not empty, not {' or '.join(RESERVED)})")
+            if not isinstance(shape, Shape):
+                raise ValueError(f"Scene: shapes[{name!r}] is a {type(shape).__name__}, expected a jaxdr.Shape")
+
+    def parameters(self) -> dict[str, Array]:
+        """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them."""
+        return {name: get(self) for name, get in _accessors(self).items()}
+
+    def replace(self, values: Mapping[str, Array]) -> "Scene":
+        """The scene with some parameters replaced; pure and traceable.
+
+        Raises ValueError for an unknown name or a shape that differs from the parameter's.
+        """
+        accessors = _accessors(self)
+        for name, value in values.items():
+            if name not in accessors:
+                raise ValueError(f"Scene.replace: unknown parameter {name!r}; this scene has: {', '.join(accessors)}")
+            old = accessors[name](self)
+            if jnp.shape(value) != old.shape:
+                raise ValueError(f"Scene.replace: {name} has shape {old.shape}, got {jnp.shape(value)}")
+        if not values:
+            return self
+        getters = [accessors[name] for name in values]
+        new = [jnp.asarray(v, get(self).dtype) for v, get in zip(values.values(), getters, strict=True)]
+        return eqx.tree_at(lambda scene: [get(scene) for get in getters], self, new)
+
+
+def _accessors(scene: Scene) -> dict:
+    """Parameter name -> function that takes it from a scene."""
+    found = {}
+    for name, shape in scene.shapes.items():
+        found[f"{name}.vertices"] = lambda s, n=name: s.shapes[n].mesh.vertices
+        for field in _float_fields(unwrap(shape.bsdf)):
+            found[f"{name}.bsdf.{field}"] = lambda s, n=name, f=field: getattr(unwrap(s.shapes[n].bsdf), f)
+        if shape.emitter is not None:
+            for field in _float_fields(shape.emitter):
+                found[f"{name}.emitter.{field}"] = lambda s, n=name, f=field: getattr(s.shapes[n].emitter, f)
+    for field in _float_fields(scene.camera):
+        found[f"camera.{field}"] = lambda s, f=field: getattr(s.camera, f)
+    if scene.environment is not None:
+        for field in _float_fields(scene.environment):
+            found[f"environment.{field}"] = lambda s, f=field: getattr(s.environment, f)
+    return found
+
+
+def unwrap(bsdf: BSDF | TwoSided) -> BSDF:
+    """The BSDF inside a `TwoSided` adapter, or the BSDF itself."""
+    return bsdf.bsdf if isinstance(bsdf, TwoSided) else bsdf
+
+
+def _float_fields(module: eqx.Module) -> list[str]:
+    """Names of the fields that are float arrays."""
+    values = {name: getattr(module, name) for name in module.__dataclass_fields__}
+    return [n for n, v in values.items() if isinstance(v, jax.Array) and jnp.issubdtype(v.dtype, jnp.floating)]
