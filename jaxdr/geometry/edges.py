@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vectors import unit_or_zero
+from jaxdr.geometry.vector import dot, normalize
 
 INTERIOR = 0
 BOUNDARY = 1
@@ -45,7 +45,7 @@ def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
     apex = np.roll(faces, -2, axis=1).reshape(-1)
     if np.any(start == end):
         face = int(np.flatnonzero(start == end)[0]) // 3
-        raise ValueError(f"faces[{face}] = {faces[face].tolist()} names a vertex twice; drop such faces first")
+        raise ValueError(f"build_edges: faces[{face}] = {faces[face].tolist()} names a vertex twice; drop such faces")
 
     # One integer per half-edge: the undirected edge, then upward half-edges before downward ones.
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -77,13 +77,15 @@ def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
 def dihedral(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
     """Signed height of face 1's opposite vertex over the plane of face 0, in scene units.
 
-    Negative at a convex edge, positive at a concave one, zero at a flat one; zero also where there is no fold to speak of
-    (boundary and non-manifold edges, a face 0 without area). Differentiable and finite for any vertices.
+    Negative at a convex edge, positive at a concave one, zero at a flat one. Zero as well at boundary and non-manifold
+    edges and where face 0 has no area. Differentiable; derivatives are finite for any vertices.
     """
     start, end = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]
-    normal = unit_or_zero(jnp.cross(end - start, vertices[edges.opposite[:, 0]] - start))
+    # Unit sides first: the cross product of short sides would underflow when normalize squares it.
+    side = normalize(vertices[edges.opposite[:, 0]] - start)
+    normal = normalize(jnp.cross(normalize(end - start), side))
     # Padding (-1) reads the last vertex: finite, and masked by the kind.
-    height = jnp.sum(normal * (vertices[edges.opposite[:, 1]] - start), axis=-1)
+    height = dot(normal, vertices[edges.opposite[:, 1]] - start)
     return jnp.where(edges.kind == INTERIOR, height, 0.0)
 
 

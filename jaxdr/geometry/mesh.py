@@ -1,5 +1,6 @@
 """Triangle meshes: positions, UVs and shading normals, each with its own indices."""
 
+import dataclasses
 import warnings
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
-from jaxdr.geometry.vectors import unit_or_zero
+from jaxdr.geometry.vector import dot, normalize
 
 
 class Mesh(eqx.Module):
@@ -51,25 +52,25 @@ class Mesh(eqx.Module):
         vertices: call `weld` first where they should not.
 
         Vertices are stored in JAX's default float type. Faces without area in that precision are dropped, with one
-        warning that counts them. Raises `ValueError` for traced arrays, wrong shapes or types, positions or UVs that are
-        not finite, an index out of range, and a mesh without any face.
+        warning that counts them. Raises `ValueError` for traced arrays, wrong shapes or types, positions or UVs that
+        are not finite, an index out of range, and a mesh without any face.
         """
         if isinstance(vertices, jax.core.Tracer):
-            raise ValueError("Mesh needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
+            raise ValueError("Mesh: needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
         if (uvs is None) != (uv_faces is None):
-            raise ValueError("Mesh needs uvs and uv_faces together, or neither")
+            raise ValueError("Mesh: needs uvs and uv_faces together, or neither")
         points = _checked_floats("vertices", vertices, 3)
         corners = _checked_indices("faces", faces, len(points), "vertices")
         kept = _has_area(points, corners)
         if not kept.any():
-            raise ValueError(f"Mesh has no face with area (faces: {len(corners)}); is the file or the scale right?")
+            raise ValueError(f"Mesh: none of the {len(corners)} faces has an area")
         if not kept.all():
             warnings.warn(f"Mesh: dropped {np.sum(~kept)} of {len(kept)} faces, which have no area", stacklevel=2)
 
         def kept_corners(name, indices, count, target):
             checked = _checked_indices(name, indices, count, target)
             if len(checked) != len(kept):
-                raise ValueError(f"Mesh {name} has {len(checked)} rows for {len(kept)} faces; give one per face")
+                raise ValueError(f"Mesh: {name} has {len(checked)} rows for {len(kept)} faces; give one per face")
             return jnp.asarray(checked[kept], jnp.int32)
 
         self.vertices = jnp.asarray(points)
@@ -86,35 +87,35 @@ class Mesh(eqx.Module):
         self.edges = build_edges(corners[kept])
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
-    def with_vertices(self, vertices: Float[Array, "V 3"]) -> "Mesh":
+    def with_vertices(self, vertices: Float[Array | np.ndarray, "V 3"]) -> "Mesh":
         """The same topology at other positions. Traceable; the values are not checked.
 
         Raises `ValueError` if the number of vertices changes.
         """
-        vertices = jnp.asarray(vertices)
+        vertices = jnp.asarray(vertices, self.vertices.dtype)
         if vertices.shape != self.vertices.shape:
-            raise ValueError(f"with_vertices got shape {vertices.shape}; this mesh needs {self.vertices.shape}")
+            raise ValueError(f"Mesh.with_vertices: this mesh needs shape {self.vertices.shape}, got {vertices.shape}")
         return eqx.tree_at(lambda mesh: mesh.vertices, self, vertices)
 
     def vertex_normals(self) -> Float[Array, "G 3"]:
-        """Unit normal of every smoothing group: face normals weighted by the corner's angle (Thuermer & Wuethrich 1998).
+        """Unit normal of every smoothing group: face normals weighted by corner angle (Thürmer and Wüthrich 1998).
 
         Differentiable in the vertices and finite everywhere; zero for a group whose faces have no area or cancel out.
         Raises `ValueError` for a flat-shaded mesh.
         """
         if self.normal_faces is None:
-            raise ValueError("a flat-shaded mesh has no vertex normals; use mesh.smooth().vertex_normals()")
+            raise ValueError("Mesh.vertex_normals: flat shading has none; use mesh.smooth().vertex_normals()")
         corners = self.vertices[self.faces]  # [F, 3 corners, 3]
-        to_next = unit_or_zero(jnp.roll(corners, -1, axis=1) - corners)
-        to_previous = unit_or_zero(jnp.roll(corners, 1, axis=1) - corners)
-        normals = unit_or_zero(jnp.cross(to_next, to_previous))  # the same one at all three corners of a face
-        # Sine by the normal rather than by a norm, and atan2 rather than arccos: smooth at 0, 90 and 180 degrees alike.
-        sine = jnp.sum(normals * jnp.cross(to_next, to_previous), axis=-1)
-        cosine = jnp.sum(to_next * to_previous, axis=-1)
-        no_edge = (sine == 0) & (cosine == 0)
-        angle = jnp.arctan2(sine, jnp.where(no_edge, 1.0, cosine))
-        weighted = (angle[..., None] * normals).reshape(-1, 3)
-        return unit_or_zero(jax.ops.segment_sum(weighted, self.normal_faces.reshape(-1), self.normal_group_count))
+        to_next = normalize(jnp.roll(corners, -1, axis=1) - corners)
+        to_previous = normalize(jnp.roll(corners, 1, axis=1) - corners)
+        cross = jnp.cross(to_next, to_previous)
+        normals = normalize(cross)
+        # atan2 of sine and cosine, unlike arccos, is smooth at 0 and 180 degrees, but not at (0, 0): a side of length
+        # zero. There the normal is zero, so any other cosine does.
+        sine, cosine = dot(normals, cross), dot(to_next, to_previous)
+        angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
+        weighted = (angles[..., None] * normals).reshape(-1, 3)
+        return normalize(jax.ops.segment_sum(weighted, self.normal_faces.reshape(-1), self.normal_group_count))
 
     def smooth(self) -> "Mesh":
         """The same mesh with one interpolated normal per vertex. Traceable."""
@@ -124,13 +125,13 @@ class Mesh(eqx.Module):
         """The same mesh with the face normal all over each face. Traceable."""
         return self._with_normal_faces(None, 0)
 
-    def _with_normal_faces(self, normal_faces, group_count) -> "Mesh":
-        return eqx.tree_at(
-            lambda mesh: (mesh.normal_faces, mesh.normal_group_count),
-            self,
-            (normal_faces, group_count),
-            is_leaf=lambda leaf: leaf is None,
-        )
+    def _with_normal_faces(self, normal_faces: Int[Array, "F 3"] | None, group_count: int) -> "Mesh":
+        changed = {"normal_faces": normal_faces, "normal_group_count": group_count}
+        # eqx.tree_at cannot replace a static field, and __init__ needs concrete arrays.
+        mesh = object.__new__(Mesh)
+        for field in dataclasses.fields(self):
+            object.__setattr__(mesh, field.name, changed.get(field.name, getattr(self, field.name)))
+        return mesh
 
 
 def weld(
@@ -152,29 +153,29 @@ def weld(
 def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:
     array = np.asarray(values)
     if array.size == 0:
-        raise ValueError(f"Mesh {name} is empty")
+        raise ValueError(f"Mesh: {name} is empty")
     if array.ndim != 2 or array.shape[1] != width or array.dtype.kind not in "fiu":
-        raise ValueError(f"Mesh {name} must be numbers of shape [n, {width}], not {array.dtype} {list(array.shape)}")
+        raise ValueError(f"Mesh: {name} must be numbers of shape [n, {width}], not {array.dtype} {list(array.shape)}")
     with np.errstate(over="ignore"):  # an overflow becomes inf, which the next check names
         array = array.astype(jnp.result_type(float))
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
-        raise ValueError(f"Mesh {name}[{row}] = {array[row].tolist()} is not finite ({np.sum(~finite)} such rows)")
+        raise ValueError(f"Mesh: {name}[{row}] = {array[row].tolist()} is not finite ({np.sum(~finite)} such rows)")
     return array
 
 
 def _checked_indices(name: str, indices: ArrayLike, count: int | None, target: str) -> np.ndarray:
     array = np.asarray(indices)
     if array.size == 0:
-        raise ValueError(f"Mesh {name} is empty")
+        raise ValueError(f"Mesh: {name} is empty")
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
-        raise ValueError(f"Mesh {name} must be integers of shape [n, 3], not {array.dtype} {list(array.shape)}")
+        raise ValueError(f"Mesh: {name} must be integers of shape [n, 3], not {array.dtype} {list(array.shape)}")
     limit = np.iinfo(np.int32).max if count is None else count
     outside = np.any((array < 0) | (array >= limit), axis=1)
     if outside.any():
         row = int(np.argmax(outside))
-        raise ValueError(f"Mesh {name}[{row}] = {array[row].tolist()} is out of range: there are {limit} {target}")
+        raise ValueError(f"Mesh: {name}[{row}] = {array[row].tolist()} is out of range: there are {limit} {target}")
     return array
 
 
