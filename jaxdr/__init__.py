@@ -1,0 +1,22 @@
+"""jaxdr: differentiable rendering in JAX, with correct derivatives where visibility changes."""
+
+from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
+from jaxdr.geometry.load import load_mesh as load_mesh
+from jaxdr.geometry.load import save_mesh as save_mesh
+from jaxdr.geometry.mesh import Mesh as Mesh
+from jaxdr.integrator import PathTracer as PathTracer
+from jaxdr.render import derivative_terms as derivative_terms
+from jaxdr.render import render as render
+from jaxdr.scene.bsdf import Diffuse as Diffuse
+from jaxdr.scene.bsdf import TwoSided as TwoSided
+from jaxdr.scene.camera import Perspective as Perspective
+from jaxdr.scene.camera import look_at as look_at
+from jaxdr.scene.emitters import AreaEmitter as AreaEmitter
+from jaxdr.scene.emitters import ConstantEnvironment as ConstantEnvironment
+from jaxdr.scene.film import Box as Box
+from jaxdr.scene.film import Film as Film
+from jaxdr.scene.film import Gaussian as Gaussian
+from jaxdr.scene.film import Tent as Tent
+from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
+from jaxdr.scene.scene import Scene as Scene
+from jaxdr.scene.scene import Shape as Shape

@@ -1,0 +1,186 @@
+"""Ray queries in plain JAX: a reference for tests, for tiny scenes, and for devices that Warp does not know.
+
+Faces (edges) are visited in blocks by a loop, so memory is rays x block and not rays x faces.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from jaxdr.geometry.vector import dot, norm
+
+BLOCK = 32
+MISS = 3.0e38
+
+
+def _blocks(*arrays):
+    """Rows padded with copies of row 0 to whole blocks, stacked as [blocks, BLOCK, ...], and the row numbers."""
+    count = arrays[0].shape[0]
+    index = jnp.arange(-(-count // BLOCK) * BLOCK).reshape(-1, BLOCK)
+    source = jnp.where(index < count, index, 0)
+    return index, source, tuple(a[source] for a in arrays)
+
+
+def _directed_volume(d, p, q, i, j):
+    """Signed volume of the ray with edge (p, q) relative to its origin, evaluated in the order of the vertex indices.
+
+    Both faces of an edge then get the same number up to its sign, whatever the rounding: no ray slips between them.
+    """
+    swap = i > j
+    first, second = jnp.where(swap[..., None], q, p), jnp.where(swap[..., None], p, q)
+    return jnp.where(swap, -1.0, 1.0) * dot(d, jnp.cross(first, second))
+
+
+def _crossings(vertices, faces, origin, direction, t_max):
+    """t [N, BLOCK] of every ray with every face of a block; MISS where there is none."""
+    corners = vertices[faces]  # [B, 3, 3]
+    o, d = origin[:, None], direction[:, None]
+    a, b, c = (corners[None, :, k] - o for k in range(3))
+    i, j, k = (faces[None, :, k] for k in range(3))
+    u0 = _directed_volume(d, b, c, j, k)
+    u1 = _directed_volume(d, c, a, k, i)
+    u2 = _directed_volume(d, a, b, i, j)
+    inside = ((u0 >= 0) & (u1 >= 0) & (u2 >= 0)) | ((u0 <= 0) & (u1 <= 0) & (u2 <= 0))
+    normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[None]
+    slope = dot(d, normal)
+    t = dot(a, normal) / jnp.where(slope == 0, 1.0, slope)
+    hit = inside & (u0 + u1 + u2 != 0) & (slope != 0) & (t > 0) & (t < t_max[:, None])
+    return jnp.where(hit, t, MISS)
+
+
+def closest_hit(vertices, faces, origin, direction, t_max):
+    """(face, t): the nearest face in front of each ray."""
+
+    def visit(best, block):
+        index, _, (f,) = block
+        t = _crossings(vertices, f, origin, direction, t_max)
+        nearest = jnp.argmin(t, axis=1)
+        t = jnp.take_along_axis(t, nearest[:, None], 1)[:, 0]
+        closer = t < best[1]
+        return (jnp.where(closer, index[nearest], best[0]), jnp.where(closer, t, best[1])), None
+
+    n = origin.shape[0]
+    start = (jnp.full(n, -1, jnp.int32), jnp.full(n, MISS, jnp.float32))
+    return jax.lax.scan(visit, start, _blocks(faces))[0]
+
+
+def occluded(vertices, faces, origin, direction, t_max):
+    """Whether anything lies on the ray before `t_max`."""
+
+    def visit(found, block):
+        return found | (_crossings(vertices, block[2][0], origin, direction, t_max) < MISS).any(1), None
+
+    return jax.lax.scan(visit, jnp.zeros(origin.shape[0], bool), _blocks(faces))[0]
+
+
+def all_hits(vertices, faces, origin, direction, t_max, capacity):
+    """(face [N, C], t [N, C], count [N]): the nearest `capacity` crossings, sorted."""
+
+    def visit(kept, block):
+        index, source, (f,) = block
+        t = _crossings(vertices, f, origin, direction, t_max)
+        t = jnp.where((index == source)[None], t, MISS)  # padding repeats face 0
+        count = kept[2] + (t < MISS).sum(1, dtype=jnp.int32)
+        face = jnp.broadcast_to(index[None], t.shape)
+        t, face = jnp.concatenate([kept[1], t], 1), jnp.concatenate([kept[0], face], 1)
+        order = jnp.argsort(t, axis=1)[:, :capacity]
+        t, face = jnp.take_along_axis(t, order, 1), jnp.take_along_axis(face, order, 1)
+        return (jnp.where(t < MISS, face, -1), t, count), None
+
+    n = origin.shape[0]
+    start = (jnp.full((n, capacity), -1, jnp.int32), jnp.full((n, capacity), MISS, jnp.float32), jnp.zeros(n, jnp.int32))
+    return jax.lax.scan(visit, start, _blocks(faces))[0]
+
+
+def _side_of_faces(vertices, opposite, plane, apex):
+    """[N, B]: +1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0."""
+    sides = jnp.sign(dot(plane[:, :, None], vertices[opposite][None] - apex[:, None, None]))  # [N, B, K]
+    present = (opposite >= 0)[None]
+    agree = jnp.where(present, sides == sides[..., :1], True).all(-1)
+    return jnp.where(agree, sides[..., 0], 0.0)
+
+
+def _project(point, apex, height, normal):
+    """(fraction of the way to the target's plane, projection onto that plane) of points [N, B, 3]."""
+    offset = point - apex[:, None]
+    f = dot(offset, normal[:, None]) / height[:, None]
+    return f, apex[:, None] + offset / f[..., None]
+
+
+def _gather(near, count, segment, element, index, source):
+    """Append the pairs of a block to the compacted lists; what exceeds the capacity is counted but not stored."""
+    near = near & (index == source)[None]
+    position = count + jnp.cumsum(near.reshape(-1)).reshape(near.shape) - 1
+    slot = jnp.where(near, position, segment.shape[0])
+    rows = jnp.broadcast_to(jnp.arange(near.shape[0], dtype=jnp.int32)[:, None], near.shape)
+    segment = segment.at[slot].set(rows, mode="drop")
+    element = element.at[slot].set(jnp.broadcast_to(index[None], near.shape).astype(jnp.int32), mode="drop")
+    return count + near.sum(dtype=jnp.int32), segment, element
+
+
+def _candidates(near_block, blocks, seed, capacity):
+    """Compact the pairs of all blocks; on overflow do it again with unbiased random thinning."""
+
+    def run(probability):
+        def visit(state, block):
+            kept, every, segment, element = state
+            index, source, data = block
+            near = near_block(*data)
+            every = every + (near & (index == source)[None]).sum(dtype=jnp.int32)
+            key = jax.random.fold_in(jax.random.key(seed), index[0])
+            near = near & (jax.random.uniform(key, near.shape) < probability)
+            kept, segment, element = _gather(near, kept, segment, element, index, source)
+            return (kept, every, segment, element), None
+
+        empty = jnp.zeros(capacity, jnp.int32)
+        state = (jnp.int32(0), jnp.int32(0), empty - 1, empty)
+        return jax.lax.scan(visit, state, blocks)[0]
+
+    full = run(1.0)
+    share = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity)
+    probability = jnp.where(full[1] > capacity, share / jnp.maximum(full[1], 1), 1.0).astype(jnp.float32)
+    state = jax.lax.cond(full[1] > capacity, lambda: run(probability), lambda: full)
+    return state[2], state[3], state[1], 1.0 / probability
+
+
+def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, seed, capacity):
+    """(segment, edge, count, weight): see `queries.edge_candidates`."""
+    height = dot(normal, target - apex)
+    b, n = target[:, None], normal[:, None]
+
+    def near_block(edge, opp, r):
+        p0, p1 = vertices[edge[:, 0]][None], vertices[edge[:, 1]][None]
+        plane = jnp.cross(p0 - apex[:, None], p1 - apex[:, None])
+        side = _side_of_faces(vertices, opp, plane, apex)
+        f0, f1 = (dot(p - apex[:, None], n) / height[:, None] for p in (p0, p1))
+        c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
+        rise = jnp.where(f0 == f1, 1.0, f1 - f0)
+        q0 = p0 + ((c0 - f0) / rise)[..., None] * (p1 - p0)
+        q1 = p1 + ((f1 - c1) / rise)[..., None] * (p0 - p1)
+        m0 = apex[:, None] + (q0 - apex[:, None]) / c0[..., None]
+        along = apex[:, None] + (q1 - apex[:, None]) / c1[..., None] - m0
+        length = norm(along)
+        s = dot(b - m0, along) / length
+        distance = norm(b - m0 - (s / length)[..., None] * along)
+        reach = r[None] * scale[:, None]
+        between = (jnp.minimum(f0, f1) < 1.0) & (jnp.maximum(f0, f1) > 1e-6)
+        opposite_side = side * dot(plane, b - apex[:, None]) < 0
+        return between & opposite_side & (reach > 0) & (s >= 0) & (s < length) & (distance < reach)
+
+    return _candidates(near_block, _blocks(edges, opposite, radius), seed, capacity)
+
+
+def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, seed, capacity):
+    """(segment, point, count, weight): see `queries.point_candidates`."""
+    height = dot(normal, target - apex)
+
+    def near_block(p, e, r):
+        p0, p1 = vertices[edges[e, 0]][None], vertices[edges[e, 1]][None]
+        plane = jnp.cross(p0 - apex[:, None], p1 - apex[:, None])
+        side = _side_of_faces(vertices, opposite[e], plane, apex)
+        f, projected = _project(p[None], apex, height, normal)
+        reach = r[None] * scale[:, None]
+        opposite_side = side * dot(plane, (target - apex)[:, None]) < 0
+        near = norm(projected - target[:, None]) < reach
+        return (f > 1e-6) & (f <= 1.0) & opposite_side & (reach > 0) & near
+
+    return _candidates(near_block, _blocks(point, point_edge, radius), seed, capacity)

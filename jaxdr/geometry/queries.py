@@ -1,0 +1,203 @@
+"""Ray queries: one interface, two implementations (`warp`, `jax`).
+
+Queries answer discrete questions in float32 (which face, which edge, occluded or not) and have no derivative: their
+inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vmap` a batch of rays against one geometry
+becomes one larger batch of rays.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry import jax_queries
+
+IMPLEMENTATIONS = ("warp", "jax")
+
+
+class Hit(NamedTuple):
+    """Nearest crossing: `face` [N] (-1 for a miss) and ray parameter `t` [N] (meaningless for a miss)."""
+
+    face: Int[Array, " N"]
+    t: Float[Array, " N"]
+
+
+class AllHits(NamedTuple):
+    """Nearest crossings of every ray, sorted by `t`; `count` counts all of them, also those beyond the capacity."""
+
+    face: Int[Array, "N C"]
+    t: Float[Array, "N C"]
+    count: Int[Array, " N"]
+
+
+class Candidates(NamedTuple):
+    """Compacted (segment, element) pairs; unused slots have `segment` -1.
+
+    `count` is the number of pairs found. When it exceeds the capacity the pairs are thinned at random without bias and
+    `weight` is the inverse of the survival probability, else 1.
+    """
+
+    segment: Int[Array, " C"]
+    element: Int[Array, " C"]
+    count: Int[Array, ""]
+    weight: Float[Array, ""]
+
+
+def _module(implementation: str):
+    if implementation == "jax":
+        return jax_queries
+    if implementation == "warp":
+        from jaxdr.geometry import warp_queries  # imported on use: a GPU that Warp does not know needs only `jax`
+
+        return warp_queries
+    raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(IMPLEMENTATIONS)}")
+
+
+def _discrete(*arrays):
+    """Detached, float32 (int32) copies of the inputs of a query."""
+
+    def convert(a):
+        a = jax.lax.stop_gradient(jnp.asarray(a))
+        return a.astype(jnp.float32 if jnp.issubdtype(a.dtype, jnp.floating) else jnp.int32)
+
+    return tuple(convert(a) for a in arrays)
+
+
+def _over_rays(query: Callable, geometry_count: int) -> Callable:
+    """`query(*geometry, *rays)` whose batches over rays are flattened into one call; other batches run one by one."""
+
+    @custom_vmap
+    def call(*args):
+        return query(*args)
+
+    @call.def_vmap
+    def batched(size, is_batched, *args):
+        geometry, rays = args[:geometry_count], args[geometry_count:]
+        if any(is_batched[:geometry_count]):
+            return _one_by_one(call, size, is_batched, args)
+        rays = [r if b else jnp.broadcast_to(r, (size, *r.shape)) for r, b in zip(rays, is_batched[geometry_count:])]
+        flat = [r.reshape(-1, *r.shape[2:]) for r in rays]
+        results = call(*geometry, *flat)
+        results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
+        return results, jax.tree.map(lambda _: True, results)
+
+    return call
+
+
+def _sequential(query: Callable) -> Callable:
+    """`query` that runs one by one under `vmap`."""
+
+    @custom_vmap
+    def call(*args):
+        return query(*args)
+
+    @call.def_vmap
+    def batched(size, is_batched, *args):
+        return _one_by_one(call, size, is_batched, args)
+
+    return call
+
+
+def _one_by_one(call, size, is_batched, args):
+    def one(i):
+        return call(*(a[i] if b else a for a, b in zip(args, is_batched, strict=True)))
+
+    results = jax.lax.map(one, jnp.arange(size))
+    return results, jax.tree.map(lambda _: True, results)
+
+
+def closest_hit(
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    origin: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+    t_max: Float[Array, " N"],
+    implementation: str = "warp",
+) -> Hit:
+    """The nearest face on each ray `origin + t direction`, 0 < t < `t_max`; t counts in lengths of `direction`."""
+    query = _over_rays(_module(implementation).closest_hit, 2)
+    return Hit(*query(*_discrete(vertices, faces, origin, direction, t_max)))
+
+
+def occluded(
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    origin: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+    t_max: Float[Array, " N"],
+    implementation: str = "warp",
+) -> Bool[Array, " N"]:
+    """Whether any face lies on each ray before `t_max`; a ray with `t_max` <= 0 is free."""
+    query = _over_rays(_module(implementation).occluded, 2)
+    return query(*_discrete(vertices, faces, origin, direction, t_max))
+
+
+def all_hits(
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    origin: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+    t_max: Float[Array, " N"],
+    capacity: int = 16,
+    implementation: str = "warp",
+) -> AllHits:
+    """Every face on each ray before `t_max`: the nearest `capacity` of them, sorted, and how many there are."""
+    module = _module(implementation)
+    query = _over_rays(lambda *args: tuple(module.all_hits(*args, capacity)), 2)
+    return AllHits(*query(*_discrete(vertices, faces, origin, direction, t_max)))
+
+
+def edge_candidates(
+    vertices: Float[Array, "V 3"],
+    edges: Int[Array, "E 2"],
+    opposite: Int[Array, "E K"],
+    radius: Float[Array, " E"],
+    apex: Float[Array, "N 3"],
+    target: Float[Array, "N 3"],
+    normal: Float[Array, "N 3"],
+    scale: Float[Array, " N"],
+    seed: Int[Array, ""],
+    capacity: int,
+    implementation: str = "warp",
+) -> Candidates:
+    """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
+
+    An edge counts for a segment when all its faces (their vertices `opposite`, -1 padded) lie on one side of the plane
+    through apex and edge and the target on the other, it lies between the apex and the target's plane, and the foot
+    of the perpendicular from the target onto its projection is on the projection, less than `radius[edge] *
+    scale[segment]` away (scene units). A radius or scale of zero leaves an edge or a segment out.
+    """
+    module = _module(implementation)
+    query = _sequential(lambda *args: tuple(module.edge_candidates(*args, capacity)))
+    return Candidates(
+        *query(*_discrete(vertices, edges, opposite, radius, apex, target, normal, scale, jnp.asarray(seed)))
+    )
+
+
+def point_candidates(
+    vertices: Float[Array, "V 3"],
+    edges: Int[Array, "E 2"],
+    opposite: Int[Array, "E K"],
+    point: Float[Array, "M 3"],
+    point_edge: Int[Array, " M"],
+    radius: Float[Array, " M"],
+    apex: Float[Array, "N 3"],
+    target: Float[Array, "N 3"],
+    normal: Float[Array, "N 3"],
+    scale: Float[Array, " N"],
+    seed: Int[Array, ""],
+    capacity: int,
+    implementation: str = "warp",
+) -> Candidates:
+    """Points on silhouette edges whose projection from `apex` onto the plane (target, normal) is near `target`.
+
+    As `edge_candidates`, with a disc around the projected point in place of a strip along the projected edge.
+    """
+    module = _module(implementation)
+    query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity)))
+    return Candidates(
+        *query(*_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, seed))
+    )

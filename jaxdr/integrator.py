@@ -1,0 +1,65 @@
+"""Integrators: what `render` estimates and how, as static settings."""
+
+from typing import Literal, Protocol
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.geometry.queries import IMPLEMENTATIONS
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.path import PathSettings, Segments
+
+
+class BoundaryEstimator(Protocol):
+    """Boundary term of the segments behind the first hit; see `KernelDensity.estimate`."""
+
+    def estimate(
+        self,
+        packed: PackedScene,
+        first: SurfacePoint,
+        first_wi: Float[Array, "N 3"],
+        segments: tuple[Segments, ...],
+        sample_index: Int[Array, " N"],
+        key: PRNGKeyArray,
+        settings: PathSettings,
+    ) -> Float[Array, "N 3"]: ...
+
+
+class PathTracer(eqx.Module):
+    """Unidirectional path tracing with next-event estimation; every field is static.
+
+    - `max_depth`: longest path in segments, as Mitsuba counts: 1 = emitters seen directly, 2 = direct light, ...
+    - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and* the
+      moving silhouettes and creases in the image (interior term only).
+    - `primary`: "fixed_ray" (camera rays stay, moving edges in the image are explicit) or "material" (first hits move with
+      their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures).
+    - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
+      faster where emitters are small and always noisier where they are large or near.
+    - `edge_samples`: edge points in the image per path sample.
+    - `chunk_size`: paths traced at once; memory is proportional to it and independent of the samples per pixel.
+    - `rays`: implementation of the ray queries, "warp" (CPU, CUDA) or "jax".
+    """
+
+    max_depth: int = eqx.field(static=True, default=3)
+    boundary: BoundaryEstimator | None = eqx.field(static=True, default=KernelDensity())
+    primary: Literal["fixed_ray", "material"] = eqx.field(static=True, default="fixed_ray")
+    sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
+    edge_samples: float = eqx.field(static=True, default=0.25)
+    chunk_size: int = eqx.field(static=True, default=1 << 16)
+    rays: str = eqx.field(static=True, default="warp")
+
+    def __check_init__(self):
+        if self.max_depth < 1:
+            raise ValueError(f"PathTracer: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
+        for name, known in (("primary", ("fixed_ray", "material")), ("sampling", ("mis", "emitter")), ("rays", IMPLEMENTATIONS)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
+        if not self.edge_samples > 0 or self.chunk_size < 1:
+            raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
+
+    @property
+    def settings(self) -> PathSettings:
+        """What the path tracer itself needs."""
+        return PathSettings(self.max_depth, self.sampling == "mis", self.rays)

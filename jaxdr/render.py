@@ -1,0 +1,206 @@
+"""Rendering, top to bottom: draw paths -> contributions -> interior + boundary -> film.
+
+`render` has its own derivative rule: the image comes from one key, its tangent from a second estimate with an
+independent key, the sum of interior and boundary terms. An image that nobody differentiates pays for no boundary term,
+and the gradient of a non-linear loss of the image is unbiased.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
+from jaxdr.integrator import PathTracer
+from jaxdr.scene.packed import PackedScene, pack
+from jaxdr.scene.scene import Scene
+from jaxdr.transport.interaction import intersect, on_fixed_ray
+from jaxdr.transport.path import trace_paths
+from jaxdr.transport.sampler import FIRST_DIMENSIONS, lattice
+
+
+class Moving(NamedTuple):
+    """What geometry is being differentiated: one flag a shape, one for the camera. Static."""
+
+    shapes: tuple[bool, ...]
+    camera: bool
+
+    @property
+    def any(self) -> bool:
+        """Whether visibility can change at all."""
+        return self.camera or any(self.shapes)
+
+
+class Plan(NamedTuple):
+    """Everything static about a rendering; hashable."""
+
+    structure: jax.tree_util.PyTreeDef
+    is_float: tuple[bool, ...]
+    spp: int
+    integrator: PathTracer
+
+
+def render(
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: PathTracer | None = None
+) -> Float[Array, "H W 3"]:
+    """Image [H, W, 3] of a scene, linear RGB, row 0 at the top; differentiable in every float parameter of the scene.
+
+    `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the same
+    image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
+    differentiated is known when the program is traced, and only the terms they need are compiled.
+    Raises ValueError for spp < 1 or an argument of the wrong kind.
+    """
+    integrator = PathTracer() if integrator is None else integrator
+    if not isinstance(scene, Scene):
+        raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
+    if not isinstance(integrator, PathTracer):
+        raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
+    if int(spp) != spp or spp < 1:
+        raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
+    leaves, structure = jax.tree.flatten(scene)
+    is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
+    floats, others = _split(leaves, is_float)
+    return _render(Plan(structure, is_float, int(spp), integrator), floats, others, key)
+
+
+def derivative_terms(
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: PathTracer | None = None, moving: Moving | None = None
+) -> dict[str, Float[Array, "H W 3"]]:
+    """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
+
+    Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value). Everything counts as
+    moving unless `moving` says otherwise.
+    """
+    integrator = PathTracer() if integrator is None else integrator
+    moving = moving or Moving((True,) * len(scene.shapes), True)
+    return _estimate(scene, key, spp, integrator, moving)
+
+
+def _split(leaves, is_float):
+    floats = tuple(leaf for leaf, f in zip(leaves, is_float, strict=True) if f)
+    return floats, tuple(leaf for leaf, f in zip(leaves, is_float, strict=True) if not f)
+
+
+def _join(plan: Plan, floats, others) -> Scene:
+    floats, others = iter(floats), iter(others)
+    return jax.tree.unflatten(plan.structure, [next(floats) if f else next(others) for f in plan.is_float])
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _render(plan: Plan, floats, others, key):
+    return _image(plan, floats, others, jax.random.split(key)[0])
+
+
+@partial(_render.defjvp, symbolic_zeros=True)
+def _render_jvp(plan, primals, tangents):
+    floats, others, key = primals
+    image_key, derivative_key = jax.random.split(key)
+    image = _image(plan, floats, others, image_key)
+    active = tuple(not isinstance(t, SymbolicZero) for t in tangents[0])
+    if not any(active):
+        return image, jnp.zeros_like(image)
+    moved = tuple(t for t in tangents[0] if not isinstance(t, SymbolicZero))
+    at = tuple(f for f, a in zip(floats, active, strict=True) if a)
+
+    def estimate(at):
+        return _derivative_image(plan, active, at, floats, others, derivative_key)
+
+    return image, jax.jvp(estimate, (at,), (moved,))[1]
+
+
+@partial(jax.jit, static_argnums=0)
+def _image(plan: Plan, floats, others, key):
+    terms = _estimate(_join(plan, floats, others), key, plan.spp, plan.integrator, None)
+    return terms["interior"]
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _derivative_image(plan: Plan, active, at, floats, others, key):
+    at = iter(at)
+    floats = [next(at) if a else jax.lax.stop_gradient(f) for f, a in zip(floats, active, strict=True)]
+    moving = _moving(_join(plan, active, (False,) * (len(plan.is_float) - sum(plan.is_float))))
+    terms = _estimate(_join(plan, floats, others), key, plan.spp, plan.integrator, moving)
+    return sum(terms.values())
+
+
+def _moving(active: Scene) -> Moving:
+    """Which geometry moves, from a scene whose leaves say whether they are differentiated."""
+    return Moving(
+        shapes=tuple(bool(shape.mesh.vertices) for shape in active.shapes.values()),
+        camera=any(jax.tree.leaves(active.camera)),
+    )
+
+
+def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Moving | None) -> dict:
+    """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel."""
+    packed = pack(scene)
+    x0, y0, width, height = scene.camera.film.window
+    pixels = width * height
+    chunks = -(-spp * pixels // integrator.chunk_size)
+    chunks = min(chunks, spp)
+    per_chunk = -(-spp // chunks)
+    with_boundary = moving is not None and moving.any and integrator.boundary is not None
+    distribution = None
+    if with_boundary:
+        shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
+        distribution = edge_distribution(packed, shapes)
+
+    def chunk(packed, index):
+        samples = index * per_chunk + jnp.arange(per_chunk)
+        return _chunk(packed, distribution, samples, key, jax.random.fold_in(key, index), spp, integrator)
+
+    if chunks == 1:
+        return chunk(packed, 0)
+    body = jax.checkpoint(chunk)
+
+    def accumulate(total, index):
+        return jax.tree.map(jnp.add, total, body(packed, index)), None
+
+    start = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(chunk, packed, 0))
+    return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
+
+
+def _chunk(packed: PackedScene, distribution, samples, key, chunk_key, spp, integrator) -> dict:
+    """Share of the image from some samples of every pixel: `samples` are their numbers, those from `spp` on count zero."""
+    film = packed.camera.film
+    x0, y0, width, height = film.window
+    pixels, count = width * height, samples.shape[0]
+    dtype = packed.vertices.dtype
+    key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
+    settings = integrator.settings
+
+    u = lattice(key, pixels, samples, FIRST_DIMENSIONS, dtype).reshape(pixels * count, FIRST_DIMENSIONS)
+    row, column = jnp.divmod(jnp.arange(pixels), width)
+    centre = jnp.stack([column + x0, row + y0], -1).astype(dtype) + 0.5
+    film_points = jnp.repeat(centre, count, axis=0) + film.filter.sample(u[:, :2])
+    origin, direction = packed.camera.rays(film_points)
+    origin = jnp.broadcast_to(origin, direction.shape)
+    everywhere = jnp.ones(pixels * count, bool)
+    face = intersect(packed, origin, direction, everywhere, settings.rays)
+    first = on_fixed_ray(packed, origin, direction, face)
+    record = trace_paths(packed, first, direction, u[:, 2:], key_path, settings)
+
+    weight = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
+
+    def gather(values):
+        return (values.reshape(pixels, count, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
+
+    terms = {"interior": gather(record.radiance)}
+    if distribution is None:
+        return terms
+    points = max(1, round(pixels * count * integrator.edge_samples))
+    edges = film_edge_terms(packed, distribution, points, key_edges, settings)
+    share = weight.sum()
+    terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
+    index = jnp.tile(samples, pixels)
+    boundary = integrator.boundary
+    total = jnp.zeros_like(record.radiance)
+    for number, segments in enumerate(record.segments):
+        subkey = jax.random.fold_in(key_boundary, number)
+        total = total + boundary.estimate(packed, first, -direction, segments, index, subkey, settings)
+    terms["boundary"] = gather(total)
+    return terms

@@ -1,0 +1,179 @@
+"""A scene as flat tables over all shapes, ready for tracing: one vertex array, one face array, one row a shape.
+
+Packing happens inside the traced function, so every table is a differentiable function of the scene's parameters.
+Only what the scene has is there: one group per kind of BSDF, emitter tables only with emitters, shading normals only
+with smooth shapes.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.edges import INTERIOR
+from jaxdr.geometry.vector import dot, norm
+from jaxdr.scene.bsdf import BSDF, TwoSided
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.emitters import ConstantEnvironment
+from jaxdr.scene.scene import Scene, unwrap
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+class PackedEdges(eqx.Module):
+    """Edges of all shapes; indices refer to the packed vertices and faces, -1 pads."""
+
+    vertices: Int[Array, "E 2"]
+    faces: Int[Array, "E K"]
+    opposite: Int[Array, "E K"]
+    interior: Bool[Array, " E"]
+    shape: Int[Array, " E"]
+
+
+class BSDFGroup(eqx.Module):
+    """All BSDFs of one kind, fields stacked; `row` maps a shape to its row (0 for shapes of another kind)."""
+
+    bsdf: BSDF
+    row: Int[Array, " S"]
+    member: Bool[Array, " S"]
+
+
+class PackedScene(eqx.Module):
+    """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces."""
+
+    vertices: Float[Array, "V 3"]
+    faces: Int[Array, "F 3"]
+    face_shape: Int[Array, " F"]
+    edges: PackedEdges
+    bsdfs: tuple[BSDFGroup, ...]
+    two_sided: Bool[Array, " S"]
+    closed: tuple[bool, ...] = eqx.field(static=True)
+    smooth: tuple[bool, ...] = eqx.field(static=True)
+    normals: Float[Array, "G 3"] | None
+    normal_faces: Int[Array, "F 3"] | None
+    radiance: Float[Array, "S 3"] | None
+    emitter_faces: Int[Array, " L"] | None
+    camera: Perspective
+    environment: ConstantEnvironment | None
+
+    @property
+    def has_area_emitters(self) -> bool:
+        """Whether any shape glows."""
+        return self.emitter_faces is not None
+
+    def shape_sizes(self) -> Float[Array, " S"]:
+        """Bounding-box diagonal of every shape (scene units), detached."""
+        points = stop_gradient(self.vertices)[self.faces]
+        lower = jax.ops.segment_min(points.min(1), self.face_shape, len(self.closed))
+        upper = jax.ops.segment_max(points.max(1), self.face_shape, len(self.closed))
+        return norm(upper - lower)
+
+    def size(self) -> Float[Array, ""]:
+        """Bounding-box diagonal of the whole scene (scene units), detached."""
+        points = stop_gradient(self.vertices)
+        return norm(points.max(0) - points.min(0))
+
+    def face_normals(self) -> Float[Array, "F 3"]:
+        """Cross product of two sides of every face: its length is twice the area."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return jnp.cross(b - a, c - a)
+
+    def emitter_cdf(self) -> Float[Array, " L"]:
+        """Cumulative probability of choosing each emitting face, proportional to its power; detached."""
+        area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
+        radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
+        power = area * (radiance @ jnp.asarray(LUMINANCE, radiance.dtype))
+        cumulative = jnp.cumsum(power)
+        return cumulative / cumulative[-1]
+
+
+def pack(scene: Scene) -> PackedScene:
+    """Flat tables of a scene; traceable in all its float parameters."""
+    shapes = list(scene.shapes.values())
+    meshes = [shape.mesh for shape in shapes]
+    first_vertex = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
+    first_face = np.cumsum([0, *(m.faces.shape[0] for m in meshes)])
+    counts = [m.faces.shape[0] for m in meshes]
+    bsdfs = [unwrap(shape.bsdf) for shape in shapes]
+    normals, normal_faces = _normals(meshes)
+    emitting = [i for i, shape in enumerate(shapes) if shape.emitter is not None]
+    radiance = emitter_faces = None
+    if emitting:
+        black = jnp.zeros(3, meshes[0].vertices.dtype)
+        radiance = jnp.stack([shape.emitter.radiance if shape.emitter else black for shape in shapes])
+        emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
+    return PackedScene(
+        vertices=jnp.concatenate([m.vertices for m in meshes]),
+        faces=jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex)]),
+        face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
+        edges=_pack_edges(meshes, first_vertex, first_face),
+        bsdfs=_group(bsdfs),
+        two_sided=jnp.asarray([isinstance(shape.bsdf, TwoSided) for shape in shapes]),
+        closed=tuple(m.closed for m in meshes),
+        smooth=tuple(m.normal_faces is not None for m in meshes),
+        normals=normals,
+        normal_faces=normal_faces,
+        radiance=radiance,
+        emitter_faces=emitter_faces,
+        camera=scene.camera,
+        environment=scene.environment,
+    )
+
+
+def _normals(meshes):
+    """Shading normals of all smooth meshes and corner indices into them, -1 for flat faces; None when all are flat."""
+    if all(m.normal_faces is None for m in meshes):
+        return None, None
+    normals, indices, first = [], [], 0
+    for mesh in meshes:
+        if mesh.normal_faces is None:
+            indices.append(jnp.full(mesh.faces.shape, -1, jnp.int32))
+        else:
+            indices.append(mesh.normal_faces + first)
+            normals.append(mesh.vertex_normals())
+            first += mesh.normal_group_count
+    return jnp.concatenate(normals), jnp.concatenate(indices)
+
+
+def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
+    width = max(m.edges.faces.shape[1] for m in meshes)
+
+    def shift(table, offset):
+        table = jnp.pad(table, ((0, 0), (0, width - table.shape[1])), constant_values=-1)
+        return jnp.where(table >= 0, table + int(offset), -1)
+
+    counts = [m.edges.vertices.shape[0] for m in meshes]
+    return PackedEdges(
+        vertices=jnp.concatenate([m.edges.vertices + int(v) for m, v in zip(meshes, first_vertex)]),
+        faces=jnp.concatenate([shift(m.edges.faces, f) for m, f in zip(meshes, first_face)]),
+        opposite=jnp.concatenate([shift(m.edges.opposite, v) for m, v in zip(meshes, first_vertex)]),
+        interior=jnp.concatenate([m.edges.kind == INTERIOR for m in meshes]),
+        shape=jnp.asarray(np.repeat(np.arange(len(meshes)), counts), jnp.int32),
+    )
+
+
+def _group(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
+    """BSDFs with the same static structure are stacked into one group."""
+    structures = [jax.tree.structure(b) for b in bsdfs]
+    groups = []
+    for structure in dict.fromkeys(structures):
+        members = [i for i, s in enumerate(structures) if s == structure]
+        stacked = jax.tree.map(lambda *fields: jnp.stack(fields), *(bsdfs[i] for i in members))
+        row = np.zeros(len(bsdfs), np.int32)
+        row[members] = np.arange(len(members))
+        member = np.isin(np.arange(len(bsdfs)), members)
+        groups.append(BSDFGroup(stacked, jnp.asarray(row), jnp.asarray(member)))
+    return tuple(groups)
+
+
+def concave_edges(packed: PackedScene) -> Bool[Array, " E"]:
+    """Interior edges that fold towards the side their normals point to, detached.
+
+    Seen from outside a closed opaque surface such an edge never bounds what is visible.
+    """
+    vertices, edges = stop_gradient(packed.vertices), packed.edges
+    p0, p1 = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]
+    normal = jnp.cross(p1 - p0, vertices[edges.opposite[:, 0]] - p0)
+    return edges.interior & (dot(normal, vertices[edges.opposite[:, 1]] - p0) > 0)

@@ -1,0 +1,141 @@
+"""Surface points as differentiable functions of the scene: on a fixed ray, or as a material point."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.scene.packed import PackedScene
+
+# Ray origins leave the surface by this share of the size of the coordinates involved: some 80 float32 roundings.
+OFFSET = 1e-5
+
+
+class SurfacePoint(NamedTuple):
+    """N points on the scene's surfaces; only `valid` ones mean anything (the others sit on face 0).
+
+    `normal` is the unit geometric normal (orientation of the face), `shading_normal` the interpolated one, `area` the
+    area of the face, all differentiable; `barycentric` and `face` are detached.
+    """
+
+    valid: Bool[Array, " N"]
+    face: Int[Array, " N"]
+    barycentric: Float[Array, "N 3"]
+    position: Float[Array, "N 3"]
+    normal: Float[Array, "N 3"]
+    shading_normal: Float[Array, "N 3"]
+    area: Float[Array, " N"]
+
+    def area_ratio(self) -> Float[Array, " N"]:
+        """J = dA(x) / dA(p), one in value (Eq. 4): the Jacobian from the reference surface to the moving one."""
+        return self.area / stop_gradient(self.area)
+
+
+def _barycentric(corners, position, normal2):
+    """Barycentric coordinates of points on their faces; `normal2` = cross product of two sides."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    squared = dot(normal2, normal2)
+    u = dot(jnp.cross(c - b, position - b), normal2) / squared
+    v = dot(jnp.cross(a - c, position - c), normal2) / squared
+    return jnp.stack([u, v, 1.0 - u - v], -1)
+
+
+def _surface_point(packed, valid, face, barycentric, position, corners, normal2, shading_weights):
+    length = norm(normal2)
+    normal = normal2 / length[:, None]
+    return SurfacePoint(
+        valid=valid,
+        face=face,
+        barycentric=stop_gradient(barycentric),
+        position=position,
+        normal=normal,
+        shading_normal=_shading_normal(packed, face, shading_weights, normal),
+        area=0.5 * length,
+    )
+
+
+def _shading_normal(packed: PackedScene, face, barycentric, normal):
+    if packed.normals is None:
+        return normal
+    groups = packed.normal_faces[face]
+    interpolated = normalize((packed.normals[groups] * barycentric[..., None]).sum(1))
+    return jnp.where(groups[:, :1] >= 0, interpolated, normal)
+
+
+def on_fixed_ray(
+    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], face: Int[Array, " N"]
+) -> SurfacePoint:
+    """Where rays meet the moving planes of their faces: the points slide over the surface (DESIGN 1, fixed camera ray).
+
+    `face` is -1 for a miss.
+    """
+    valid = face >= 0
+    face = jnp.where(valid, face, 0)
+    corners = packed.vertices[packed.faces[face]]
+    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slope = jnp.where(valid, dot(direction, normal2), 1.0)
+    t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
+    position = origin + t[:, None] * direction
+    barycentric = _barycentric(corners, position, normal2)
+    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, barycentric)
+
+
+def material_point(
+    packed: PackedScene, face: Int[Array, " N"], barycentric: Float[Array, "N 3"], valid: Bool[Array, " N"]
+) -> SurfacePoint:
+    """Points that move with their faces: fixed barycentric coordinates (Eq. 3)."""
+    barycentric = stop_gradient(barycentric)
+    corners = packed.vertices[packed.faces[face]]
+    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    position = (corners * barycentric[..., None]).sum(1)
+    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, barycentric)
+
+
+def intersect(
+    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], active: Bool[Array, " N"], rays: str
+) -> Int[Array, " N"]:
+    """The nearest face on each active ray, -1 for none. `rays` names the query implementation."""
+    reach = jnp.where(active, 1e30, 0.0).astype(origin.dtype)
+    return queries.closest_hit(packed.vertices, packed.faces, origin, direction, reach, rays).face
+
+
+def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[Array, "N 3"]:
+    """Barycentric coordinates of the hits of rays on known faces, detached and kept inside the face."""
+    corners = stop_gradient(packed.vertices)[packed.faces[face]]
+    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slope = dot(direction, normal2)
+    t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
+    barycentric = jnp.maximum(_barycentric(corners, origin + t[:, None] * direction, normal2), 0.0)
+    return barycentric / barycentric.sum(-1, keepdims=True)
+
+
+def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+    """Detached ray origins just off the surface, on the side of `towards`; the offset scales with the coordinates."""
+    position, normal = stop_gradient(point.position), stop_gradient(point.normal)
+    size = jnp.abs(position).max(-1) + jnp.sqrt(stop_gradient(point.area))
+    side = jnp.where(dot(normal, stop_gradient(towards)) >= 0, OFFSET, -OFFSET)
+    return position + (side * size)[:, None] * normal
+
+
+def visible(packed: PackedScene, a: SurfacePoint, b: SurfacePoint, active: Bool[Array, " N"], rays: str):
+    """Whether two surface points see each other; both ends step off their surfaces."""
+    between = stop_gradient(b.position - a.position)
+    start, end = leave(a, between), leave(b, -between)
+    reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
+    return active & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, rays)
+
+
+def local_frame(normal: Float[Array, "N 3"]):
+    """Functions world -> local and local -> world for the frame around unit normals (z along the normal)."""
+    s, t = orthonormal_basis(normal)
+
+    def to_local(w):
+        return jnp.stack([dot(w, s), dot(w, t), dot(w, normal)], -1)
+
+    def to_world(v):
+        return v[..., :1] * s + v[..., 1:2] * t + v[..., 2:] * normal
+
+    return to_local, to_world

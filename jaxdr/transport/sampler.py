@@ -1,0 +1,33 @@
+"""Random numbers of a path: reproducible, independent for every pixel and bounce, well spread over a pixel's samples."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+FIRST_DIMENSIONS = 6  # film point, then emitter and BSDF at the first hit
+
+
+def _generators(dimensions: int) -> list[int]:
+    """Generalised golden ratio sequence (Roberts 2018) as 32-bit fixed-point steps."""
+    root = 1.0
+    for _ in range(64):
+        root = (1.0 + root) ** (1.0 / (dimensions + 1))
+    return [int(2.0**32 * root ** -(k + 1)) for k in range(dimensions)]
+
+
+def _to_unit(bits, dtype) -> Float[Array, "..."]:
+    """Uniform numbers in [0, 1) from 32 random bits: 24 of them, so that float32 never rounds up to 1."""
+    return (bits >> 8).astype(dtype) * dtype(2.0**-24)
+
+
+def lattice(
+    key: PRNGKeyArray, pixels: int, index: Int[Array, " n"], dimensions: int, dtype=jnp.float32
+) -> Float[Array, "pixels n d"]:
+    """Points of a rank-1 lattice, shifted at random for every pixel (Cranley-Patterson rotation).
+
+    Each point is uniform on the unit cube, so estimates are unbiased; the points of one pixel fill the cube evenly, so
+    they are more accurate than independent ones. `index` numbers a pixel's samples across chunks.
+    """
+    shift = jax.random.bits(key, (pixels, 1, dimensions), jnp.uint32)
+    steps = jnp.asarray(_generators(dimensions), jnp.uint32)
+    return _to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)

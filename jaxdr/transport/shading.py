@@ -1,0 +1,142 @@
+"""BSDFs and emitters of a packed scene, at surface points."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float
+
+from jaxdr.geometry.vector import dot
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
+from jaxdr.transport.interaction import SurfacePoint, local_frame, material_point
+
+
+class Scatterer:
+    """The BSDFs at N surface points for the directions `wi` towards the previous vertex (world space).
+
+    Two-sided surfaces are turned to the side of `wi`.
+    """
+
+    def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
+        shape = packed.face_shape[point.face]
+        behind = stop_gradient(dot(point.normal, wi)) < 0
+        flip = jnp.where(behind & packed.two_sided[shape], -1.0, 1.0)[:, None].astype(wi.dtype)
+        self.normal = flip * point.normal
+        self.to_local, self.to_world = local_frame(flip * point.shading_normal)
+        self.wi = self.to_local(wi)
+        self.groups = [(_take(group.bsdf, group.row[shape]), group.member[shape]) for group in packed.bsdfs]
+
+    def _combine(self, values):
+        """The value of the group each point belongs to."""
+        if len(values) == 1:
+            return values[0]
+        total = 0.0
+        for value, (_, member) in zip(values, self.groups, strict=True):
+            total = total + jnp.where(member.reshape(member.shape + (1,) * (value.ndim - 1)), value, 0.0)
+        return total
+
+    def eval(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """f_s |cos| for world directions `wo`."""
+        local = self.to_local(wo)
+        return self._combine([bsdf.eval(self.wi, local) for bsdf, _ in self.groups])
+
+    def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
+        """Density of `sample` (solid angle), detached."""
+        local = self.to_local(wo)
+        return stop_gradient(self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups]))
+
+    def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
+        """World directions drawn from `pdf`, detached."""
+        local = self._combine([bsdf.sample(self.wi, u) for bsdf, _ in self.groups])
+        return stop_gradient(self.to_world(local))
+
+
+def _take(bsdf, row):
+    return jax.tree.map(lambda field: field[row], bsdf)
+
+
+class EmitterSample(NamedTuple):
+    """Points on emitters (or directions to the environment) with their densities.
+
+    `pdf` is per area at `point`, or per solid angle where `infinite`; detached. `direction` is set where `infinite`.
+    """
+
+    point: SurfacePoint
+    infinite: Bool[Array, " N"]
+    direction: Float[Array, "N 3"]
+    radiance: Float[Array, "N 3"]
+    pdf: Float[Array, " N"]
+
+
+def environment_probability(packed: PackedScene) -> float:
+    """Probability of choosing the environment rather than a surface emitter."""
+    if packed.environment is None:
+        return 0.0
+    return 0.5 if packed.has_area_emitters else 1.0
+
+
+def has_emitters(packed: PackedScene) -> bool:
+    """Whether anything in the scene emits light."""
+    return packed.environment is not None or packed.has_area_emitters
+
+
+def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:
+    """Material points on emitters, proportional to power; directions to the environment, uniform."""
+    n, dtype = u.shape[0], u.dtype
+    p_environment = environment_probability(packed)
+    infinite = jnp.full(n, p_environment == 1.0)
+    choice = u[:, 0]
+    if 0.0 < p_environment < 1.0:
+        infinite = choice < p_environment
+        choice = jnp.where(infinite, choice / p_environment, (choice - p_environment) / (1 - p_environment))
+        u = jnp.stack([choice, u[:, 1]], -1)
+    direction = jnp.zeros((n, 3), dtype)
+    radiance, pdf = jnp.zeros((n, 3), dtype), jnp.ones(n, dtype)
+    if packed.has_area_emitters:
+        cdf = packed.emitter_cdf()
+        index = jnp.clip(jnp.searchsorted(cdf, choice, side="right"), 0, cdf.shape[0] - 1)
+        before = jnp.where(index > 0, cdf[index - 1], 0.0)
+        probability = cdf[index] - before
+        remapped = jnp.clip((choice - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
+        barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
+        point = material_point(packed, packed.emitter_faces[index], barycentric, ~infinite)
+        radiance = packed.radiance[packed.face_shape[point.face]]
+        pdf = (1 - p_environment) * probability / stop_gradient(point.area)
+    else:
+        nowhere = jnp.zeros(n, jnp.int32)
+        point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
+    if packed.environment is not None:
+        direction = uniform_sphere(u)
+        radiance = jnp.where(infinite[:, None], packed.environment.radiance, radiance)
+        pdf = jnp.where(infinite, p_environment / (4 * math.pi), pdf)
+    return EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))
+
+
+def emitter_pdf(packed: PackedScene, point: SurfacePoint, distance2, cosine) -> Float[Array, " N"]:
+    """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or the direction of a miss."""
+    p_environment = environment_probability(packed)
+    miss = p_environment / (4 * math.pi)
+    if not packed.has_area_emitters:
+        return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
+    cdf = packed.emitter_cdf()
+    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
+    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
+    per_area = (1 - p_environment) * probability[point.face] / stop_gradient(point.area)
+    return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
+
+
+def emitted(packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+    """Radiance that reaches the previous vertex from a hit, or from the environment on a miss.
+
+    `wi` points from the hit towards the previous vertex. Surfaces glow on the side of their normal.
+    """
+    result = jnp.zeros_like(wi)
+    if packed.has_area_emitters:
+        front = point.valid & (stop_gradient(dot(point.normal, wi)) > 0)
+        result = jnp.where(front[:, None], packed.radiance[packed.face_shape[point.face]], 0.0)
+    if packed.environment is not None:
+        result = jnp.where(point.valid[:, None], result, packed.environment.radiance)
+    return result
