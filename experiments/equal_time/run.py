@@ -1,0 +1,135 @@
+"""Error against time of derivative images: jaxdr and Mitsuba's direct_projective on the same scenes.
+
+    python -m experiments.equal_time.run --case shadow_goathead
+
+Results of earlier runs stay: a chart shows every case that has a file in results/.
+"""
+
+import json
+import statistics as quantiles
+
+import numpy as np
+
+from experiments import common
+from experiments.equal_time import errors, jaxdr_side, mitsuba_peer
+from experiments.equal_time.cases import CASES, write_scene
+
+STUDY = "equal_time"
+SEEDS = 2  # calls at every offset: what they differ by is noise
+BUDGET = (0.1, 1.0)  # seconds of an optimisation step
+
+METHODS = {
+    "Mitsuba, unguided": (mitsuba_peer.estimates, "none", (16, 64, 256, 1024), 8),
+    "Mitsuba, octree": (mitsuba_peer.estimates, "octree", (16, 64, 256, 1024), 4),
+    "jaxdr, KernelDensity": (jaxdr_side.estimates, "KernelDensity", (4, 16, 64, 256), 8),
+}
+COLUMNS = {
+    "method": ("method", ""),
+    "spp": ("spp", ""),
+    "seconds": ("seconds", ".3f"),
+    "error": ("error", ".3f"),
+    "standard deviation": ("deviation", ".3f"),
+    "bias": ("bias", ".3f"),
+    "projection": ("projection", ".3f"),
+    "error² · seconds": ("work", ".2e"),
+    "first call, seconds": ("first_call", ".1f"),
+}
+
+
+def reference(path, case, batches):
+    """The finite-difference reference; made once and kept under runs/."""
+    kept = common.scratch(STUDY) / f"reference_{case.name}_{case.step}_{batches}.npz"
+    if not kept.exists():
+        np.savez(kept, **common.in_fresh_process(mitsuba_peer.reference, path, case, batches))
+    return dict(np.load(kept))
+
+
+def measure(case, method, oracle, quick):
+    """The rows of one method on one case, a fresh process for every sample count."""
+    path = write_scene(case, oracle, common.scratch(STUDY) / case.name)
+    truth = reference(path, case, 4 if quick else case.batches)
+    estimates, setting, counts, positions = METHODS[method]
+    if quick:
+        counts, positions = counts[:2], 2
+    offsets = [case.step * ((2 * k + 1) / positions - 1) for k in range(positions)]
+    for spp in counts:
+        images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
+        row = errors.statistics(images, truth["image"], truth["noise_variance"])
+        row |= {"method": method, "spp": spp, "seconds": quantiles.median(seconds), "all_seconds": seconds}
+        row |= {"first_call": first, "work": row["error"] ** 2 * quantiles.median(seconds)}
+        print(f"  {method}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s", flush=True)
+        yield row
+
+
+def verdict(rows):
+    """Least error² · seconds of every method, within the budget and at any time, and Mitsuba's over ours."""
+    lines = []
+    for what, (least, most) in {"within 0.1-1 s": BUDGET, "at any time": (0.0, float("inf"))}.items():
+        best = {}
+        for row in rows:
+            if least <= row["seconds"] <= most:
+                best[row["method"]] = min(row["work"], best.get(row["method"], float("inf")))
+        found = ", ".join(f"{method} {work:.2e}" for method, work in best.items())
+        ours = [work for method, work in best.items() if method.startswith("jaxdr")]
+        theirs = [work for method, work in best.items() if method.startswith("Mitsuba")]
+        ratio = f"; ratio {min(theirs) / min(ours):.1f}" if ours and theirs else ""
+        lines.append(f"Least error² · seconds {what}: {found}{ratio}.")
+    return lines
+
+
+def chart(per_case, path):
+    """One log-log panel a case: error against seconds; dotted, the bias where it is known."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(1, len(per_case), figsize=(5.2 * len(per_case), 4.4), squeeze=False)
+    for panel, (name, rows) in zip(panels[0], per_case.items(), strict=True):
+        for i, method in enumerate(METHODS):
+            mine = sorted((row["seconds"], row["error"], row["spp"]) for row in rows if row["method"] == method)
+            if not mine:
+                continue
+            seconds, error, spp = zip(*mine, strict=True)
+            panel.loglog(seconds, error, "o-", color=f"C{i}", label=method)
+            for x, y, n in zip(seconds, error, spp, strict=True):
+                panel.annotate(str(n), (x, y), textcoords="offset points", xytext=(4, 4), fontsize=7)
+            last = max((row for row in rows if row["method"] == method), key=lambda row: row["spp"])
+            if last["bias"] > last["bias_resolution"]:
+                panel.axhline(last["bias"], color=f"C{i}", linestyle=":", linewidth=1)
+        panel.axvspan(*BUDGET, color="0.93", zorder=0)
+        panel.set(title=name, xlabel="seconds a derivative image", ylabel="error / size of the derivative")
+        panel.grid(True, which="major", alpha=0.3)
+    panels[0, 0].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+def main():
+    parser = common.parser(__doc__)
+    parser.add_argument("--case", choices=CASES, action="append", help="may be repeated; default: all")
+    parser.add_argument("--method", choices=METHODS, action="append", help="may be repeated; default: all")
+    options = parser.parse_args()
+    folder = common.results(STUDY, options.quick)
+
+    for case in (CASES[name] for name in options.case or CASES):
+        print(case.name, flush=True)
+        file = folder / f"{case.name}.json"
+        old = json.loads(file.read_text())["rows"] if file.exists() else []
+        for method in options.method or METHODS:
+            rows = list(measure(case, method, options.oracle, options.quick))
+            old = [row for row in old if row["method"] != method] + rows
+            common.write_json(file, {"case": case.name, "rows": old})
+
+    per_case = {name: folder / f"{name}.json" for name in CASES if (folder / f"{name}.json").exists()}
+    per_case = {name: json.loads(file.read_text())["rows"] for name, file in per_case.items()}
+    report = []
+    for name, rows in per_case.items():
+        report += [f"### {name}", "", common.table(rows, COLUMNS), "", *verdict(rows), ""]
+    print("\n" + "\n".join(report))
+    (folder / "table.md").write_text("\n".join(report))
+    chart(per_case, folder / "equal_time.png")
+
+
+if __name__ == "__main__":
+    main()
