@@ -1,6 +1,6 @@
 """Integrators: what `render` estimates and how, as static settings."""
 
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -12,6 +12,7 @@ from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.path import PathSettings, Segments
 
 
+@runtime_checkable
 class BoundaryEstimator(Protocol):
     """Boundary term of the segments behind the first hit; see `KernelDensity.estimate`."""
 

@@ -1,6 +1,18 @@
 """Shapes and dtypes of every public signature are checked by beartype, in the tests only."""
 
+from pathlib import Path
+
 from jaxtyping import install_import_hook
 
-# Before the first import of the package: the hook rewrites modules as they are loaded.
-install_import_hook("jaxdr", "beartype.beartype")
+ROOT = Path(__file__).parents[1]
+
+# Before the first import of the package: the hook rewrites modules as they are loaded. Annotations in the Warp modules
+# are Warp's own language.
+install_import_hook(
+    [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in (ROOT / "jaxdr").rglob("*.py")
+        if not path.name.startswith(("warp", "__init__"))
+    ],
+    "beartype.beartype",
+)

@@ -164,7 +164,9 @@ def film_edge_terms(
     )
 
 
-def _sample(distribution: EdgeDistribution, count: int, key) -> tuple[Int[Array, " n"], Float[Array, " n"], Float]:
+def _sample(
+    distribution: EdgeDistribution, count: int, key
+) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
     """Edges, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
     cdf = distribution.cdf
     total = cdf[-1]

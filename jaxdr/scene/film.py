@@ -6,7 +6,7 @@ weighted and pixels at the border see beyond the film (Mitsuba's ``sample_border
 """
 
 import math
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
 
+@runtime_checkable
 class ReconstructionFilter(Protocol):
     """A separable density over film offsets: `radius` (pixels), `sample` and `pdf`."""
 
