@@ -135,11 +135,11 @@ class Mesh(eqx.Module):
 
 
 def weld(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "F 3"]]:
-    """Merge vertices whose positions are equal in float32, on the host; the first of each set stays, in its order."""
+    vertices: Float[np.ndarray, "V D"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "W D"], Int[np.ndarray, "F 3"]]:
+    """Merge positions (or other rows) that are equal in float32, on the host; of each set the first stays, in order."""
     vertices, faces = np.asarray(vertices), np.asarray(faces)
-    position = vertices.astype(np.float32) + 0.0  # +0 makes -0.0 a plain zero, and both sort alike
+    position = vertices.astype(np.float32) + 0.0  # +0 makes -0.0 a plain zero
     order = np.lexsort(position.T)
     position = position[order]
     starts_set = np.concatenate([[True], np.any(position[1:] != position[:-1], axis=1)])

@@ -1,0 +1,156 @@
+"""Mesh files: OBJ, PLY, GLB and STL, through trimesh."""
+
+import io
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from jaxdr.geometry.mesh import Mesh, weld
+
+EXTENSIONS = (".obj", ".ply", ".glb", ".stl")
+SHADINGS = ("flat", "smooth", "file")
+
+
+def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
+    """Read all triangles of a file as one mesh, in the file's units.
+
+    Vertices at the same position are welded; UVs keep their own indices, so a seam does not split a vertex. The meshes
+    of a GLB are joined, each at its node's place in the scene; where only some have UVs, the others get (0, 0).
+    Materials are not read.
+
+    `shading`: "flat"; "smooth", one normal per vertex; or "file", where corners with the same position and the same
+    stored normal share one normal, which is then computed from the triangles (flat where nothing is stored).
+
+    Raises `ValueError` for an unknown extension or shading, a missing or unreadable file, one without triangles, and
+    for whatever `Mesh` rejects.
+    """
+    path = Path(path)
+    if shading not in SHADINGS:
+        raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
+    _check_extension("load_mesh", path)
+    if not path.is_file():
+        raise ValueError(f"load_mesh: there is no file {path}")
+    options = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
+    try:
+        scene = trimesh.load_scene(path, process=False, **options)
+    except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
+        raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({error})") from error
+    parts = [_Part(scene, node) for node in scene.graph.nodes_geometry if _is_triangles(scene, node)]
+    if not parts:
+        raise ValueError(f"load_mesh: {path} has no triangles")
+
+    ends = np.cumsum([len(part.vertices) for part in parts])
+    soup = np.concatenate([part.faces + end - len(part.vertices) for part, end in zip(parts, ends, strict=True)])
+    vertices, faces = weld(np.concatenate([part.vertices for part in parts]), soup)
+    uvs = uv_faces = normal_faces = None
+    if any(part.uvs is not None for part in parts):
+        filled = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
+        uvs, uv_faces = weld(np.concatenate(filled), soup)
+    if shading == "file" and any(part.normals is not None for part in parts):
+        normal_faces = _smoothing_groups(faces, np.concatenate([part.corner_normals() for part in parts]))
+    try:
+        mesh = Mesh(vertices, faces, uvs, uv_faces, normal_faces)
+    except ValueError as error:
+        raise ValueError(f"load_mesh: {path}: {error}") from error
+    return mesh.smooth() if shading == "smooth" else mesh
+
+
+def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
+    """Write a mesh as OBJ, PLY, GLB or STL, by the extension; an existing file is replaced.
+
+    OBJ keeps everything. GLB splits vertices where UVs or normals differ, PLY drops UVs, STL has positions only; all
+    three store float32. `load_mesh` welds again, and with shading "file" finds the smoothing groups again. Raises
+    `ValueError` for an unknown extension or a missing folder.
+    """
+    path = Path(path)
+    _check_extension("save_mesh", path)
+    if not path.parent.is_dir():
+        raise ValueError(f"save_mesh: there is no folder {path.parent}")
+    extension = path.suffix.lower()
+    data = _obj_text(mesh).encode() if extension == ".obj" else _trimesh(mesh).export(file_type=extension[1:])
+    path.write_bytes(data)
+
+
+def _check_extension(caller: str, path: Path) -> None:
+    if path.suffix.lower() not in EXTENSIONS:
+        raise ValueError(f"{caller}: {path} has an unknown extension; known are {', '.join(EXTENSIONS)}")
+
+
+def _is_triangles(scene: trimesh.Scene, node: str) -> bool:
+    geometry = scene.geometry[scene.graph[node][1]]
+    return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
+
+
+class _Part:
+    """One node of a file's scene, in world space; `uvs` and `normals` belong to the vertices, or are None."""
+
+    def __init__(self, scene: trimesh.Scene, node: str):
+        to_world, name = scene.graph[node]
+        geometry, linear = scene.geometry[name], to_world[:3, :3]
+        self.vertices = geometry.vertices @ linear.T + to_world[:3, 3]
+        self.faces = geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces
+        uvs = getattr(geometry.visual, "uv", None)
+        self.uvs = None if uvs is None else np.asarray(uvs)[:, :2]
+        # trimesh computes the normals a file does not store; only its cache can tell the two apart.
+        stored = "vertex_normals" in geometry._cache
+        self.normals = _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None
+
+    def corner_normals(self) -> Float[np.ndarray, "f 3 3"]:
+        """The stored normal at each corner; where nothing is stored, the face's own, which makes it flat."""
+        if self.normals is not None:
+            return self.normals[self.faces]
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return np.repeat(_unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
+
+
+def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
+
+
+def _smoothing_groups(
+    faces: Int[np.ndarray, "F 3"], corner_normals: Float[np.ndarray, "F 3 3"]
+) -> Int[np.ndarray, "F 3"]:
+    """Corner -> group of the corners with the same vertex and the same normal."""
+    normals, normal_rows = weld(corner_normals.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3))
+    _, groups = np.unique(faces * len(normals) + normal_rows, return_inverse=True)
+    return groups.reshape(-1, 3)
+
+
+def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Corner triples (vertex, uv, normal group) that occur [n, 3], and the faces that index them."""
+    columns = [mesh.faces, mesh.uv_faces, mesh.normal_faces]
+    corners = np.stack([np.zeros(mesh.faces.size, int) if c is None else np.asarray(c).ravel() for c in columns], 1)
+    triples, rows = np.unique(corners, axis=0, return_inverse=True)
+    return triples, rows.reshape(-1, 3)
+
+
+def _trimesh(mesh: Mesh) -> trimesh.Trimesh:
+    """The mesh with one index for everything, as GLB and PLY want it."""
+    if mesh.uvs is None and mesh.normal_faces is None:  # nothing to split: keep the vertices in their order
+        return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+    triples, faces = _split(mesh)
+    return trimesh.Trimesh(
+        np.asarray(mesh.vertices)[triples[:, 0]],
+        faces,
+        process=False,
+        vertex_normals=None if mesh.normal_faces is None else np.asarray(mesh.vertex_normals())[triples[:, 2]],
+        visual=None if mesh.uvs is None else trimesh.visual.TextureVisuals(uv=np.asarray(mesh.uvs)[triples[:, 1]]),
+    )
+
+
+def _obj_text(mesh: Mesh) -> str:
+    """OBJ indexes positions, UVs and normals separately, as Mesh does, and can hold every digit."""
+    text = io.StringIO()
+    normals = None if mesh.normal_faces is None else mesh.vertex_normals()
+    for keyword, values in (("v", mesh.vertices), ("vt", mesh.uvs), ("vn", normals)):
+        if values is not None:
+            number = f" %.{np.finfo(values.dtype).precision + 3}g"  # enough digits to read back the same number
+            np.savetxt(text, np.asarray(values), fmt=keyword + number * values.shape[1])
+    indices = [rows for rows in (mesh.faces, mesh.uv_faces, mesh.normal_faces) if rows is not None]
+    corner = " %d" + ("/" if mesh.uvs is None and normals is not None else "") + "/%d" * (len(indices) - 1)
+    np.savetxt(text, np.stack(indices, axis=-1).reshape(len(mesh.faces), -1) + 1, fmt="f" + corner * 3)
+    return text.getvalue()

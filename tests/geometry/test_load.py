@@ -1,0 +1,168 @@
+"""Mesh files: round trips in every format, welding, smoothing groups, UV seams, node transforms, each error."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxdr.geometry.load import load_mesh, save_mesh
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.shapes import box, rectangle, sphere
+
+FORMATS = ("obj", "ply", "glb", "stl")
+
+
+def corners(mesh):
+    return np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+
+
+def sorted_corners(mesh):
+    return sorted(np.roll(c, -np.lexsort(c.T)[0], axis=0).ravel().tolist() for c in corners(mesh))
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("extension", FORMATS)
+def test_round_trip_keeps_triangles_and_closedness(tmp_path, extension):
+    mesh = sphere(1, radius=1e-3, center=(1, 2, 3))
+    path = tmp_path / f"mesh.{extension}"
+    save_mesh(path, mesh)
+    loaded = load_mesh(path)
+    assert loaded.closed and loaded.normal_faces is None
+    assert loaded.vertices.shape == mesh.vertices.shape
+    assert sorted_corners(loaded) == sorted_corners(mesh)  # every bit of a float32
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply", "glb"])
+def test_vertices_keep_their_order(tmp_path, extension):
+    mesh = sphere(1)
+    save_mesh(tmp_path / f"mesh.{extension}", mesh)
+    loaded = load_mesh(str(tmp_path / f"mesh.{extension}"))
+    np.testing.assert_array_equal(loaded.vertices, mesh.vertices)
+    np.testing.assert_array_equal(loaded.faces, mesh.faces)
+
+
+@pytest.mark.parametrize("extension", ["obj", "glb"])
+def test_round_trip_keeps_uvs_without_splitting_vertices(tmp_path, extension):
+    mesh = box((1, 2, 3))
+    save_mesh(tmp_path / f"mesh.{extension}", mesh)
+    loaded = load_mesh(tmp_path / f"mesh.{extension}")
+    assert loaded.closed and len(loaded.vertices) == 8 and len(loaded.uvs) == 4
+
+    # Where a corner is on the box and on its texture belong together.
+    def pairs(m):
+        rows = np.concatenate([corners(m), np.asarray(m.uvs)[np.asarray(m.uv_faces)]], axis=-1).reshape(-1, 5)
+        return sorted(rows.tolist())
+
+    np.testing.assert_allclose(pairs(loaded), pairs(mesh), atol=1e-7)
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply", "glb"])
+def test_round_trip_keeps_smoothing_groups(tmp_path, extension):
+    # A box whose four sides around x are one smooth surface, and whose two ends are flat.
+    mesh = box()
+    end = np.abs(np.ptp(corners(mesh)[:, :, 0], axis=1)) == 0
+    faces = np.asarray(mesh.faces)
+    groups = np.where(end[:, None], faces + 8, faces)
+    mesh = Mesh(mesh.vertices, faces, normal_faces=groups)
+    save_mesh(tmp_path / f"mesh.{extension}", mesh)
+
+    loaded = load_mesh(tmp_path / f"mesh.{extension}", shading="file")
+    assert loaded.normal_group_count == 16 and len(loaded.vertices) == 8
+    normals = np.asarray(loaded.vertex_normals())[np.asarray(loaded.normal_faces)]
+    end = np.ptp(corners(loaded)[:, :, 0], axis=1) == 0
+    np.testing.assert_allclose(np.abs(normals[end]), np.broadcast_to([1, 0, 0], (4, 3, 3)), atol=1e-6)
+    np.testing.assert_allclose(np.abs(normals[~end]), np.broadcast_to([0, 0.5**0.5, 0.5**0.5], (8, 3, 3)), atol=1e-6)
+
+
+def test_shading(tmp_path):
+    save_mesh(tmp_path / "flat.obj", sphere(0))
+    assert load_mesh(tmp_path / "flat.obj").normal_faces is None
+    assert load_mesh(tmp_path / "flat.obj", shading="file").normal_faces is None  # nothing stored
+    assert load_mesh(tmp_path / "flat.obj", shading="smooth").normal_group_count == 12
+
+
+def test_face_normals_in_a_file_mean_flat_shading(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nvn 0 1 0\nf 1//1 2//1 3//1\nf 1//2 4//2 2//2\n"
+    mesh = load_mesh(write(tmp_path / "corner.obj", text), shading="file")
+    assert len(mesh.vertices) == 4 and mesh.normal_group_count == 6
+    np.testing.assert_allclose(mesh.vertex_normals()[mesh.normal_faces[0]], np.tile([0, 0, 1.0], (3, 1)), atol=1e-6)
+
+
+def test_quads_and_several_materials_become_one_mesh(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nusemtl a\nf 1 2 3 4\nusemtl b\nf 2 5 3\n"
+    mesh = load_mesh(write(tmp_path / "quad.obj", text))
+    assert mesh.vertices.shape == (5, 3) and mesh.faces.shape == (3, 3)
+
+
+def test_glb_nodes_are_placed_and_joined(tmp_path):
+    scene = trimesh.Scene()
+    unit = trimesh.creation.box()
+    mirror = np.diag([-2.0, 1, 1, 1])
+    mirror[0, 3] = 5
+    scene.add_geometry(unit, node_name="first", geom_name="unit")
+    scene.add_geometry(unit, node_name="second", geom_name="unit", transform=mirror)
+    scene.export(tmp_path / "two.glb")
+
+    mesh = load_mesh(tmp_path / "two.glb")
+    assert mesh.closed and len(mesh.vertices) == 16
+    np.testing.assert_allclose([np.min(mesh.vertices[:, 0]), np.max(mesh.vertices[:, 0])], [-0.5, 6])
+    a, b, c = np.moveaxis(corners(mesh), 1, 0)
+    np.testing.assert_allclose(np.sum(a * np.cross(b, c)) / 6, 1 + 2, rtol=1e-5)  # the mirrored one faces out, too
+
+
+def test_parts_without_uvs_or_normals_next_to_parts_with_them(tmp_path):
+    scene = trimesh.Scene()
+    textured = rectangle()
+    uvs = trimesh.visual.TextureVisuals(uv=np.asarray(textured.uvs))
+    up = np.tile([0, 0, 1.0], (4, 1))
+    flat = trimesh.Trimesh(np.asarray(textured.vertices), np.asarray(textured.faces), process=False)
+    scene.add_geometry(
+        trimesh.Trimesh(flat.vertices, flat.faces, process=False, visual=uvs, vertex_normals=up), geom_name="textured"
+    )
+    scene.add_geometry(flat, geom_name="plain", transform=trimesh.transformations.translation_matrix([3, 0, 0]))
+    scene.export(tmp_path / "mixed.glb")
+    mesh = load_mesh(tmp_path / "mixed.glb", shading="file")
+    plain = corners(mesh)[:, 0, 0] > 2
+    np.testing.assert_array_equal(np.asarray(mesh.uvs)[np.asarray(mesh.uv_faces)][plain], 0)
+    assert np.ptp(np.asarray(mesh.uvs), axis=0).tolist() == [1, 1]
+    np.testing.assert_allclose(mesh.vertex_normals(), np.tile([0, 0, 1.0], (mesh.normal_group_count, 1)), atol=1e-6)
+
+
+def test_zero_area_faces_of_a_file_are_counted(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 0 0\nf 1 2 3\nf 1 2 4\n"  # vertices 2 and 4 weld
+    with pytest.warns(UserWarning, match="dropped 1 of 2 faces"):
+        assert len(load_mesh(write(tmp_path / "sliver.obj", text)).faces) == 1
+
+
+BAD_FILES = {
+    "nan": ("nan.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n", r"nan\.obj.*vertices\[1\].*not finite"),
+    "index": ("index.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", r"index\.obj"),
+    "points only": ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", r"points\.obj has no triangles"),
+    "empty": ("empty.obj", "", r"empty\.obj"),
+    "not a ply": ("bad.ply", "hello", r"bad\.ply is not a readable \.ply file"),
+    "not a glb": ("bad.glb", "hello", r"bad\.glb is not a readable \.glb file"),
+    "not an stl": ("bad.stl", "hello", r"bad\.stl"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_file_is_one_clear_error(tmp_path, name):
+    file, text, message = BAD_FILES[name]
+    with pytest.raises(ValueError, match=message):
+        load_mesh(write(tmp_path / file, text))
+
+
+def test_bad_arguments(tmp_path):
+    with pytest.raises(ValueError, match=r"there is no file .*missing\.obj"):
+        load_mesh(tmp_path / "missing.obj")
+    with pytest.raises(ValueError, match=r"unknown extension; known are \.obj, \.ply, \.glb, \.stl"):
+        load_mesh(write(tmp_path / "mesh.blend", ""))
+    with pytest.raises(ValueError, match="shading must be one of flat, smooth, file"):
+        load_mesh(write(tmp_path / "mesh.obj", ""), shading="phong")
+    with pytest.raises(ValueError, match="there is no folder"):
+        save_mesh(tmp_path / "nowhere" / "mesh.obj", box())
+    with pytest.raises(ValueError, match="unknown extension"):
+        save_mesh(tmp_path / "mesh.blend", box())
