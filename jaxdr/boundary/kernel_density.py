@@ -161,13 +161,15 @@ class KernelDensity(eqx.Module):
         apex = stop_gradient(pair_ends.apex)
         goal = stop_gradient(crossing.point) - (INSIDE * r)[:, None] * crossing.normal
         start = leave(ends.apex_point(segment), goal - apex)
+        # From there through the point beside the edge: the offset of the start may be larger than that of the point.
+        direction = (apex - start) / crossing.fraction[:, None] + (goal - apex)
         # Stop one radius before the target's plane: a curved receiver rises above its tangent plane. The path itself
         # shows that the target, less than a radius away, is seen.
         fraction = crossing.fraction
         short = r / jnp.maximum(norm(goal - apex), r)
         stop = jnp.where(flat.infinite[segment], 1.0, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
         reach = jnp.where(valid, stop, 0.0)
-        return ~queries.occluded(packed.vertices, packed.faces, start, goal - start, reach, settings.rays)
+        return ~queries.occluded(packed.vertices, packed.faces, start, direction, reach, settings.rays)
 
 
 class _Endpoints(eqx.Module):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def dot(a: Float[Array, "*n d"], b: Float[Array, "*n d"]) -> Float[Array, "*n"]:
+def dot(a: Float[Array, "*#n d"], b: Float[Array, "*#n d"]) -> Float[Array, "*#n"]:
     """Inner product over the last axis."""
     return (a * b).sum(-1)
 
