@@ -1,6 +1,7 @@
 """Edge topology of a triangle mesh: which faces meet at an edge, and how they fold."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -74,6 +75,7 @@ def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
     return Edges(jnp.asarray(ends), jnp.asarray(edge_faces), jnp.asarray(opposite), jnp.asarray(kind))
 
 
+@jax.jit
 def dihedral(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
     """Signed height of face 1's opposite vertex over the plane of face 0, in scene units.
 

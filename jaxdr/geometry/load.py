@@ -3,10 +3,12 @@
 import io
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
+from trimesh.visual import TextureVisuals
 
 from jaxdr.geometry.mesh import Mesh, weld
 
@@ -33,9 +35,8 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     _check_extension("load_mesh", path)
     if not path.is_file():
         raise ValueError(f"load_mesh: there is no file {path}")
-    options = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
     try:
-        scene = trimesh.load_scene(path, process=False, **options)
+        scene = trimesh.load_scene(path, process=False, **_parser_options(path))
     except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
         raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({error})") from error
     parts = [_Part(scene, node) for node in scene.graph.nodes_geometry if _is_triangles(scene, node)]
@@ -70,13 +71,26 @@ def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
     if not path.parent.is_dir():
         raise ValueError(f"save_mesh: there is no folder {path.parent}")
     extension = path.suffix.lower()
-    data = _obj_text(mesh).encode() if extension == ".obj" else _trimesh(mesh).export(file_type=extension[1:])
-    path.write_bytes(data)
+    if extension == ".obj":
+        path.write_text(_obj_text(mesh))
+    else:
+        _trimesh(mesh).export(path, file_type=extension[1:])
 
 
 def _check_extension(caller: str, path: Path) -> None:
     if path.suffix.lower() not in EXTENSIONS:
         raise ValueError(f"{caller}: {path} has an unknown extension; known are {', '.join(EXTENSIONS)}")
+
+
+def _parser_options(path: Path) -> dict[str, Any]:
+    extension = path.suffix.lower()
+    if extension == ".obj":
+        return {"skip_materials": True}
+    if extension == ".ply":
+        # Splits the vertices at UV seams, but forgets to split the normals: only for UVs stored at the faces' corners.
+        header = path.read_bytes().partition(b"end_header")[0]
+        return {"fix_texture": b"texcoord" in header}
+    return {}
 
 
 def _is_triangles(scene: trimesh.Scene, node: str) -> bool:
@@ -138,7 +152,7 @@ def _trimesh(mesh: Mesh) -> trimesh.Trimesh:
         faces,
         process=False,
         vertex_normals=None if mesh.normal_faces is None else np.asarray(mesh.vertex_normals())[triples[:, 2]],
-        visual=None if mesh.uvs is None else trimesh.visual.TextureVisuals(uv=np.asarray(mesh.uvs)[triples[:, 1]]),
+        visual=None if mesh.uvs is None else TextureVisuals(uv=np.asarray(mesh.uvs)[triples[:, 1]]),
     )
 
 

@@ -2,9 +2,11 @@
 
 import dataclasses
 import warnings
+from functools import partial
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -105,17 +107,7 @@ class Mesh(eqx.Module):
         """
         if self.normal_faces is None:
             raise ValueError("Mesh.vertex_normals: flat shading has none; use mesh.smooth().vertex_normals()")
-        corners = self.vertices[self.faces]  # [F, 3 corners, 3]
-        to_next = normalize(jnp.roll(corners, -1, axis=1) - corners)
-        to_previous = normalize(jnp.roll(corners, 1, axis=1) - corners)
-        cross = jnp.cross(to_next, to_previous)
-        normals = normalize(cross)
-        # atan2 of sine and cosine, unlike arccos, is smooth at 0 and 180 degrees, but not at (0, 0): a side of length
-        # zero. There the normal is zero, so any other cosine does.
-        sine, cosine = dot(normals, cross), dot(to_next, to_previous)
-        angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
-        weighted = (angles[..., None] * normals).reshape(-1, 3)
-        return normalize(jax.ops.segment_sum(weighted, self.normal_faces.reshape(-1), self.normal_group_count))
+        return _group_normals(self.vertices, self.faces, self.normal_faces, self.normal_group_count)
 
     def smooth(self) -> "Mesh":
         """The same mesh with one interpolated normal per vertex. Traceable."""
@@ -148,6 +140,23 @@ def weld(
     representative[order] = order[starts_set][np.cumsum(starts_set) - 1]
     kept, new_index = np.unique(representative, return_inverse=True)
     return vertices[kept], new_index[faces]
+
+
+@partial(jax.jit, static_argnames="group_count")
+def _group_normals(
+    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], normal_faces: Int[Array, "F 3"], group_count: int
+) -> Float[Array, "G 3"]:
+    corners = vertices[faces]  # [F, 3 corners, 3]
+    to_next = normalize(jnp.roll(corners, -1, axis=1) - corners)
+    to_previous = normalize(jnp.roll(corners, 1, axis=1) - corners)
+    cross = jnp.cross(to_next, to_previous)
+    normals = normalize(cross)
+    # atan2 of sine and cosine, unlike arccos, is smooth at 0 and 180 degrees, but not at (0, 0): a side of length
+    # zero. There the normal is zero, so any other cosine does.
+    sine, cosine = dot(normals, cross), dot(to_next, to_previous)
+    angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
+    weighted = (angles[..., None] * normals).reshape(-1, 3)
+    return normalize(jax.ops.segment_sum(weighted, normal_faces.reshape(-1), group_count))
 
 
 def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:

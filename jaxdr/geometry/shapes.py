@@ -199,15 +199,12 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     _require(np.isfinite(determinant) and determinant != 0, "transformed: matrix has no inverse", matrix.tolist())
     step = -1 if determinant < 0 else 1
 
-    def oriented(faces):
-        return None if faces is None else np.asarray(faces)[:, ::step]
-
     return Mesh(
         np.asarray(mesh.vertices, float) @ linear.T + offset,
-        oriented(mesh.faces),
+        mesh.faces[:, ::step],
         mesh.uvs,
-        oriented(mesh.uv_faces),
-        oriented(mesh.normal_faces),
+        None if mesh.uv_faces is None else mesh.uv_faces[:, ::step],
+        None if mesh.normal_faces is None else mesh.normal_faces[:, ::step],
     )
 
 

@@ -91,6 +91,36 @@ def test_face_normals_in_a_file_mean_flat_shading(tmp_path):
     np.testing.assert_allclose(mesh.vertex_normals()[mesh.normal_faces[0]], np.tile([0, 0, 1.0], (3, 1)), atol=1e-6)
 
 
+PLY = """ply
+format ascii 1.0
+element vertex 5
+property float x
+property float y
+property float z
+{}element face 2
+property list uchar int vertex_indices
+{}end_header
+"""
+
+
+def test_ply_vertices_with_uvs_and_normals(tmp_path):
+    columns = "".join(f"property float {name}\n" for name in ("nx", "ny", "nz", "s", "t"))
+    rows = "9 9 9 1 0 0 0 0\n0 0 0 0 0 1 0 0\n1 0 0 0 0 1 1 0\n0 1 0 0 0 1 0 1\n0 0 1 0 0 1 0.5 0\n"
+    path = write(tmp_path / "mesh.ply", PLY.format(columns, "") + rows + "3 1 2 3\n3 1 4 2\n")
+    mesh = load_mesh(path, shading="file")
+    assert mesh.normal_group_count == 4  # the two faces share both normals of their edge
+    np.testing.assert_allclose(np.asarray(mesh.uvs)[mesh.uv_faces[1]], [[0, 0], [0.5, 0], [1, 0]])
+
+
+def test_ply_uvs_at_the_corners_of_faces(tmp_path):
+    rows = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n9 9 9\n3 0 1 2 6 0 0 1 0 0 1\n3 1 3 2 6 0.5 0 1 1 0 0.5\n"
+    path = write(tmp_path / "mesh.ply", PLY.format("", "property list uchar float texcoord\n") + rows)
+    mesh = load_mesh(path)
+    assert (np.asarray(mesh.edges.kind) == 0).sum() == 1  # the seam does not cut the mesh
+    expected = [[[0, 0], [1, 0], [0, 1]], [[0.5, 0], [1, 1], [0, 0.5]]]
+    np.testing.assert_allclose(np.asarray(mesh.uvs)[np.asarray(mesh.uv_faces)], expected)
+
+
 def test_quads_and_several_materials_become_one_mesh(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nusemtl a\nf 1 2 3 4\nusemtl b\nf 2 5 3\n"
     mesh = load_mesh(write(tmp_path / "quad.obj", text))
