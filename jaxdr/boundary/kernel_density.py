@@ -158,18 +158,17 @@ class KernelDensity(eqx.Module):
 
     def _is_visible(self, packed, pair_ends, crossing, r, flat, segment, ends, valid, settings) -> Bool[Array, " C"]:
         """Whether the apex sees past the edge, along a ray just inside the visible side."""
-        apex = stop_gradient(pair_ends.apex)
-        goal = stop_gradient(crossing.point) - (INSIDE * r)[:, None] * crossing.normal
-        start = leave(ends.apex_point(segment), goal - apex)
-        # From there through the point beside the edge: the offset of the start may be larger than that of the point.
-        direction = (apex - start) / crossing.fraction[:, None] + (goal - apex)
+        # The ray passes the edge itself at the chosen distance, wherever exactly it starts.
+        fraction = crossing.fraction
+        past = crossing.edge_point - (INSIDE * r * fraction)[:, None] * crossing.normal
+        start = leave(ends.apex_point(segment), past - stop_gradient(pair_ends.apex))
+        goal = start + (past - start) / jnp.where(fraction == 0, 1.0, fraction)[:, None]
         # Stop one radius before the target's plane: a curved receiver rises above its tangent plane. The path itself
         # shows that the target, less than a radius away, is seen.
-        fraction = crossing.fraction
-        short = r / jnp.maximum(norm(goal - apex), r)
+        short = r / jnp.maximum(norm(goal - start), r)
         stop = jnp.where(flat.infinite[segment], 1.0, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
         reach = jnp.where(valid, stop, 0.0)
-        return ~queries.occluded(packed.vertices, packed.faces, start, direction, reach, settings.rays)
+        return ~queries.occluded(packed.vertices, packed.faces, start, goal - start, reach, settings.rays)
 
 
 class _Endpoints(eqx.Module):
@@ -219,13 +218,14 @@ class _Crossing(eqx.Module):
     """A silhouette projected from the apex onto the target's plane.
 
     `point` on the projected edge (differentiable), unit `normal` in the plane towards the occluded side (detached),
-    `displacement` = normal . (projected edge point - material point there), `stretch` = projected length per length of
+    `edge_point` on the 3D edge (detached), `displacement` = normal . (projected edge point - material point there), `stretch` = projected length per length of
     edge, `fraction` of the way from apex to plane at which the edge lies.
     """
 
     point: Float[Array, "C 3"]
     normal: Float[Array, "C 3"]
     displacement: Float[Array, " C"]
+    edge_point: Float[Array, "C 3"]
     stretch: Float[Array, " C"]
     fraction: Float[Array, " C"]
 
@@ -275,6 +275,7 @@ def _project_edge(packed: PackedScene, edge, ends: _Endpoints, point_fraction) -
         point=projected,
         normal=in_plane,
         displacement=dot(in_plane, projected - material),
+        edge_point=stop_gradient(point),
         stretch=stretch,
         fraction=dot(normal, q) / height,
     )

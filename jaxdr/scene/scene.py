@@ -29,13 +29,18 @@ class Shape(eqx.Module):
                 raise ValueError(f"Shape: {name} is a {type(value).__name__}; see jaxdr.{name.capitalize()} and its kind")
 
 
+def _sorted_by_id(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
+    # JAX sorts dictionaries when it flattens them: sorting here keeps the order the same before and after.
+    return dict(sorted(shapes.items()))
+
+
 class Scene(eqx.Module):
     """Shapes by id, one camera, and an environment or None.
 
     Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`.
     """
 
-    shapes: dict[str, Shape]
+    shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
     camera: Perspective
     environment: ConstantEnvironment | None = None
 

@@ -10,15 +10,16 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 
-# Ray origins leave the surface by this share of the size of the coordinates involved: some 80 float32 roundings.
-OFFSET = 1e-5
+# Ray origins leave the surface by this share of the largest coordinate involved: some 32 float32 roundings.
+OFFSET = 4e-6
 
 
 class SurfacePoint(NamedTuple):
     """N points on the scene's surfaces; only `valid` ones mean anything (the others sit on face 0).
 
     `normal` is the unit geometric normal (orientation of the face), `shading_normal` the interpolated one, `area` the
-    area of the face, all differentiable; `barycentric` and `face` are detached.
+    area of the face, all differentiable; `barycentric`, `face` and `scale`, the largest coordinate that the position was
+    computed from, are detached.
     """
 
     valid: Bool[Array, " N"]
@@ -28,6 +29,7 @@ class SurfacePoint(NamedTuple):
     normal: Float[Array, "N 3"]
     shading_normal: Float[Array, "N 3"]
     area: Float[Array, " N"]
+    scale: Float[Array, " N"]
 
     def area_ratio(self) -> Float[Array, " N"]:
         """J = dA(x) / dA(p), one in value (Eq. 4): the Jacobian from the reference surface to the moving one."""
@@ -43,7 +45,7 @@ def _barycentric(corners, position, normal2):
     return jnp.stack([u, v, 1.0 - u - v], -1)
 
 
-def _surface_point(packed, valid, face, barycentric, position, corners, normal2, shading_weights):
+def _surface_point(packed, valid, face, barycentric, position, corners, normal2, scale):
     length = norm(normal2)
     normal = normal2 / length[:, None]
     return SurfacePoint(
@@ -52,8 +54,9 @@ def _surface_point(packed, valid, face, barycentric, position, corners, normal2,
         barycentric=stop_gradient(barycentric),
         position=position,
         normal=normal,
-        shading_normal=_shading_normal(packed, face, shading_weights, normal),
+        shading_normal=_shading_normal(packed, face, barycentric, normal),
         area=0.5 * length,
+        scale=scale,
     )
 
 
@@ -80,7 +83,13 @@ def on_fixed_ray(
     t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
     position = origin + t[:, None] * direction
     barycentric = _barycentric(corners, position, normal2)
-    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, barycentric)
+    scale = jnp.maximum(_largest(corners), jnp.abs(stop_gradient(origin)).max(-1))
+    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, scale)
+
+
+def _largest(corners):
+    """Largest coordinate of the corners of each face, detached."""
+    return jnp.abs(stop_gradient(corners)).max((1, 2))
 
 
 def material_point(
@@ -91,7 +100,7 @@ def material_point(
     corners = packed.vertices[packed.faces[face]]
     normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     position = (corners * barycentric[..., None]).sum(1)
-    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, barycentric)
+    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, _largest(corners))
 
 
 def intersect(
@@ -115,17 +124,8 @@ def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[
 def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
     """Detached ray origins just off the surface, on the side of `towards`; the offset scales with the coordinates."""
     position, normal = stop_gradient(point.position), stop_gradient(point.normal)
-    size = jnp.abs(position).max(-1) + jnp.sqrt(stop_gradient(point.area))
     side = jnp.where(dot(normal, stop_gradient(towards)) >= 0, OFFSET, -OFFSET)
-    return position + (side * size)[:, None] * normal
-
-
-def visible(packed: PackedScene, a: SurfacePoint, b: SurfacePoint, active: Bool[Array, " N"], rays: str):
-    """Whether two surface points see each other; both ends step off their surfaces."""
-    between = stop_gradient(b.position - a.position)
-    start, end = leave(a, between), leave(b, -between)
-    reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
-    return active & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, rays)
+    return position + (side * point.scale)[:, None] * normal
 
 
 def local_frame(normal: Float[Array, "N 3"]):
