@@ -1,0 +1,118 @@
+"""Loaded shapes, cameras and lights compared with those Mitsuba itself makes of the same file."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdr.scene.mitsuba import load_mitsuba
+
+SENSOR = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
+
+
+@pytest.fixture
+def mitsuba():
+    mi = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (extra `peers`)")
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    yield mi
+    if before is not None:
+        mi.set_variant(before)
+
+
+MIRROR = '<transform name="to_world"><rotate x="1" angle="20"/><scale value="-2, 2, 2"/></transform>'
+SHAPES = {
+    "rectangle": ("rectangle", ""),
+    "cube": ("cube", ""),
+    "sphere": ("sphere", '<point name="center" value="0.2, 0, 0"/><float name="radius" value="1.5"/>'),
+    "obj": ("obj", '<string name="filename" value="a.obj"/>'),
+    "flat obj": ("obj", '<string name="filename" value="a.obj"/><boolean name="face_normals" value="true"/>'),
+    "ply": ("ply", '<string name="filename" value="a.ply"/>'),
+    "obj with normals": ("obj", '<string name="filename" value="normals.obj"/>'),
+}
+
+
+@pytest.mark.parametrize("flip", [False, True], ids=["", "flipped"])
+@pytest.mark.parametrize("transform", ["", MIRROR], ids=["", "mirrored"])
+@pytest.mark.parametrize("kind, content", SHAPES.values(), ids=SHAPES)
+def test_shapes_as_in_mitsuba(mitsuba, scene_file, kind, content, transform, flip):
+    """Vertices, and the side and direction of the shading normal where a ray meets the shape."""
+    flipped = '<boolean name="flip_normals" value="true"/>' if flip else ""
+    path = scene_file(f'{SENSOR}<shape type="{kind}" id="s">{content}{transform}{flipped}</shape>')
+    (theirs,) = mitsuba.load_file(str(path)).shapes()
+    mesh = load_mitsuba(path).shapes["s"].mesh
+    vertices = np.asarray(mesh.vertices)
+    if kind in ("obj", "ply", "cube"):
+        expected = np.unique(np.round(np.reshape(mitsuba.traverse(theirs)["vertex_positions"], (-1, 3)), 4), axis=0)
+        np.testing.assert_allclose(np.unique(np.round(vertices, 4), axis=0), expected, atol=2e-4)
+    box = theirs.bbox()
+    np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [box.min, box.max], atol=1e-2)
+
+    origin, direction = np.array([0.1, 0.3, 5.0]), np.array([0.0, 0.0, -1.0])
+    hit = mitsuba.load_dict({"type": "scene", "s": theirs}).ray_intersect(mitsuba.Ray3f(origin, direction))
+    face, weights = first_hit(mesh, origin, direction)
+    corners = vertices[np.asarray(mesh.faces)[face]]
+    if mesh.normal_faces is None:
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    else:
+        normal = weights @ np.asarray(mesh.vertex_normals())[np.asarray(mesh.normal_faces)[face]]
+    assert np.dot(normal / np.linalg.norm(normal), hit.sh_frame.n) > 0.99
+    np.testing.assert_allclose(weights @ corners, hit.p, atol=1e-2)
+
+
+def first_hit(mesh, origin, direction):
+    """Face and barycentric coordinates of the closest hit, by solving for every triangle."""
+    triangles = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
+    hits = []
+    for face, corners in enumerate(triangles):
+        system = np.vstack([np.column_stack([corners.T, -direction]), [1, 1, 1, 0]])
+        if abs(np.linalg.det(system)) > 1e-12:
+            *weights, distance = np.linalg.solve(system, [*origin, 1])
+            if min(weights) >= -1e-6 and distance > 0:
+                hits.append((distance, face, np.array(weights)))
+    return min(hits)[1:]
+
+
+CAMERAS = {
+    "fov x": '<float name="fov" value="40"/>',
+    "fov y": '<float name="fov" value="40"/><string name="fov_axis" value="y"/>',
+    "fov smaller": '<float name="fov" value="40"/><string name="fov_axis" value="smaller"/>',
+    "fov larger": '<float name="fov" value="40"/><string name="fov_axis" value="larger"/>',
+    "fov diagonal": '<float name="fov" value="40"/><string name="fov_axis" value="diagonal"/>',
+    "focal length": '<string name="focal_length" value="35mm"/>',
+    "neither": "",
+    "lookat": '<transform name="to_world"><lookat origin="1, 2, 3" target="0, 0.5, 0" up="0, 0, 1"/></transform>',
+    "turned": '<transform name="to_world"><rotate y="1" angle="30"/><translate z="2"/></transform>',
+}
+
+
+@pytest.mark.parametrize("size", [(30, 20), (20, 30)], ids=["wide", "tall"])
+@pytest.mark.parametrize("content", CAMERAS.values(), ids=CAMERAS)
+def test_camera_rays_as_in_mitsuba(mitsuba, scene_file, content, size):
+    width, height = size
+    film = (
+        f'<film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>'
+    )
+    path = scene_file(f'<sensor type="perspective">{content}{film}</sensor><shape type="cube"/>')
+    (sensor,) = mitsuba.load_file(str(path)).sensors()
+    camera = load_mitsuba(path).camera
+    points = np.array([[0.0, 0.0], [width, 0.0], [0.3 * width, 0.9 * height], [width, height]])
+    origin, directions = camera.rays(jnp.asarray(points))
+    for point, direction in zip(points, directions, strict=True):
+        ray, _ = sensor.sample_ray(0.0, 0.5, point / size, [0.5, 0.5])
+        np.testing.assert_allclose(direction, ray.d, atol=2e-6)
+        # Mitsuba's rays start on the near plane.
+        np.testing.assert_allclose(np.cross(np.subtract(ray.o, origin), direction), 0, atol=2e-6)
+
+
+def test_crop_and_light_as_in_mitsuba(mitsuba, scene_file):
+    path = scene_file(
+        '<sensor type="perspective"><film type="hdrfilm"><integer name="width" value="40"/>'
+        '<integer name="crop_offset_x" value="3"/><integer name="crop_width" value="20"/></film></sensor>'
+        '<shape type="cube" id="l"><emitter type="area"><spectrum name="radiance" value="2"/></emitter></shape>'
+    )
+    theirs, ours = mitsuba.load_file(str(path)), load_mitsuba(path)
+    film = theirs.sensors()[0].film()
+    assert ours.camera.film.crop == (*film.crop_offset(), *film.crop_size())
+    light = theirs.shapes()[0].emitter()
+    radiance = mitsuba.traverse(light)["radiance.value"]
+    np.testing.assert_allclose(ours.shapes["l"].emitter.radiance, radiance, rtol=1e-3)
