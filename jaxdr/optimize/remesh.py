@@ -1,5 +1,7 @@
 """Remeshing between phases of an optimisation."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from jaxdr.geometry.edges import NON_MANIFOLD
@@ -17,11 +19,7 @@ def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     Raises ImportError without gpytoolbox, and ValueError for an edge length that is not positive or longer than
     the mesh, for a non-manifold mesh, and when the result is empty, not finite, non-manifold or no longer closed.
     """
-    try:
-        from gpytoolbox import remesh_botsch
-    except ImportError as missing:
-        raise ImportError('remesh needs gpytoolbox, which is optional: pip install "jaxdr[remesh]"') from missing
-
+    remesh_botsch = require_gpytoolbox()
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     if not np.isfinite(vertices).all():
         raise ValueError("remesh: the mesh has vertices that are not finite")
@@ -40,3 +38,12 @@ def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     if (np.asarray(result.edges.kind) == NON_MANIFOLD).any() or (mesh.closed and not result.closed):
         raise ValueError(f"remesh: the result is not manifold at edge length {edge_length}; try another one")
     return result if mesh.normal_faces is None else result.smooth()
+
+
+def require_gpytoolbox() -> Callable:
+    """gpytoolbox's remeshing function. Raises ImportError that says how to install it."""
+    try:
+        from gpytoolbox import remesh_botsch
+    except ImportError as missing:
+        raise ImportError('remesh needs gpytoolbox, which is optional: pip install "jaxdr[remesh]"') from missing
+    return remesh_botsch

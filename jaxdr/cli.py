@@ -1,0 +1,212 @@
+"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr optimize`.
+
+A user's mistake ends with one line on stderr, `jaxdr: error: …`, and exit code 2, before anything is written. A run
+that meets NaN ends with exit code 1, Ctrl-C with 130.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp
+
+from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.images import check_image_path, has_openexr, save_png, signed_picture, write_image
+from jaxdr.integrator import PathTracer
+from jaxdr.optimize.config import read_config
+from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
+from jaxdr.optimize.strict_toml import split_assignment
+from jaxdr.render import render
+from jaxdr.scene.mitsuba import load_mitsuba
+from jaxdr.scene.motion import motion
+from jaxdr.scene.scene import Scene
+
+ERROR, FAILED, INTERRUPTED = 2, 1, 130
+BOUNDARIES = {"KernelDensity": KernelDensity, "none": lambda: None}
+SAMPLES, MAX_DEPTH = 64, 3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code; `arguments` default to those of the process."""
+    warp.config.log_level = warp.LOG_WARNING  # no banner and compilation notes between a command's own lines
+    try:
+        options = _parser().parse_args(arguments)
+        return options.command(options)
+    except (_UsageError, ValueError, OSError, ImportError) as problem:
+        if "options" in locals() and options.debug:
+            raise
+        return _complain(problem, ERROR)
+    except NotFinite as problem:
+        return _complain(problem, FAILED)
+    except Interrupted as problem:
+        print(f"jaxdr: {problem}", file=sys.stderr)
+        return INTERRUPTED
+    except KeyboardInterrupt:
+        print("jaxdr: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _render(options) -> int:
+    output = Path(options.output)
+    check_image_path(output)
+    scene = _load_scene(options)
+    tracer = PathTracer(max_depth=options.max_depth, boundary=None)
+    image = jax.jit(lambda key: render(scene, key, spp=options.spp, integrator=tracer))(jax.random.key(options.seed))
+    write_image(output, np.asarray(image, np.float32))
+    print(output)
+    return 0
+
+
+def _gradient(options) -> int:
+    outputs = _gradient_outputs(Path(options.output))
+    for output in outputs:
+        check_image_path(output)
+    scene = _load_scene(options)
+    name, value, tangent = motion(scene, options.wrt)
+    tracer = PathTracer(max_depth=options.max_depth, boundary=BOUNDARIES[options.boundary]())
+
+    @jax.jit
+    def derivative(key):
+        def image(v):
+            return render(scene.replace({name: v}), key, spp=options.spp, integrator=tracer)
+
+        return jax.jvp(image, (value,), (tangent,))[1]
+
+    result = np.asarray(derivative(jax.random.key(options.seed)), np.float32)
+    for output in outputs:
+        if output.suffix.lower() == ".png":
+            save_png(output, signed_picture(result.mean(-1), _color_limit(options, result)))
+        else:
+            write_image(output, result)
+        print(output)
+    return 0
+
+
+def _gradient_outputs(path: Path) -> list[Path]:
+    """A path with a suffix is one file; one without gets the picture and the values."""
+    if path.suffix:
+        return [path]
+    return [path.with_name(path.name + suffix) for suffix in (".png", ".npy", *([".exr"] if has_openexr() else []))]
+
+
+def _color_limit(options, result: np.ndarray) -> float:
+    """The value at the ends of the colour bar: as asked for, or the 99.5th percentile of what is there."""
+    if options.limit is not None:
+        return options.limit
+    limit = float(np.percentile(np.abs(result.mean(-1)), 99.5))
+    return limit or float(np.abs(result).max()) or 1.0
+
+
+def _optimize(options) -> int:
+    config = read_config(Path(options.config), options.set)
+    try:
+        summary = optimize(config, resume=options.resume, overwrite=options.overwrite)
+    except Interrupted as interruption:
+        overrides = "".join(f" --set {assignment}" for assignment in options.set)
+        raise Interrupted(f"{interruption}; go on with: jaxdr optimize {options.config}{overrides} --resume") from None
+    print(
+        f"{config.output}: Chamfer distance {summary['chamfer_initial']:.5f} -> {summary['chamfer_final']:.5f} "
+        f"({summary['chamfer_ratio']:.1f} times smaller) in {summary['seconds']:.0f} s"
+    )
+    return 0
+
+
+def _load_scene(options) -> Scene:
+    """The scene with `--set` applied: names with a dot are scene parameters, others the file's $variables."""
+    assignments = [split_assignment(text) for text in options.set]
+    variables = {name: value for name, value in assignments if "." not in name}
+    scene = load_mitsuba(options.scene, **variables)
+    parameters = scene.parameters()
+    values = {}
+    for name, value in assignments:
+        if "." not in name:
+            continue
+        if name not in parameters:
+            raise ValueError(f"--set {name}: unknown parameter; {options.scene} has: {', '.join(parameters)}")
+        shape = parameters[name].shape
+        try:
+            values[name] = jnp.broadcast_to(jnp.asarray(value, float), shape)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"--set {name}: expected numbers of shape {list(shape)} or one number, got {value!r}"
+            ) from None
+    return scene.replace(values)
+
+
+class _UsageError(Exception):
+    """The command line can't be parsed."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message):
+        raise _UsageError(f"{message} (see {self.prog} --help)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="jaxdr", description="Differentiable rendering in JAX.", allow_abbrev=False)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def add(name, function, summary):
+        command = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
+        command.set_defaults(command=function)
+        command.add_argument(
+            "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value; repeatable"
+        )
+        command.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        return command
+
+    for name, function, summary in (
+        ("render", _render, "Render a Mitsuba 3 scene file to .png, .exr or .npy."),
+        ("gradient", _gradient, "Derivative image of a scene for one motion or parameter."),
+    ):
+        command = add(name, function, summary)
+        command.add_argument("scene", metavar="SCENE", help="Mitsuba 3 XML file")
+        command.add_argument(
+            "--spp", type=_positive(int), default=SAMPLES, help=f"samples per pixel (default {SAMPLES})"
+        )
+        command.add_argument(
+            "--max-depth",
+            type=_positive(int),
+            default=MAX_DEPTH,
+            help=f"longest path in segments (default {MAX_DEPTH})",
+        )
+        command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
+        if name == "gradient":
+            what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
+            command.add_argument("--wrt", required=True, metavar="NAME", help=what)
+            command.add_argument("--boundary", choices=BOUNDARIES, default="KernelDensity", help="boundary estimator")
+            command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
+        files = "image file" if name == "render" else "file, or name without suffix for picture and values"
+        command.add_argument("-o", "--output", required=True, metavar="FILE", help=files)
+
+    command = add(
+        "optimize", _optimize, "Turn a sphere into a target shape from rendered views, as a TOML file describes."
+    )
+    command.add_argument("config", metavar="CONFIG.toml")
+    command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
+    command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+    return parser
+
+
+def _positive(kind):
+    def parse(text):
+        value = kind(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f"must be positive, got {text}")
+        return value
+
+    parse.__name__ = {int: "whole number", float: "number"}[kind]
+    return parse
+
+
+def _complain(problem: Exception, code: int) -> int:
+    print(f"jaxdr: error: {' '.join(str(problem).split())}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

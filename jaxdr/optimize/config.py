@@ -1,0 +1,274 @@
+"""What `jaxdr optimize` is told: frozen dataclasses, one a TOML table. Lengths are in scene units, z is up."""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.geometry import shapes
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.integrator import BoundaryEstimator, PathTracer
+from jaxdr.optimize.strict_toml import build, read_toml
+
+Color = float | tuple[float, float, float]
+Vector = tuple[float, float, float]
+
+TARGET_SHAPES: dict[str, Callable[..., Mesh]] = {
+    "sphere": shapes.sphere,
+    "displaced_sphere": shapes.displaced_sphere,
+    "box": shapes.box,
+    "torus": shapes.torus,
+    "trefoil_tube": shapes.trefoil_tube,
+    "pawn": shapes.pawn,
+}
+BOUNDARY_ESTIMATORS: dict[str, Callable[..., BoundaryEstimator | None]] = {
+    "KernelDensity": KernelDensity,
+    "none": lambda: None,
+}
+
+
+def _require(condition: bool, key: str, rule: str, value) -> None:
+    if not condition:
+        raise ValueError(f"{key}: {rule}, got {value!r}")
+
+
+def _as_tuple(color: Color) -> tuple[float, ...]:
+    return color if isinstance(color, tuple) else (color,)
+
+
+def _check_call(key: str, choices: dict, name: str, options: dict, options_key: str = "parameters") -> None:
+    """Check a name against a table of functions, and options against the chosen function's parameters."""
+    if name not in choices:
+        raise ValueError(f"{key}: expected one of {', '.join(choices)}, got {name!r}")
+    known = inspect.signature(choices[name]).parameters
+    for option in options:
+        if option not in known:
+            raise ValueError(f"{options_key}.{option}: {name} has no such parameter (known: {', '.join(known)})")
+
+
+@dataclass(frozen=True)
+class Target:
+    """The shape to be found: a procedural `shape` with `parameters`, or the mesh at `path`.
+
+    It is moved so that its bounding box is centred at the origin, its longest side `size` long; the axis `up` of
+    the file becomes z.
+    """
+
+    shape: str = ""
+    parameters: dict[str, Any] = field(default_factory=dict)
+    path: str = ""
+    size: float = 1.0
+    up: Literal["x", "y", "z"] = "z"
+    shading: Literal["flat", "smooth"] = "flat"
+    reflectance: Color = 0.5
+
+    def __post_init__(self):
+        _require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
+        _require(self.size > 0, "size", "must be positive", self.size)
+        if self.shape:
+            _check_call("shape", TARGET_SHAPES, self.shape, self.parameters)
+        elif self.parameters:
+            raise ValueError("parameters: only a procedural shape has parameters, a mesh file has none")
+
+
+@dataclass(frozen=True)
+class Initial:
+    """Where the optimisation starts: a sphere at the origin, an icosahedron subdivided `subdivisions` times."""
+
+    subdivisions: int = 3
+    radius: float = 0.4
+    shading: Literal["flat", "smooth"] = "flat"
+
+    def __post_init__(self):
+        _require(0 <= self.subdivisions <= 8, "subdivisions", "must be between 0 and 8", self.subdivisions)
+        _require(self.radius > 0, "radius", "must be positive", self.radius)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Views on a spiral with equal solid angles around the z axis (Fibonacci), between two `elevation`s in degrees.
+
+    All look at the origin from `distance`. `fov` is horizontal, in degrees; `resolution` is width and height in pixels.
+    """
+
+    views: int = 8
+    distance: float = 3.0
+    fov: float = 32.0
+    resolution: int = 96
+    elevation: tuple[float, float] = (5.0, 75.0)
+
+    def __post_init__(self):
+        low, high = self.elevation
+        _require(self.views >= 1, "views", "must be at least 1", self.views)
+        _require(self.distance > 0, "distance", "must be positive", self.distance)
+        _require(0 < self.fov < 180, "fov", "must be between 0 and 180 degrees", self.fov)
+        _require(self.resolution >= 1, "resolution", "must be at least 1 pixel", self.resolution)
+        _require(-90 < low <= high < 90, "elevation", "must be two increasing angles between -90 and 90", (low, high))
+
+
+@dataclass(frozen=True)
+class Light:
+    """Rectangular area emitter that faces the point `target`; RGB or grey `radiance`."""
+
+    position: Vector = (1.0, -1.0, 3.0)
+    target: Vector = (0.0, 0.0, 0.0)
+    width: float = 1.0
+    height: float = 1.0
+    radiance: Color = 10.0
+
+    def __post_init__(self):
+        _require(self.width > 0, "width", "must be positive", self.width)
+        _require(self.height > 0, "height", "must be positive", self.height)
+        _require(self.position != self.target, "position", "must differ from target", self.position)
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Horizontal square of edge length `size` at z = `height`, on which shadows fall."""
+
+    height: float = -0.7
+    size: float = 6.0
+    reflectance: Color = 0.5
+
+    def __post_init__(self):
+        _require(self.size > 0, "size", "must be positive", self.size)
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """The path tracer: see `jaxdr.PathTracer`. `boundary` names an estimator or is "none" (interior term only);
+    `boundary_options` are the estimator's arguments."""
+
+    max_depth: int = 2
+    primary: Literal["fixed_ray", "material"] = "fixed_ray"
+    boundary: str = "KernelDensity"
+    boundary_options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.build()
+
+    def build(self) -> PathTracer:
+        """The integrator; ValueErrors start with the key that is wrong."""
+        _check_call("boundary", BOUNDARY_ESTIMATORS, self.boundary, self.boundary_options, "boundary_options")
+        try:
+            boundary = BOUNDARY_ESTIMATORS[self.boundary](**self.boundary_options)
+        except ValueError as problem:
+            raise ValueError(f"boundary_options: {problem}") from None
+        _require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
+        return PathTracer(max_depth=self.max_depth, boundary=boundary, primary=self.primary)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples per pixel: of the `target` views, the `image` in the loss, its `gradient`, and `pictures` in grids."""
+
+    target: int = 256
+    image: int = 8
+    gradient: int = 8
+    pictures: int = 64
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            _require(value >= 1, name, "must be at least 1", value)
+
+
+@dataclass(frozen=True)
+class Remesh:
+    """Before step `iteration`, remesh to edges about `edge_length` long; the optimiser starts afresh."""
+
+    iteration: int
+    edge_length: float
+
+    def __post_init__(self):
+        _require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
+        _require(self.edge_length > 0, "edge_length", "must be positive", self.edge_length)
+
+
+@dataclass(frozen=True)
+class Optimizer:
+    """Steps of `adam_uniform` on the latent coordinates of `LargeSteps` with strength `lam`.
+
+    The learning rate goes from `learning_rate` to `final_learning_rate` exponentially over all iterations. `loss` is
+    the mean over the `views_per_step` views of a step; every view comes once before any comes again.
+    """
+
+    iterations: int = 300
+    learning_rate: float = 0.01
+    final_learning_rate: float = 0.002
+    lam: float = 19.0
+    views_per_step: int = 4
+    loss: Literal["l1", "l2", "two_key_l2"] = "l1"
+    remesh: tuple[Remesh, ...] = ()
+
+    def __post_init__(self):
+        _require(self.iterations >= 1, "iterations", "must be at least 1", self.iterations)
+        for name in ("learning_rate", "final_learning_rate"):
+            _require(getattr(self, name) > 0, name, "must be positive", getattr(self, name))
+        _require(self.lam >= 0, "lam", "must not be negative", self.lam)
+        _require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
+        at = [step.iteration for step in self.remesh]
+        _require(at == sorted(set(at)), "remesh", "iterations must increase", at)
+
+
+@dataclass(frozen=True)
+class Report:
+    """How often, in iterations: `pictures` and GLB snapshots, the `chamfer` distance, a `checkpoint`.
+
+    Picture grids show `views` of the cameras; the Chamfer distance uses `chamfer_samples` points on each surface.
+    """
+
+    pictures: int = 50
+    chamfer: int = 25
+    checkpoint: int = 50
+    views: int = 4
+    chamfer_samples: int = 20_000
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            _require(value >= 1, name, "must be at least 1", value)
+
+
+@dataclass(frozen=True)
+class OptimizeConfig:
+    """Everything about one run. The same config and seed give the same result, bit for bit on CPU."""
+
+    target: Target
+    output: str
+    seed: int = 0
+    initial: Initial = Initial()
+    cameras: Cameras = Cameras()
+    lights: tuple[Light, ...] = (Light(),)
+    environment: Color = 0.0
+    floor: Floor | None = None
+    integrator: Integrator = Integrator()
+    samples: Samples = Samples()
+    optimizer: Optimizer = Optimizer()
+    report: Report = Report()
+
+    def __post_init__(self):
+        _require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
+        _require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        views, per_step = self.cameras.views, self.optimizer.views_per_step
+        _require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
+        dark = not self.lights and not any(_as_tuple(self.environment))
+        _require(not dark, "lights", "the scene is dark: give a light or an environment", [])
+
+
+def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:
+    """The config in a TOML file, with `a.b=c` overrides. `target.path` may be relative to the file or to the current
+    folder; `output` is relative to the current folder.
+
+    Raises ValueError that names the file, the key and what was expected.
+    """
+    config = build(OptimizeConfig, read_toml(path, overrides), str(path))
+    if not config.target.path:
+        return config
+    candidates = [path.parent / config.target.path, Path(config.target.path)]
+    found = [candidate for candidate in candidates if candidate.is_file()]
+    if not found:
+        tried = " or ".join(dict.fromkeys(str(candidate) for candidate in candidates))
+        raise ValueError(f"{path}: target.path: expected a mesh file, found none at {tried}")
+    return dataclasses.replace(config, target=dataclasses.replace(config.target, path=str(found[0])))

@@ -1,0 +1,220 @@
+"""The optimisation loop: from rendered target views and a sphere to a mesh."""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.chamfer import chamfer
+from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jaxdr.optimize.config import OptimizeConfig
+from jaxdr.optimize.output import RunFolder, views_to_show
+from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
+from jaxdr.optimize.problem import OBJECT, build_problem
+from jaxdr.optimize.progress import Progress, deferred_interrupt
+from jaxdr.optimize.remesh import remesh, require_gpytoolbox
+
+# Streams of random numbers under the run's seed.
+TARGETS, STEPS, PICTURES = 0, 1, 2
+
+
+class Interrupted(Exception):
+    """Ctrl-C stopped a run; the message says where its checkpoint is."""
+
+
+class NotFinite(ArithmeticError):
+    """A loss or gradient was NaN or infinite; the message names step, view and checkpoint."""
+
+
+def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+    """Run a config to its end and return the summary that `metrics.json` holds.
+
+    Every random number derives from the seed and the iteration, so a run that was interrupted and is resumed ends with
+    the same bits. Raises ValueError for a config that can't be run or an output folder in use, ImportError before the
+    start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C, and `NotFinite` rather than go
+    on with NaN.
+    """
+    run = _Run(config)
+    run.folder.open(resume, overwrite)
+    with deferred_interrupt() as interruption:
+        run.interruption = interruption
+        return run.run(resume)
+
+
+class _Run:
+    """One call of `optimize`."""
+
+    def __init__(self, config: OptimizeConfig):
+        self.config = config
+        self.problem = build_problem(config)
+        self.initial = self.problem.scene.shapes[OBJECT].mesh
+        self.remeshing = {step.iteration: step.edge_length for step in config.optimizer.remesh}
+        if self.remeshing:
+            require_gpytoolbox()  # now, not after an hour
+        self.folder = RunFolder(config)
+        self.key = jax.random.key(config.seed)
+        self.clock = time.monotonic()
+
+    def run(self, resume: bool) -> dict:
+        total = self.config.optimizer.iterations
+        iteration, phase, state = self.restored() if resume else self.fresh()
+        self.folder.start_metrics(iteration)
+        targets = self.targets(resume)
+        if iteration == 0:
+            self.folder.save_mesh("target", self.problem.target)
+            self.save_pictures(phase, state, targets, 0)
+
+        with Progress("optimise", total, iteration) as progress:
+            distance = self.chamfer(phase, state)
+            while iteration < total:
+                if iteration in self.remeshing and iteration > phase.start:
+                    phase, state = self.remeshed(phase, state, iteration, progress)
+                state, row = self.step(phase, state, targets, iteration)
+                iteration += 1
+                if self.due(iteration, self.config.report.chamfer):
+                    distance = row["chamfer"] = self.chamfer(phase, state)
+                self.folder.add_metrics({**row, "iteration": iteration, "seconds": round(self.seconds(), 2)})
+                progress.step(loss=row["loss"], gradient=row["gradient_norm"], chamfer=distance)
+                if self.due(iteration, self.config.report.pictures):
+                    self.save_pictures(phase, state, targets, iteration)
+                if self.due(iteration, self.config.report.checkpoint) or self.interruption.requested:
+                    self.save_checkpoint(phase, state, iteration)
+                if self.interruption.requested and iteration < total:
+                    raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
+        return self.finish(phase, state)
+
+    def fresh(self) -> tuple[int, Phase, State]:
+        phase = make_phase(self.config, self.problem, self.initial, 0)
+        return 0, phase, phase.fresh_state()
+
+    def restored(self) -> tuple[int, Phase, State]:
+        """Iteration, phase and state of the checkpoint; the beginning when the run stopped before its first one."""
+        iteration, phase, state = self.fresh()
+        if not self.folder.checkpoint.exists():
+            return iteration, phase, state
+        saved = load_checkpoint(self.folder.checkpoint, phase.optimizer)
+        if saved.iteration >= self.config.optimizer.iterations and self.folder.finished:
+            raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
+        if saved.start > 0:
+            mesh = Mesh(saved.vertices, saved.faces)
+            mesh = mesh.smooth() if self.config.initial.shading == "smooth" else mesh
+            phase = make_phase(self.config, self.problem, mesh, saved.start)
+        self.clock -= saved.seconds
+        return saved.iteration, phase, State(saved.latent, saved.optimizer)
+
+    def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+        """Target views: rendered, or read back when a run is resumed."""
+        if resume and self.folder.has_targets:
+            return self.folder.load_targets()
+        mesh, spp = self.problem.target, self.config.samples.target
+        image = view_renderer(self.problem.scene, mesh, self.problem.integrator)
+        key = jax.random.fold_in(self.key, TARGETS)
+        targets = []
+        with Progress("render targets", len(self.problem.views)) as progress:
+            for i, pose in enumerate(self.poses()):
+                targets.append(np.asarray(image(mesh.vertices, pose, jax.random.fold_in(key, i), spp)))
+                progress.step()
+                if self.interruption.requested:
+                    raise Interrupted("stopped while rendering the target views, which will be rendered again")
+        self.folder.save_targets(np.stack(targets))
+        return np.stack(targets)
+
+    def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
+        """Mean loss and gradient over the views of this step, and the move they cause."""
+        key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), iteration)
+        vertices, poses = phase.vertices(state), self.poses()
+        views = views_of_step(len(poses), self.config.optimizer.views_per_step, iteration, self.config.seed)
+        losses, gradient = [], jnp.zeros_like(vertices)
+        for slot, view in enumerate(views):
+            subkey = jax.random.fold_in(key, slot)
+            loss, part = phase.view_gradient(vertices, poses[view], jnp.asarray(targets[view]), subkey)
+            wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not np.isfinite(v).all()]
+            if wrong:
+                self.save_checkpoint(phase, state, iteration)
+                raise NotFinite(
+                    f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}; "
+                    f"the state before that step is in {self.folder.checkpoint}"
+                )
+            losses.append(float(loss))
+            gradient += part / len(views)
+        row = {
+            "loss": sum(losses) / len(losses),
+            "gradient_norm": float(jnp.linalg.norm(gradient)),
+            "vertices": len(vertices),
+        }
+        return phase.update(state, gradient), row
+
+    def remeshed(self, phase: Phase, state: State, iteration: int, progress: Progress) -> tuple[Phase, State]:
+        """New topology, preconditioner and optimiser; or the old ones, said aloud, when remeshing fails."""
+        current = phase.current_mesh(state)
+        try:
+            mesh = remesh(current, self.remeshing[iteration])
+        except ValueError as problem:
+            progress.say(f"after step {iteration}: kept the mesh as it was ({problem})")
+            return phase, state
+        progress.say(f"after step {iteration}: remeshed, {len(current.vertices)} -> {len(mesh.vertices)} vertices")
+        phase = make_phase(self.config, self.problem, mesh, iteration)
+        return phase, phase.fresh_state()
+
+    def finish(self, phase: Phase, state: State) -> dict:
+        """Write result and summary."""
+        before = chamfer(self.initial, self.problem.target, self.config.report.chamfer_samples)
+        after = self.chamfer(phase, state)
+        summary = {
+            "iterations": self.config.optimizer.iterations,
+            "seconds": round(self.seconds(), 2),
+            "vertices": len(phase.mesh.vertices),
+            "chamfer_initial": before,
+            "chamfer_final": after,
+            "chamfer_ratio": before / after,
+            "device": jax.devices()[0].device_kind,
+        }
+        self.folder.save_mesh("result", phase.current_mesh(state))
+        self.folder.save_summary(summary)
+        return summary
+
+    def due(self, iteration: int, interval: int) -> bool:
+        return iteration % interval == 0 or iteration == self.config.optimizer.iterations
+
+    def seconds(self) -> float:
+        return time.monotonic() - self.clock
+
+    def poses(self) -> Float[jax.Array, "N 4 4"]:
+        return jnp.asarray(self.problem.views, float)
+
+    def chamfer(self, phase: Phase, state: State) -> float:
+        return chamfer(phase.current_mesh(state), self.problem.target, self.config.report.chamfer_samples)
+
+    def save_pictures(self, phase: Phase, state: State, targets, iteration: int) -> None:
+        shown = views_to_show(self.config)
+        mesh, key = phase.current_mesh(state), jax.random.fold_in(self.key, PICTURES)
+        poses, spp = self.poses(), self.config.samples.pictures
+        images = np.stack([phase.image(mesh.vertices, poses[view], key, spp) for view in shown])
+        self.folder.save_grid(iteration, targets[shown], images)
+        self.folder.save_mesh(f"{iteration:05d}", mesh)
+
+    def save_checkpoint(self, phase: Phase, state: State, iteration: int) -> None:
+        save_checkpoint(
+            self.folder.checkpoint,
+            Checkpoint(
+                iteration=iteration,
+                start=phase.start,
+                vertices=np.asarray(phase.mesh.vertices),
+                faces=np.asarray(phase.mesh.faces),
+                latent=state.latent,
+                optimizer=state.optimizer,
+                seconds=self.seconds(),
+            ),
+        )
+
+
+def views_of_step(count: int, size: int, iteration: int, seed: int) -> list[int]:
+    """Numbers of the `size` views of a step: a stream of shuffled rounds over all `count` views, cut into pieces."""
+    chosen = []
+    for place in range(iteration * size, (iteration + 1) * size):
+        order = np.random.default_rng((seed, place // count)).permutation(count)
+        chosen.append(int(order[place % count]))
+    return chosen

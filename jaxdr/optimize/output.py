@@ -1,0 +1,159 @@
+"""The folder of a run: metrics, pictures, meshes, checkpoint."""
+
+import csv
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.geometry.load import save_mesh
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.images import atomic_path, diverging, labelled_grid, save_png, to_srgb
+from jaxdr.optimize.config import OptimizeConfig
+
+COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer")
+
+
+class RunFolder:
+    """Names and formats of everything a run writes.
+
+    `metrics.csv` has a line for every step, `pictures/` grids and `meshes/` GLB files of the state after so many
+    steps, `checkpoint.npz` what `resume` needs, `metrics.json` the summary of a finished run.
+    """
+
+    def __init__(self, config: OptimizeConfig):
+        self.path = Path(config.output)
+        self.config = config
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the checkpoint is."""
+        return self.path / "checkpoint.npz"
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether all target views were rendered."""
+        return (self.path / "targets.npy").exists()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return (self.path / "metrics.json").exists()
+
+    def open(self, resume: bool, overwrite: bool) -> None:
+        """Make the folder, or check that it is the one to go on with.
+
+        Raises ValueError when it holds results and neither `resume` nor `overwrite` is given, when it isn't a run's
+        folder, and on `resume` when there is nothing to resume or the config differs from the run's.
+        """
+        if resume and overwrite:
+            raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
+        if resume:
+            self._check_config()
+            return
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"output {self.path}: is a file; expected a folder")
+        if self.path.exists() and any(self.path.iterdir()):
+            if not (self.path / "config.json").exists():
+                raise ValueError(f"output {self.path}: is not empty and not the folder of a run; choose another one")
+            if not overwrite:
+                raise ValueError(f"output {self.path}: already holds results; give --resume or --overwrite")
+            shutil.rmtree(self.path)
+        for folder in (self.path, self.path / "pictures", self.path / "meshes"):
+            folder.mkdir(parents=True, exist_ok=True)
+        self._write_text("config.json", self.config_json())
+
+    def config_json(self) -> str:
+        """The config, with all defaults filled in."""
+        return json.dumps(dataclasses.asdict(self.config), indent=2)
+
+    def _check_config(self) -> None:
+        try:
+            stored = json.loads((self.path / "config.json").read_text())
+        except FileNotFoundError:
+            raise ValueError(f"output {self.path}: there is no run to resume") from None
+        except json.JSONDecodeError as problem:
+            raise ValueError(f"output {self.path}: config.json is damaged ({problem})") from None
+        # Where the folder lies and how often it is written to don't change the result.
+        free = ("output", "report")
+        old, new = ({k: v for k, v in c.items() if k not in free} for c in (stored, json.loads(self.config_json())))
+        changed = _differences(old, new)
+        if changed:
+            raise ValueError(
+                f"output {self.path}: can't resume, the config differs from the run's: {'; '.join(changed)}"
+            )
+
+    def start_metrics(self, iteration: int) -> None:
+        """Begin `metrics.csv`, or drop the lines of steps from `iteration` on, which will be done again."""
+        path = self.path / "metrics.csv"
+        lines = [",".join(COLUMNS)]
+        if iteration > 0 and path.exists():
+            lines += [line for line in path.read_text().splitlines()[1:] if int(line.partition(",")[0]) <= iteration]
+        self._write_text("metrics.csv", "\n".join(lines) + "\n")
+
+    def add_metrics(self, row: dict) -> None:
+        """Append a line to `metrics.csv`; columns without a value stay empty."""
+        with open(self.path / "metrics.csv", "a", newline="") as file:
+            csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(row)
+
+    def save_targets(self, targets: Float[np.ndarray, "N H W 3"]) -> None:
+        """Keep the target views: a resumed run needs the very same."""
+        with atomic_path(self.path / "targets.npy") as temporary:
+            np.save(temporary, targets)
+
+    def load_targets(self) -> Float[np.ndarray, "N H W 3"]:
+        """The target views. Raises ValueError when they are missing or damaged."""
+        path = self.path / "targets.npy"
+        try:
+            return np.load(path)
+        except (OSError, ValueError) as problem:
+            raise ValueError(
+                f"{path}: the target views can't be read ({problem}); start again with --overwrite"
+            ) from None
+
+    def save_grid(
+        self, iteration: int, targets: Float[np.ndarray, "N H W 3"], images: Float[np.ndarray, "M H W 3"]
+    ) -> None:
+        """Picture of some views in rows: target, current, and the difference of their grey values.
+
+        The exposure maps the 99th percentile of the targets to 1; the difference is red where the current image is
+        too bright, blue where it is too dark, saturated at half that value.
+        """
+        white = max(float(np.percentile(targets, 99)), 1e-12)
+        rows = []
+        for target, image in zip(targets, images, strict=False):
+            difference = diverging((image - target).mean(-1), 0.5 * white)
+            rows.append([to_srgb(target / white), to_srgb(image / white), difference])
+        save_png(
+            self.path / "pictures" / f"{iteration:05d}.png", labelled_grid(["target", "current", "difference"], rows)
+        )
+
+    def save_mesh(self, name: str, mesh: Mesh) -> None:
+        """Write `meshes/<name>.glb`."""
+        path = self.path / "meshes" / f"{name}.glb"
+        with atomic_path(path) as temporary:
+            save_mesh(temporary, mesh)
+
+    def save_summary(self, summary: dict) -> None:
+        """Write `metrics.json`."""
+        self._write_text("metrics.json", json.dumps(summary, indent=2) + "\n")
+
+    def _write_text(self, name: str, text: str) -> None:
+        with atomic_path(self.path / name) as temporary:
+            temporary.write_text(text)
+
+
+def views_to_show(config: OptimizeConfig) -> list[int]:
+    """Numbers of the views in the picture grids, spread over all views."""
+    count = min(config.report.views, config.cameras.views)
+    return [int(i) for i in np.linspace(0, config.cameras.views - 1, count).round()]
+
+
+def _differences(old, new, key: str = "") -> list[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = dict.fromkeys([*old, *new])
+        return [d for n in names for d in _differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]
+    return [] if old == new else [f"{key} was {old!r}, is {new!r}"]

@@ -1,0 +1,113 @@
+"""What an optimisation compiles for one topology: views, their gradients, and the step of the optimiser."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.integrator import PathTracer
+from jaxdr.optimize import losses
+from jaxdr.optimize.adam import adam_uniform
+from jaxdr.optimize.config import OptimizeConfig, Optimizer
+from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.problem import OBJECT, Problem
+from jaxdr.render import render
+from jaxdr.scene.scene import Scene, Shape
+
+
+class State(NamedTuple):
+    """What a step changes: latent coordinates of the vertices, and the optimiser's moments."""
+
+    latent: Float[Array, "V 3"]
+    optimizer: optax.OptState
+
+
+class Phase(NamedTuple):
+    """What stays while the topology does.
+
+    - `mesh`: the mesh at the start of the phase; `start`: number of steps done by then.
+    - `steps`: preconditioner; `optimizer`: its learning rate goes on from `start`.
+    - `image`: jitted (vertices, camera-to-world, key, spp) -> image.
+    - `view_gradient`: jitted (vertices, camera-to-world, target, key) -> loss and its gradient by the vertices.
+    - `update`: jitted (state, gradient by the vertices) -> state.
+    """
+
+    mesh: Mesh
+    start: int
+    steps: LargeSteps
+    optimizer: optax.GradientTransformation
+    image: Callable
+    view_gradient: Callable
+    update: Callable
+
+    def fresh_state(self) -> State:
+        """The state at the start of the phase."""
+        latent = self.steps.to_latent(self.mesh.vertices)
+        return State(latent, self.optimizer.init(latent))
+
+    def vertices(self, state: State) -> Float[Array, "V 3"]:
+        """Current vertex positions."""
+        return self.steps.from_latent(state.latent)
+
+    def current_mesh(self, state: State) -> Mesh:
+        """The mesh as it is now."""
+        return self.mesh.with_vertices(self.vertices(state))
+
+
+def make_phase(config: OptimizeConfig, problem: Problem, mesh: Mesh, start: int) -> Phase:
+    """Preconditioner and functions for a topology; JAX compiles them when they are first called."""
+    steps = LargeSteps(mesh, config.optimizer.lam)
+    optimizer = adam_uniform(learning_rate(config.optimizer, start))
+    image = view_renderer(problem.scene, mesh, problem.integrator)
+    gradient = view_gradient(image, config.optimizer.loss, config.samples.image, config.samples.gradient)
+
+    @jax.jit
+    def update(state: State, gradient: Float[Array, "V 3"]) -> State:
+        # The system is symmetric: the pullback of from_latent is from_latent.
+        updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
+        return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
+
+    return Phase(mesh, start, steps, optimizer, image, jax.jit(gradient), update)
+
+
+def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
+    """Exponential decay over all iterations, for an optimiser whose count begins after `start` of them."""
+    ratio = options.final_learning_rate / options.learning_rate
+    decay = optax.exponential_decay(options.learning_rate, options.iterations, ratio)
+    return lambda count: decay(count + start)
+
+
+def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer) -> Callable:
+    """Jitted (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
+    old = scene.shapes[OBJECT]
+    shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
+    scene = Scene(shapes, scene.camera, scene.environment)
+
+    def image(vertices, to_world, key, spp):
+        moved = scene.replace({f"{OBJECT}.vertices": vertices, "camera.to_world": to_world})
+        return render(moved, key, spp=spp, integrator=integrator)
+
+    return jax.jit(image, static_argnums=3)
+
+
+def view_gradient(image: Callable, loss: str, image_spp: int, gradient_spp: int) -> Callable:
+    """Function (vertices, camera-to-world, target, key) -> loss of one view, and an unbiased estimate of its gradient.
+
+    The loss is that of one image (two for `two_key_l2`) with `image_spp` samples per pixel. Its derivative by the
+    image multiplies the derivative of another, independent rendering with `gradient_spp`: independent factors make
+    the product unbiased, and two images that are alike in distribution can share it.
+    """
+    function, count = getattr(losses, loss), 2 if loss == "two_key_l2" else 1
+
+    def gradient(vertices, to_world, target, key):
+        *keys, derivative_key = jax.random.split(key, count + 1)
+        images = [image(vertices, to_world, k, image_spp) for k in keys]
+        value, cotangents = jax.value_and_grad(lambda images: function(*images, target))(images)
+        _, pullback = jax.vjp(lambda v: image(v, to_world, derivative_key, gradient_spp), vertices)
+        return value, pullback(sum(cotangents))[0]
+
+    return gradient

@@ -1,0 +1,88 @@
+"""Progress for people: a bar on a terminal, lines elsewhere; and Ctrl-C that waits for the end of a step."""
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TextIO
+
+from tqdm import tqdm
+
+
+class Progress:
+    """Reports on `total` steps of which `done` are done. On a terminal a tqdm bar; otherwise a line every `seconds`."""
+
+    def __init__(self, name: str, total: int, done: int = 0, stream: TextIO | None = None, seconds: float = 10.0):
+        self.name, self.total, self.done, self.seconds = name, total, done, seconds
+        self.stream = sys.stderr if stream is None else stream
+        self.first = done
+        self.start = self.last_line = time.monotonic()
+        self.bar = None
+        if self.stream.isatty():
+            self.bar = tqdm(total=total, initial=done, desc=name, file=self.stream, dynamic_ncols=True)
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *problem) -> None:
+        if self.bar is not None:
+            self.bar.close()
+
+    def step(self, **values: float) -> None:
+        """One more step is done; `values` are shown beside the progress."""
+        self.done += 1
+        if self.bar is not None:
+            self.bar.set_postfix({k: f"{v:.4g}" for k, v in values.items()}, refresh=False)
+            self.bar.update()
+            return
+        now = time.monotonic()
+        if now - self.last_line >= self.seconds or self.done == self.total or self.done == self.first + 1:
+            self.last_line = now
+            left = (now - self.start) / (self.done - self.first) * (self.total - self.done)
+            shown = "".join(f"  {k} {v:.4g}" for k, v in values.items())
+            print(f"{self.name} {self.done}/{self.total}{shown}  {_clock(left)} left", file=self.stream, flush=True)
+
+    def say(self, text: str) -> None:
+        """A line of text that doesn't break the bar."""
+        if self.bar is not None:
+            self.bar.write(text, file=self.stream)
+        else:
+            print(text, file=self.stream, flush=True)
+
+
+class Interruption:
+    """Whether Ctrl-C was pressed."""
+
+    requested: bool = False
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[Interruption]:
+    """Inside the block the first Ctrl-C (SIGINT) only sets `requested`; a second one raises KeyboardInterrupt.
+
+    Outside the main thread, where Python delivers no signals, nothing changes.
+    """
+    interruption = Interruption()
+    if threading.current_thread() is not threading.main_thread():
+        yield interruption
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if interruption.requested:
+            raise KeyboardInterrupt
+        interruption.requested = True
+        print("\nfinishing the current step; Ctrl-C again stops at once", file=sys.stderr, flush=True)
+
+    previous = signal.signal(signal.SIGINT, handle)
+    try:
+        yield interruption
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def _clock(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes}:{seconds:02d}"
