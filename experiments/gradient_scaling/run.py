@@ -38,14 +38,16 @@ def scene_of(vertex_count, resolution):
     import numpy as np
 
     import jaxdr as jd
+    from jaxdr.geometry import shapes
 
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[:3, 3] = (-1.0, 0.5, 4.0)
-    light = jd.transformed(jd.rectangle(0.8, 0.8), down)
+    light = shapes.transformed(shapes.rectangle(0.8, 0.8), down)
+    ball = shapes.sphere(vertex_count=vertex_count, radius=0.8, center=(0, 0, 1))
     return jd.Scene(
         shapes={
-            "sphere": jd.Shape(jd.sphere(vertex_count=vertex_count, radius=0.8, center=(0, 0, 1)), jd.Diffuse(0.6)),
-            "floor": jd.Shape(jd.rectangle(10, 10), jd.Diffuse(0.5)),
+            "sphere": jd.Shape(ball, jd.Diffuse(0.6)),
+            "floor": jd.Shape(shapes.rectangle(10, 10), jd.Diffuse(0.5)),
             "light": jd.Shape(light, jd.Diffuse(0.0), emitter=jd.AreaEmitter(30.0)),
         },
         camera=jd.Perspective(
