@@ -45,6 +45,7 @@ class KernelDensity(eqx.Module):
     """
 
     radius: float = eqx.field(static=True, default=0.02)
+    widest: float = eqx.field(static=True, default=0.1)
     kernel: Literal["edge", "point"] = eqx.field(static=True, default="edge")
     alpha: float = eqx.field(static=True, default=0.3)
     iterations: int = eqx.field(static=True, default=4)
@@ -101,7 +102,9 @@ class KernelDensity(eqx.Module):
         scale = jnp.where(lit, schedule[sample_index[path] % self.iterations], 0.0)
         reach = self._edge_radii(packed)
         capacity = min(max(4096, round(self.capacity * scale.shape[0])), 1 << 24)
-        arguments = (detached.apex, detached.target, detached.normal, scale)
+        span = norm(detached.target - detached.apex)
+        widest = self.widest * span if self.widest else jnp.zeros_like(span)
+        arguments = (detached.apex, detached.target, detached.normal, scale, widest)
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
         table = (packed.vertices, packed.edges.vertices, packed.edges.opposite)
@@ -122,6 +125,8 @@ class KernelDensity(eqx.Module):
         pair_ends = ends.endpoints(segment)
         crossing = _project_edge(packed, edge, pair_ends, point_fraction)
         r = reach[edge] * scale[segment]
+        magnified = r / jnp.where(crossing.fraction == 0, 1.0, crossing.fraction)
+        r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
         r = jnp.where(valid, r, 1.0)
         weight = flat.contribution[segment] * pairs.weight
         if self.kernel == "edge":

@@ -106,6 +106,11 @@ def _project(point, apex, height, normal):
     return f, apex[:, None] + offset / f[..., None]
 
 
+def _reach(radius, magnification, widest):
+    """Kernel radius at the target: the radius at the edge, magnified by the projection, up to `widest`."""
+    return jnp.maximum(radius, jnp.minimum(radius * magnification, widest[:, None]))
+
+
 def _gather(near, count, segment, element, index, source):
     """Append the pairs of a block to the compacted lists; what exceeds the capacity is counted but not stored."""
     near = near & (index == source)[None]
@@ -142,7 +147,7 @@ def _candidates(near_block, blocks, seed, capacity):
     return state[2], state[3], state[1], 1.0 / probability
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, seed, capacity):
+def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity):
     """(segment, edge, count, weight): see `queries.edge_candidates`."""
     height = dot(normal, target - apex)
     b, n = target[:, None], normal[:, None]
@@ -161,7 +166,8 @@ def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, sca
         length = norm(along)
         s = dot(b - m0, along) / length
         distance = norm(b - m0 - (s / length)[..., None] * along)
-        reach = r[None] * scale[:, None]
+        share = s / length
+        reach = _reach(r[None] * scale[:, None], (1 - share) / c0 + share / c1, widest)
         between = (jnp.minimum(f0, f1) < 1.0) & (jnp.maximum(f0, f1) > 1e-6)
         opposite_side = side * dot(plane, b - apex[:, None]) < 0
         return between & opposite_side & (reach > 0) & (s >= 0) & (s < length) & (distance < reach)
@@ -169,7 +175,7 @@ def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, sca
     return _candidates(near_block, _blocks(edges, opposite, radius), seed, capacity)
 
 
-def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, seed, capacity):
+def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity):
     """(segment, point, count, weight): see `queries.point_candidates`."""
     height = dot(normal, target - apex)
 
@@ -178,7 +184,7 @@ def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex,
         plane = jnp.cross(p0 - apex[:, None], p1 - apex[:, None])
         side = _side_of_faces(vertices, opposite[e], plane, apex)
         f, projected = _project(p[None], apex, height, normal)
-        reach = r[None] * scale[:, None]
+        reach = _reach(r[None] * scale[:, None], 1.0 / jnp.where(f == 0, 1.0, f), widest)
         opposite_side = side * dot(plane, (target - apex)[:, None]) < 0
         near = norm(projected - target[:, None]) < reach
         return (f > 1e-6) & (f <= 1.0) & opposite_side & (reach > 0) & near

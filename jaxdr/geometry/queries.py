@@ -159,6 +159,7 @@ def edge_candidates(
     target: Float[Array, "N 3"],
     normal: Float[Array, "N 3"],
     scale: Float[Array, " N"],
+    widest: Float[Array, " N"],
     seed: Int[Array, ""],
     capacity: int,
     implementation: str = "warp",
@@ -167,13 +168,14 @@ def edge_candidates(
 
     An edge counts for a segment when all its faces (their vertices `opposite`, -1 padded) lie on one side of the plane
     through apex and edge and the target on the other, it lies between the apex and the target's plane, and the foot
-    of the perpendicular from the target onto its projection is on the projection, less than `radius[edge] *
-    scale[segment]` away (scene units). A radius or scale of zero leaves an edge or a segment out.
+    of the perpendicular from the target onto its projection is on the projection, less than the kernel radius away.
+    That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
+    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
     """
     module = _module(implementation)
     query = _sequential(lambda *args: tuple(module.edge_candidates(*args, capacity)))
     return Candidates(
-        *query(*_discrete(vertices, edges, opposite, radius, apex, target, normal, scale, jnp.asarray(seed)))
+        *query(*_discrete(vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.asarray(seed)))
     )
 
 
@@ -188,6 +190,7 @@ def point_candidates(
     target: Float[Array, "N 3"],
     normal: Float[Array, "N 3"],
     scale: Float[Array, " N"],
+    widest: Float[Array, " N"],
     seed: Int[Array, ""],
     capacity: int,
     implementation: str = "warp",
@@ -199,5 +202,5 @@ def point_candidates(
     module = _module(implementation)
     query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity)))
     return Candidates(
-        *query(*_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, seed))
+        *query(*_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed))
     )

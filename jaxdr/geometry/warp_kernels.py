@@ -119,6 +119,12 @@ def keeps(segment: int, element: int, seed: int, probability: float):
     return wp.randf(wp.rand_init(seed + 977 * element, segment)) < probability
 
 
+@wp.func
+def kernel_reach(radius: float, magnification: float, widest: float):
+    """Kernel radius at the target: the radius at the edge, magnified by the projection, up to `widest`."""
+    return wp.max(radius, wp.min(radius * magnification, widest))
+
+
 @wp.kernel
 def edge_candidates(
     bvh: wp.uint64,
@@ -131,6 +137,7 @@ def edge_candidates(
     target: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
+    widest: wp.array(dtype=float),
     seed: int,
     probability: float,
     segment_out: wp.array(dtype=int),
@@ -175,7 +182,10 @@ def edge_candidates(
                 length = wp.length(along)
                 s = wp.dot(b - m0, along) / length
                 distance = wp.length(b - m0 - s / length * along)
-                if s >= 0.0 and s < length and distance < r:
+                # 1/f is linear along the projected edge.
+                share = s / length
+                reach = kernel_reach(r, (1.0 - share) / c0 + share / c1, widest[i])
+                if s >= 0.0 and s < length and distance < reach:
                     wp.atomic_add(found, 1, 1)
                     if keeps(i, e, seed, probability):
                         j = wp.atomic_add(found, 0, 1)
@@ -198,6 +208,7 @@ def point_candidates(
     target: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
+    widest: wp.array(dtype=float),
     seed: int,
     probability: float,
     segment_out: wp.array(dtype=int),
@@ -223,7 +234,7 @@ def point_candidates(
         if r > 0.0 and side * wp.dot(plane, b - a) < 0.0:
             f = wp.dot(n, point[j] - a) / height
             if f > 1.0e-6 and f <= 1.0:
-                if wp.length(a + (point[j] - a) / f - b) < r:
+                if wp.length(a + (point[j] - a) / f - b) < kernel_reach(r, 1.0 / f, widest[i]):
                     wp.atomic_add(found, 1, 1)
                     if keeps(i, j, seed, probability):
                         k = wp.atomic_add(found, 0, 1)

@@ -234,6 +234,7 @@ def _edge_candidates(
     target: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
+    widest: wp.array(dtype=float),
     seed: wp.array(dtype=int),
     segment: wp.array(dtype=int),
     edge: wp.array(dtype=int),
@@ -244,7 +245,7 @@ def _edge_candidates(
     cache = _cache("edges", device)
     with cache.lock:
         bvh = cache.find([_host(vertices), _host(radius)], [_host(edges)])
-        leading, rays = [vertices, edges, opposite, radius], [apex, target, normal, scale]
+        leading, rays = [vertices, edges, opposite, radius], [apex, target, normal, scale, widest]
         seed = int(_host(seed)[0])
         _compact(kernels.edge_candidates, bvh, leading, rays, seed, segment, edge, count, weight, device)
 
@@ -260,6 +261,7 @@ def _point_candidates(
     target: wp.array(dtype=wp.vec3),
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
+    widest: wp.array(dtype=float),
     seed: wp.array(dtype=int),
     segment: wp.array(dtype=int),
     element: wp.array(dtype=int),
@@ -270,7 +272,7 @@ def _point_candidates(
     cache = _cache("points", device)
     with cache.lock:
         bvh = cache.find([_host(point), _host(radius)], [])
-        leading, rays = [vertices, edges, opposite, point, point_edge, radius], [apex, target, normal, scale]
+        leading, rays = [vertices, edges, opposite, point, point_edge, radius], [apex, target, normal, scale, widest]
         seed = int(_host(seed)[0])
         _compact(kernels.point_candidates, bvh, leading, rays, seed, segment, element, count, weight, device)
 
@@ -316,19 +318,19 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     return _all_hits_call(vertices, faces, origin, direction, t_max, output_dims=dims)
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, seed, capacity):
+def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity):
     """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
     dims = {"segment": capacity, "edge": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, radius, apex, target, normal, scale, jnp.reshape(seed, 1))
+    args = (vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.reshape(seed, 1))
     segment, edge, count, weight = _edge_candidates_call(*args, output_dims=dims)
     return segment, edge, count[0], weight[0]
 
 
 def point_candidates(
-    vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, seed, capacity
+    vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity
 ):
     """(segment [C], point [C], count, weight): points on silhouette edges near segments."""
     dims = {"segment": capacity, "element": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, jnp.reshape(seed, 1))
+    args = (vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, jnp.reshape(seed, 1))
     segment, element, count, weight = _point_candidates_call(*args, output_dims=dims)
     return segment, element, count[0], weight[0]
