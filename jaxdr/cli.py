@@ -56,7 +56,7 @@ def _render(options) -> int:
     scene = _load_scene(options)
     tracer = PathTracer(max_depth=options.max_depth, boundary=None)
     image = jax.jit(lambda key: render(scene, key, spp=options.spp, integrator=tracer))(jax.random.key(options.seed))
-    write_image(output, np.asarray(image, np.float32))
+    write_image(output, _finite(image))
     print(output)
     return 0
 
@@ -76,7 +76,7 @@ def _gradient(options) -> int:
 
         return jax.jvp(image, (value,), (tangent,))[1]
 
-    result = np.asarray(derivative(jax.random.key(options.seed)), np.float32)
+    result = _finite(derivative(jax.random.key(options.seed)))
     for output in outputs:
         if output.suffix.lower() == ".png":
             save_png(output, signed_picture(result.mean(-1), _color_limit(options, result)))
@@ -84,6 +84,18 @@ def _gradient(options) -> int:
             write_image(output, result)
         print(output)
     return 0
+
+
+def _finite(image) -> np.ndarray:
+    """The image on the host, if all its values are finite."""
+    image = np.asarray(image, np.float32)
+    bad = np.argwhere(~np.isfinite(image).all(-1))
+    if len(bad):
+        row, column = bad[0]
+        raise NotFinite(
+            f"{len(bad)} pixels are not finite, the first in row {row}, column {column}; nothing was written"
+        )
+    return image
 
 
 def _gradient_outputs(path: Path) -> list[Path]:

@@ -26,7 +26,7 @@ class Interrupted(Exception):
 
 
 class NotFinite(ArithmeticError):
-    """A loss or gradient was NaN or infinite; the message names step, view and checkpoint."""
+    """An image, loss or gradient was NaN or infinite; the message names step, view and checkpoint."""
 
 
 def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -116,6 +116,8 @@ class _Run:
         with Progress("render targets", len(self.problem.views)) as progress:
             for i, pose in enumerate(self.poses()):
                 targets.append(np.asarray(image(mesh.vertices, pose, jax.random.fold_in(key, i), spp)))
+                if not np.isfinite(targets[-1]).all():
+                    raise NotFinite(f"the target image of view {i} is not finite")
                 progress.step()
                 if self.interruption.requested:
                     raise Interrupted("stopped while rendering the target views, which will be rendered again")

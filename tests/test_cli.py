@@ -1,0 +1,217 @@
+"""The command line: what it writes, and one line with exit code 2 for every mistake."""
+
+import signal
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxdr import cli
+from jaxdr.optimize import loop, phase
+
+from .optimize.fake import render as fake_optimize_render
+
+SCENE = """<scene version="3.0.0">
+    <default name="width" value="8"/>
+    <sensor type="perspective" id="camera">
+        <float name="fov" value="60"/>
+        <transform name="to_world"><lookat origin="0, -4, 0" target="0, 0, 0" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="$width"/><integer name="height" value="6"/></film>
+    </sensor>
+    <shape type="cube" id="spot"><bsdf type="diffuse"><rgb name="reflectance" value="0.5, 0.5, 0.5"/></bsdf></shape>
+    <emitter type="constant"><rgb name="radiance" value="0.5, 0.5, 0.5"/></emitter>
+</scene>
+"""
+CONFIG = """output = "run"
+[target]
+shape = "sphere"
+parameters = { subdivisions = 1 }
+[initial]
+subdivisions = 1
+[cameras]
+views = 2
+resolution = 8
+[optimizer]
+iterations = 4
+views_per_step = 1
+[report]
+chamfer_samples = 100
+"""
+
+
+@pytest.fixture(autouse=True)
+def workplace(tmp_path, monkeypatch):
+    (tmp_path / "scene.xml").write_text(SCENE)
+    (tmp_path / "run.toml").write_text(CONFIG)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def scenes(monkeypatch):
+    """Stand-in for the renderer that keeps what it was asked for; d image / d x of a vertex is 1 in every pixel."""
+    asked = []
+
+    def render(scene, key, spp, integrator):
+        asked.append((scene, spp, integrator))
+        film = scene.camera.film
+        total = sum(scene.shapes["spot"].mesh.vertices[:, 0]) + scene.shapes["spot"].bsdf.reflectance.sum()
+        ramp = jnp.linspace(-1.0, 1.0, film.width)[None, :, None]
+        return jnp.broadcast_to(ramp * total, (film.height, film.width, 3))
+
+    monkeypatch.setattr(cli, "render", render)
+    return asked
+
+
+def names(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_render_a_constant_sky_on_a_grey_cube(workplace):
+    # Nothing but the sky lights the convex cube: radiance times reflectance.
+    assert cli.main(["render", "scene.xml", "-o", "out.npy", "--spp", "64", "--max-depth", "2"]) == 0
+    image = np.load("out.npy")
+    assert image.shape == (6, 8, 3)
+    np.testing.assert_allclose(image[2:4, 3:5], 0.25, rtol=0.05)
+    np.testing.assert_allclose(image[0, 0], 0.5, rtol=1e-4)
+
+
+def test_render_formats_and_options(workplace, scenes, capsys):
+    arguments = ["--spp", "3", "--max-depth", "5", "--set", "width=10", "--set", "camera.fov=20"]
+    arguments += ["--set", "spot.bsdf.reflectance=[0.1, 0.2, 0.3]", "--set", "environment.radiance=2"]
+    assert cli.main(["render", "scene.xml", "-o", "out.png", *arguments]) == 0
+    assert capsys.readouterr().out == "out.png\n"
+    assert np.asarray(Image.open("out.png")).shape == (6, 10, 3)
+    scene, spp, integrator = scenes[-1]
+    assert (spp, integrator.max_depth, integrator.boundary) == (3, 5, None)
+    assert float(scene.camera.fov) == 20.0
+    np.testing.assert_allclose(scene.shapes["spot"].bsdf.reflectance, [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(scene.environment.radiance, 2.0)
+
+
+def test_gradient_values_and_pictures(workplace, scenes, capsys):
+    assert cli.main(["gradient", "scene.xml", "--wrt", "spot.translate.x", "-o", "g"]) == 0
+    written = capsys.readouterr().out.split()
+    assert written[:2] == ["g.png", "g.npy"] and set(written) <= {"g.png", "g.npy", "g.exr"}
+    count = len(scenes[-1][0].shapes["spot"].mesh.vertices)
+    expected = np.broadcast_to(count * np.linspace(-1, 1, 8)[None, :, None], (6, 8, 3))
+    np.testing.assert_allclose(np.load("g.npy"), expected, rtol=1e-5, atol=1e-5)
+    picture = np.asarray(Image.open("g.png")).astype(int)
+    middle = picture[len(picture) // 2]
+    assert middle[5, 2] > middle[5, 0] + 50  # negative on the left: blue
+
+    assert cli.main(["gradient", "scene.xml", "--wrt", "spot.bsdf.reflectance", "-o", "r.npy"]) == 0
+    np.testing.assert_allclose(np.load("r.npy"), expected * 3 / count, rtol=1e-5, atol=1e-5)
+    assert "r.png" not in names(workplace)
+
+
+def test_boundary_is_chosen(scenes):
+    for name, is_none in (("KernelDensity", False), ("none", True)):
+        arguments = ["--wrt", "spot.translate.x", "-o", "g.npy", "--boundary", name]
+        assert cli.main(["gradient", "scene.xml", *arguments]) == 0
+        assert (scenes[-1][2].boundary is None) == is_none
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("render nothing.xml -o out.png", "nothing.xml"),
+        ("render scene.xml -o out.jpg", "unknown image format '.jpg'"),
+        ("render scene.xml -o nowhere/out.png", "folder nowhere does not exist"),
+        ("render scene.xml", "the following arguments are required: -o/--output"),
+        ("render scene.xml -o out.png --spp 0", "argument --spp: must be positive, got 0"),
+        ("render scene.xml -o out.png --spp many", "argument --spp: invalid whole number value: 'many'"),
+        ("render scene.xml -o out.png --sp 3", "unrecognized arguments: --sp 3"),
+        ("render scene.xml -o out.png --set widht=3", "widht"),
+        ("render scene.xml -o out.png --set width", "--set width: expected key=value"),
+        (
+            "render scene.xml -o out.png --set camera.foo=3",
+            "--set camera.foo: unknown parameter; scene.xml has: spot.vert",
+        ),
+        (
+            "render scene.xml -o out.png --set camera.fov=wide",
+            "--set camera.fov: expected numbers of shape [] or one number",
+        ),
+        (
+            "render scene.xml -o out.png --set spot.bsdf.reflectance=[1,2]",
+            "expected numbers of shape [3] or one number",
+        ),
+        ("gradient scene.xml -o out.png", "the following arguments are required: --wrt"),
+        ("gradient scene.xml --wrt spot.translat.x -o out.png", "did you mean 'spot.translate.x'?"),
+        ("gradient scene.xml --wrt spot.translate.x -o out.png --boundary x", "invalid choice: 'x'"),
+        ("optimize nothing.toml", "nothing.toml: can't be read"),
+        ("optimize run.toml --set optimizer.lamb=3", "run.toml: optimizer.lamb: unknown key; did you mean 'lam'?"),
+        ("optimize run.toml --resume", "output run: there is no run to resume"),
+        ("optimize run.toml --resume --overwrite", "exclude each other"),
+        ("optimise run.toml", "invalid choice: 'optimise'"),
+        ("", "the following arguments are required: COMMAND"),
+    ],
+)
+def test_mistakes_end_with_one_line(workplace, capsys, arguments, message):
+    (workplace / "out.png").write_text("old")
+    before = names(workplace)
+    assert cli.main(arguments.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("jaxdr: error: ") and captured.err.count("\n") == 1
+    assert message in captured.err
+    assert names(workplace) == before
+    assert (workplace / "out.png").read_text() == "old"
+
+
+def test_debug_shows_the_traceback():
+    with pytest.raises(ValueError, match=r"nothing\.xml"):
+        cli.main(["render", "nothing.xml", "-o", "out.png", "--debug"])
+
+
+def test_optimize_stops_at_ctrl_c_and_resumes(workplace, monkeypatch, capsys):
+    monkeypatch.setattr(phase, "render", fake_optimize_render)
+    original = loop.RunFolder.add_metrics
+
+    def add_metrics(self, row):
+        original(self, row)
+        if row["iteration"] == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop.RunFolder, "add_metrics", add_metrics)
+        assert cli.main(["optimize", "run.toml", "--set", "seed=4"]) == 130
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == (
+        "jaxdr: stopped after step 2; checkpoint in run/checkpoint.npz; "
+        "go on with: jaxdr optimize run.toml --set seed=4 --resume"
+    )
+    assert cli.main(["optimize", "run.toml"]) == 2
+    assert "already holds results; give --resume or --overwrite" in capsys.readouterr().err
+    assert cli.main(["optimize", "run.toml", "--set", "seed=4", "--resume"]) == 0
+    assert capsys.readouterr().out.startswith("run: Chamfer distance ")
+
+
+def test_nan_ends_with_exit_code_1(workplace, monkeypatch, capsys):
+    def nan_render(scene, key, spp, integrator):
+        film = scene.camera.film
+        return jnp.ones((film.height, film.width, 3)).at[1, 2].set(jnp.nan)
+
+    monkeypatch.setattr(phase, "render", nan_render)
+    monkeypatch.setattr(cli, "render", nan_render)
+    assert cli.main(["optimize", "run.toml"]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "jaxdr: error: the target image of view 0 is not finite"
+    assert cli.main(["render", "scene.xml", "-o", "out.png"]) == 1
+    assert "1 pixels are not finite, the first in row 1, column 2" in capsys.readouterr().err
+    assert "out.png" not in names(workplace)
+
+
+def test_module_runs_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxdr.cli", "optimize", "nothing.toml"],
+        capture_output=True,
+        text=True,
+        cwd=cli.__file__[:-13],
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr == "jaxdr: error: nothing.toml: can't be read (No such file or directory); expected a TOML file\n"
+    )
