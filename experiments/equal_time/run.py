@@ -62,18 +62,20 @@ def measure(case, method, oracle, quick):
 
 
 def verdict(rows):
-    """Least error² · seconds of every method, within the budget and at any time, and Mitsuba's over ours."""
+    """Every method's best figure of merit, within the budget and at any time, and Mitsuba's better over ours."""
     lines = []
     for what, (least, most) in {"within 0.1-1 s": BUDGET, "at any time": (0.0, float("inf"))}.items():
-        best = {}
-        for row in rows:
-            if least <= row["seconds"] <= most:
-                best[row["method"]] = min(row["work"], best.get(row["method"], float("inf")))
-        found = ", ".join(f"{method} {work:.2e}" for method, work in best.items())
-        ours = [work for method, work in best.items() if method.startswith("jaxdr")]
-        theirs = [work for method, work in best.items() if method.startswith("Mitsuba")]
-        ratio = f"; ratio {min(theirs) / min(ours):.1f}" if ours and theirs else ""
-        lines.append(f"Least error² · seconds {what}: {found}{ratio}.")
+        for merit, quantity in {"error² · seconds": "error", "variance · seconds": "deviation"}.items():
+            best = {}
+            for row in rows:
+                if least <= row["seconds"] <= most:
+                    work = row[quantity] ** 2 * row["seconds"]
+                    best[row["method"]] = min(work, best.get(row["method"], float("inf")))
+            found = ", ".join(f"{method} {work:.2e}" for method, work in best.items())
+            ours = [work for method, work in best.items() if method.startswith("jaxdr")]
+            theirs = [work for method, work in best.items() if method.startswith("Mitsuba")]
+            ratio = f"; ratio {min(theirs) / min(ours):.1f}" if ours and theirs else ""
+            lines.append(f"- least {merit} {what}: {found or 'none'}{ratio}")
     return lines
 
 
