@@ -18,7 +18,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import lattice, uniform
 
 
 class EdgeDistribution(NamedTuple):
@@ -170,7 +170,7 @@ def _sample(
     """Edges, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
     cdf = distribution.cdf
     total = cdf[-1]
-    strata = jnp.arange(count, dtype=cdf.dtype) + jax.random.uniform(key, (count,), cdf.dtype)
+    strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
     target = strata / count * total
     edge = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
     before = jnp.where(edge > 0, cdf[edge - 1], 0.0)

@@ -21,6 +21,7 @@ from jaxdr.transport.interaction import (
     leave,
     material_point,
 )
+from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer, emitted, emitter_pdf, sample_emitter
 
 
@@ -75,7 +76,7 @@ def trace_paths(
         return PathRecord(radiance, ())
 
     def numbers(bounce):
-        fresh = jax.random.uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
+        fresh = uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
         return jnp.where(bounce == 0, u, fresh)
 
     def step(state, bounce):

@@ -20,6 +20,11 @@ def _to_unit(bits, dtype) -> Float[Array, "..."]:
     return (bits >> 8).astype(dtype) * dtype(2.0**-24)
 
 
+def uniform(key: PRNGKeyArray, shape: tuple[int, ...], dtype=jnp.float32) -> Float[Array, "..."]:
+    """Independent uniform numbers in [0, 1), the same in every precision."""
+    return _to_unit(jax.random.bits(key, shape, jnp.uint32), jnp.dtype(dtype).type)
+
+
 def lattice(
     key: PRNGKeyArray, pixels: int, index: Int[Array, " n"], dimensions: int, dtype=jnp.float32
 ) -> Float[Array, "pixels n d"]:
