@@ -9,7 +9,7 @@ from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.geometry.queries import IMPLEMENTATIONS
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings, Segments
+from jaxdr.transport.path import PathRecord, PathSettings
 
 
 @runtime_checkable
@@ -21,7 +21,7 @@ class BoundaryEstimator(Protocol):
         packed: PackedScene,
         first: SurfacePoint,
         first_wi: Float[Array, "N 3"],
-        segments: tuple[Segments, ...],
+        record: PathRecord,
         sample_index: Int[Array, " N"],
         key: PRNGKeyArray,
         settings: PathSettings,

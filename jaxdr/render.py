@@ -197,10 +197,6 @@ def _chunk(packed: PackedScene, distribution, samples, key, chunk_key, spp, inte
     share = weight.sum()
     terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
     index = jnp.tile(samples, pixels)
-    boundary = integrator.boundary
-    total = jnp.zeros_like(record.radiance)
-    for number, segments in enumerate(record.segments):
-        subkey = jax.random.fold_in(key_boundary, number)
-        total = total + boundary.estimate(packed, first, -direction, segments, index, subkey, settings)
+    total = integrator.boundary.estimate(packed, first, -direction, record, index, key_boundary, settings)
     terms["boundary"] = gather(total)
     return terms

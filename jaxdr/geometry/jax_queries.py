@@ -147,7 +147,7 @@ def _candidates(near_block, blocks, seed, capacity):
     return state[2], state[3], state[1], 1.0 / probability
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity):
+def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False):
     """(segment, edge, count, weight): see `queries.edge_candidates`."""
     height = dot(normal, target - apex)
     b, n = target[:, None], normal[:, None]
@@ -169,13 +169,13 @@ def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, sca
         share = s / length
         reach = _reach(r[None] * scale[:, None], (1 - share) / c0 + share / c1, widest)
         between = (jnp.minimum(f0, f1) < 1.0) & (jnp.maximum(f0, f1) > 1e-6)
-        opposite_side = side * dot(plane, b - apex[:, None]) < 0
+        opposite_side = (side * dot(plane, b - apex[:, None]) < 0) | (both_sides & (side != 0))
         return between & opposite_side & (reach > 0) & (s >= 0) & (s < length) & (distance < reach)
 
     return _candidates(near_block, _blocks(edges, opposite, radius), seed, capacity)
 
 
-def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity):
+def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False):
     """(segment, point, count, weight): see `queries.point_candidates`."""
     height = dot(normal, target - apex)
 
@@ -185,7 +185,7 @@ def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex,
         side = _side_of_faces(vertices, opposite[e], plane, apex)
         f, projected = _project(p[None], apex, height, normal)
         reach = _reach(r[None] * scale[:, None], 1.0 / jnp.where(f == 0, 1.0, f), widest)
-        opposite_side = side * dot(plane, (target - apex)[:, None]) < 0
+        opposite_side = (side * dot(plane, (target - apex)[:, None]) < 0) | (both_sides & (side != 0))
         near = norm(projected - target[:, None]) < reach
         return (f > 1e-6) & (f <= 1.0) & opposite_side & (reach > 0) & near
 

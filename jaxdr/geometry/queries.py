@@ -162,18 +162,19 @@ def edge_candidates(
     widest: Float[Array, " N"],
     seed: Int[Array, ""],
     capacity: int,
+    both_sides: bool = False,
     implementation: str = "warp",
 ) -> Candidates:
     """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
 
     An edge counts for a segment when all its faces (their vertices `opposite`, -1 padded) lie on one side of the plane
-    through apex and edge and the target on the other, it lies between the apex and the target's plane, and the foot
+    through apex and edge and the target on the other (or anywhere, with `both_sides`), it lies between the apex and the target's plane, and the foot
     of the perpendicular from the target onto its projection is on the projection, less than the kernel radius away.
     That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
     than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
     """
     module = _module(implementation)
-    query = _sequential(lambda *args: tuple(module.edge_candidates(*args, capacity)))
+    query = _sequential(lambda *args: tuple(module.edge_candidates(*args, capacity, both_sides)))
     return Candidates(
         *query(*_discrete(vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.asarray(seed)))
     )
@@ -193,6 +194,7 @@ def point_candidates(
     widest: Float[Array, " N"],
     seed: Int[Array, ""],
     capacity: int,
+    both_sides: bool = False,
     implementation: str = "warp",
 ) -> Candidates:
     """Points on silhouette edges whose projection from `apex` onto the plane (target, normal) is near `target`.
@@ -200,7 +202,7 @@ def point_candidates(
     As `edge_candidates`, with a disc around the projected point in place of a strip along the projected edge.
     """
     module = _module(implementation)
-    query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity)))
+    query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity, both_sides)))
     return Candidates(
         *query(*_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed))
     )

@@ -138,6 +138,7 @@ def edge_candidates(
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
     widest: wp.array(dtype=float),
+    both_sides: int,
     seed: int,
     probability: float,
     segment_out: wp.array(dtype=int),
@@ -164,7 +165,7 @@ def edge_candidates(
         p1 = vertices[edges[e][1]]
         plane = wp.cross(p0 - a, p1 - a)
         side = all_on_one_side(vertices, opposite, e, plane, a)
-        if r > 0.0 and side * wp.dot(plane, b - a) < 0.0:
+        if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
             # The part of the edge between the apex and the target's plane (0 < f <= 1), projected.
             f0 = wp.dot(n, p0 - a) / height
             f1 = wp.dot(n, p1 - a) / height
@@ -209,6 +210,7 @@ def point_candidates(
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
     widest: wp.array(dtype=float),
+    both_sides: int,
     seed: int,
     probability: float,
     segment_out: wp.array(dtype=int),
@@ -231,7 +233,7 @@ def point_candidates(
         p0 = vertices[edges[e][0]]
         plane = wp.cross(p0 - a, vertices[edges[e][1]] - a)
         side = all_on_one_side(vertices, opposite, e, plane, a)
-        if r > 0.0 and side * wp.dot(plane, b - a) < 0.0:
+        if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
             f = wp.dot(n, point[j] - a) / height
             if f > 1.0e-6 and f <= 1.0:
                 if wp.length(a + (point[j] - a) / f - b) < kernel_reach(r, 1.0 / f, widest[i]):

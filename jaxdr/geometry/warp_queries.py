@@ -235,7 +235,7 @@ def _edge_candidates(
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
     widest: wp.array(dtype=float),
-    seed: wp.array(dtype=int),
+    options: wp.array(dtype=int),
     segment: wp.array(dtype=int),
     edge: wp.array(dtype=int),
     count: wp.array(dtype=int),
@@ -245,8 +245,8 @@ def _edge_candidates(
     cache = _cache("edges", device)
     with cache.lock:
         bvh = cache.find([_host(vertices), _host(radius)], [_host(edges)])
-        leading, rays = [vertices, edges, opposite, radius], [apex, target, normal, scale, widest]
-        seed = int(_host(seed)[0])
+        seed, both_sides = (int(option) for option in _host(options))
+        leading, rays = [vertices, edges, opposite, radius], [apex, target, normal, scale, widest, both_sides]
         _compact(kernels.edge_candidates, bvh, leading, rays, seed, segment, edge, count, weight, device)
 
 
@@ -262,7 +262,7 @@ def _point_candidates(
     normal: wp.array(dtype=wp.vec3),
     scale: wp.array(dtype=float),
     widest: wp.array(dtype=float),
-    seed: wp.array(dtype=int),
+    options: wp.array(dtype=int),
     segment: wp.array(dtype=int),
     element: wp.array(dtype=int),
     count: wp.array(dtype=int),
@@ -272,8 +272,8 @@ def _point_candidates(
     cache = _cache("points", device)
     with cache.lock:
         bvh = cache.find([_host(point), _host(radius)], [])
-        leading, rays = [vertices, edges, opposite, point, point_edge, radius], [apex, target, normal, scale, widest]
-        seed = int(_host(seed)[0])
+        seed, both_sides = (int(option) for option in _host(options))
+        leading, rays = [vertices, edges, opposite, point, point_edge, radius], [apex, target, normal, scale, widest, both_sides]
         _compact(kernels.point_candidates, bvh, leading, rays, seed, segment, element, count, weight, device)
 
 
@@ -318,19 +318,19 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     return _all_hits_call(vertices, faces, origin, direction, t_max, output_dims=dims)
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity):
+def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides):
     """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
     dims = {"segment": capacity, "edge": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.reshape(seed, 1))
+    args = (vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.stack([seed, jnp.int32(both_sides)]))
     segment, edge, count, weight = _edge_candidates_call(*args, output_dims=dims)
     return segment, edge, count[0], weight[0]
 
 
 def point_candidates(
-    vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity
+    vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity, both_sides
 ):
     """(segment [C], point [C], count, weight): points on silhouette edges near segments."""
     dims = {"segment": capacity, "element": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, jnp.reshape(seed, 1))
+    args = (vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, jnp.stack([seed, jnp.int32(both_sides)]))
     segment, element, count, weight = _point_candidates_call(*args, output_dims=dims)
     return segment, element, count[0], weight[0]

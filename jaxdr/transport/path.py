@@ -29,8 +29,10 @@ class Segments(NamedTuple):
     """Path segments from an apex (nearer to the camera) to a target, [B, N, ...]: B bounces of N paths; all detached.
 
     `apex` and `target` are (face, barycentric) material points; the apex of bounce 0 is the first hit instead. Where
-    `infinite`, the target is the environment in `direction`. `contribution` is the sum over all paths through the
-    segment of f / pdf (RGB), what a boundary term on the segment is weighted with (Eq. 20).
+    `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
+    without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
+    over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
+    occluded; its weight is that of an unoccluded one.
     """
 
     apex_face: Int[Array, "B N"]
@@ -39,14 +41,20 @@ class Segments(NamedTuple):
     target_barycentric: Float[Array, "B N 3"]
     infinite: Bool[Array, "B N"]
     direction: Float[Array, "B N 3"]
-    contribution: Float[Array, "B N 3"]
+    weight: Float[Array, "B N 3"]
+    visible: Bool[Array, "B N"]
 
 
 class PathRecord(NamedTuple):
-    """Radiance towards the camera of N paths, and the segments behind the first hit (emitter and BSDF sampling)."""
+    """Radiance towards the camera of N paths, and the segments behind the first hit.
+
+    `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments; they
+    carry what is gathered at their far end and beyond. None where there are none.
+    """
 
     radiance: Float[Array, "N 3"]
-    segments: tuple[Segments, ...]
+    direct: Segments | None
+    scattered: Segments | None
 
 
 class PathSettings(NamedTuple):
@@ -73,50 +81,46 @@ def trace_paths(
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
-        return PathRecord(radiance, ())
+        return PathRecord(radiance, None, None)
 
     def numbers(bounce):
-        fresh = uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
+        fresh = jax.random.uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
         return jnp.where(bounce == 0, u, fresh)
 
     def step(state, bounce):
         return _bounce(packed, *state, numbers(bounce), settings)
 
-    state = (first, -direction, jnp.ones_like(direction))
-    if settings.mis:
-        state, (direct, scattered) = jax.lax.scan(step, state, jnp.arange(bounces))
+    # Without MIS the last bounce needs no BSDF ray; it stands behind the loop, whatever the depth.
+    looped = bounces if settings.mis else bounces - 1
+    state, parts = (first, -direction, jnp.ones_like(direction)), []
+    gathered = scattered = None
+    if looped:
+        state, (light, emission, direct, scattered) = jax.lax.scan(step, state, jnp.arange(looped))
+        parts.append((light, direct))
+        radiance = radiance + light.sum(0) + emission.sum(0)
+    if looped < bounces:
+        point, wi, throughput = state
+        scatterer = Scatterer(packed, point, wi)
+        last = _emitter_connection(packed, point, scatterer, throughput, numbers(looped)[:, :2], settings)
+        parts.append(jax.tree.map(lambda x: x[None], last))
+        radiance = radiance + last[0]
+    light, direct = jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
+    if bounces > 1:
+        # What is gathered beyond a BSDF-sampled segment: the light that later bounces add, summed from the end.
+        later = stop_gradient(light)[1:]
+        if settings.mis:
+            later = later + stop_gradient(emission)[1:]
+        gathered = jnp.cumsum(later[::-1], axis=0)[::-1]
+        scattered = jax.tree.map(lambda x: x[: bounces - 1], scattered)
+        own = scattered.weight  # so far: BSDF value times geometric term of the segment itself
+        scattered = scattered._replace(weight=jnp.where(own > 0, gathered / jnp.where(own > 0, own, 1.0), 0.0))
     else:
-        # Without MIS the last bounce needs no BSDF ray; it stands behind the loop, whatever the depth.
         scattered = None
-        if bounces > 1:
-            state, (direct, scattered) = jax.lax.scan(step, state, jnp.arange(bounces - 1))
-        last = jax.tree.map(lambda x: x[None], _next_event(packed, *state, numbers(bounces - 1)[:, :2], settings))
-        direct = last if bounces == 1 else jax.tree.map(lambda a, b: jnp.concatenate([a, b]), direct, last)
-    radiance = radiance + direct.contribution.sum(0)
-    if scattered is not None:
-        radiance = radiance + scattered.contribution.sum(0)
-    return PathRecord(radiance, _detached_segments(direct, scattered))
+    return PathRecord(radiance, jax.tree.map(stop_gradient, direct), jax.tree.map(stop_gradient, scattered))
 
 
-def _detached_segments(direct: Segments, scattered: Segments | None) -> tuple[Segments, ...]:
-    """Segments whose contributions are those of all paths through them: suffix sums over the bounces."""
-    direct = jax.tree.map(stop_gradient, direct)
-    if scattered is None:
-        return (direct,)
-    scattered = jax.tree.map(stop_gradient, scattered)
-    count = scattered.contribution.shape[0]
-    # A BSDF-sampled segment carries the emission it hits, and everything gathered at its far end and beyond.
-    gathered = jnp.concatenate([direct.contribution[1:], jnp.zeros_like(direct.contribution[:1])])[:count]
-    through = jnp.cumsum((scattered.contribution + gathered)[::-1], axis=0)[::-1]
-    return direct, scattered._replace(contribution=through)
-
-
-def _next_event(packed, point: SurfacePoint, wi, throughput, u, settings) -> Segments:
-    """Direct light at a vertex from one emitter sample; differentiable contribution."""
-    return _emitter_connection(packed, point, Scatterer(packed, point, wi), throughput, u, settings)
-
-
-def _emitter_connection(packed, point, scatterer, throughput, u, settings) -> Segments:
+def _emitter_connection(packed, point, scatterer, throughput, u, settings):
+    """(direct light at a vertex from one emitter sample, the segment to it)."""
     sample = sample_emitter(packed, u)
     offset = sample.point.position - point.position
     infinite = sample.infinite[:, None]
@@ -134,22 +138,28 @@ def _emitter_connection(packed, point, scatterer, throughput, u, settings) -> Se
     if settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(distance2 / jnp.where(reachable, cosine, 1.0))
         weight = solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards))
-    value = throughput * f * sample.radiance * (geometry / sample.pdf * weight)[:, None]
-    return Segments(
+    arriving = throughput * sample.radiance / sample.pdf[:, None]
+    value = arriving * f * (geometry * weight)[:, None]
+    segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
         target_face=sample.point.face,
         target_barycentric=sample.point.barycentric,
         infinite=sample.infinite,
         direction=sample.direction,
-        contribution=jnp.where(seen[:, None], value, 0.0),
+        weight=jnp.where(reachable[:, None], arriving, 0.0),
+        visible=seen,
     )
+    return jnp.where(seen[:, None], value, 0.0), segment
 
 
 def _bounce(packed, point: SurfacePoint, wi, throughput, u, settings):
-    """Direct light at a vertex, and the next vertex by BSDF sampling."""
+    """Direct light at a vertex, and the next vertex by BSDF sampling with the emission found there.
+
+    The weight of the BSDF-sampled segment is its BSDF value times geometric term, for `trace_paths` to divide by.
+    """
     scatterer = Scatterer(packed, point, wi)
-    direct = _emitter_connection(packed, point, scatterer, throughput, u[:, :2], settings)
+    light, direct = _emitter_connection(packed, point, scatterer, throughput, u[:, :2], settings)
 
     sampled = scatterer.sample(u[:, 2:])
     pdf = scatterer.pdf(sampled)
@@ -169,13 +179,14 @@ def _bounce(packed, point: SurfacePoint, wi, throughput, u, settings):
     geometry = jnp.where(hit, cosine / distance2 * following.area_ratio(), 1.0)
     detached = stop_gradient(geometry)
     change = jnp.where(detached > 0, geometry / jnp.where(detached > 0, detached, 1.0), 0.0)
-    factor = scatterer.eval(towards) * (change / jnp.where(active, pdf, 1.0))[:, None]
+    f = scatterer.eval(towards)
+    factor = f * (change / jnp.where(active, pdf, 1.0))[:, None]
     throughput = jnp.where(active[:, None], throughput * factor, 0.0)
 
-    value = jnp.zeros_like(throughput)
+    emission = jnp.zeros_like(throughput)
     if settings.mis:
         weight = pdf / jnp.where(active, pdf + emitter_pdf(packed, following, distance2, cosine), 1.0)
-        value = throughput * emitted(packed, following, -towards) * stop_gradient(weight)[:, None]
+        emission = throughput * emitted(packed, following, -towards) * stop_gradient(weight)[:, None]
     scattered = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -183,7 +194,9 @@ def _bounce(packed, point: SurfacePoint, wi, throughput, u, settings):
         target_barycentric=barycentric,
         infinite=active & ~hit,
         direction=sampled,
-        contribution=value,
+        weight=jnp.where(hit[:, None], stop_gradient(f) * detached[:, None], 0.0),
+        visible=hit,
     )
     carried = (throughput > 0).any(-1)
-    return (following._replace(valid=hit & carried), -towards, throughput), (direct, scattered)
+    following = following._replace(valid=hit & carried)
+    return (following, -towards, throughput), (light, emission, direct, scattered)

@@ -1,0 +1,203 @@
+"""Silhouettes as seen from the near end of a path segment, projected to its far end."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.packed import PackedScene, concave_edges
+from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.path import Segments
+from jaxdr.transport.shading import Scatterer
+
+
+class SegmentEnds(eqx.Module):
+    """Both ends of C segments; `apex` and `target` are differentiable.
+
+    `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene is
+    large. `corners` are those of the target's face, `normal` that of the plane at the target: its face, or at infinity
+    the plane across the segment.
+    """
+
+    apex: Float[Array, "C 3"]
+    target: Float[Array, "C 3"]
+    normal: Float[Array, "C 3"]
+    corners: Float[Array, "C 3 3"]
+    infinite: Bool[Array, " C"]
+
+
+class PathSegments:
+    """The segments of N paths, flattened over the bounces and looked up by number."""
+
+    def __init__(self, packed: PackedScene, first: SurfacePoint, first_wi: Float[Array, "N 3"], segments: Segments):
+        bounces, self.paths = segments.apex_face.shape
+        self.packed, self.first, self.first_wi = packed, first, first_wi
+        self.table = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), segments)
+        self.count = bounces * self.paths
+        self.distance_to_infinity = packed.size()
+
+    def path(self, index: Int[Array, " C"]) -> Int[Array, " C"]:
+        """Which path a segment belongs to."""
+        return index % self.paths
+
+    def apex(self, index: Int[Array, " C"]) -> SurfacePoint:
+        """Near ends: the first hit where the segment is the path's second one, else a material point."""
+        face, barycentric = self.table.apex_face[index], self.table.apex_barycentric[index]
+        point = material_point(self.packed, face, barycentric, jnp.ones(face.shape, bool))
+        on_ray = (index < self.paths)[:, None]
+        return point._replace(position=jnp.where(on_ray, self.first.position[self.path(index)], point.position))
+
+    def ends(self, index: Int[Array, " C"]) -> SegmentEnds:
+        """Both ends."""
+        apex = self.apex(index).position
+        face, barycentric = self.table.target_face[index], self.table.target_barycentric[index]
+        infinite, direction = self.table.infinite[index], self.table.direction[index]
+        corners = self.packed.vertices[self.packed.faces[face]]
+        normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        on_face = (corners * barycentric[..., None]).sum(1)
+        far = infinite[:, None]
+        return SegmentEnds(
+            apex=apex,
+            target=jnp.where(far, apex + self.distance_to_infinity * direction, on_face),
+            normal=jnp.where(far, direction, normal),
+            corners=corners,
+            infinite=infinite,
+        )
+
+    def weight(self, index: Int[Array, " C"]) -> Float[Array, "C 3"]:
+        """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target."""
+        far = jnp.where(self.table.infinite[index], self.distance_to_infinity**2, 1.0)
+        return self.table.weight[index] * far[:, None]
+
+    def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """BSDF value at the apex times geometric term towards points of the target's plane (RGB, per area); detached."""
+        apex = jax.tree.map(stop_gradient, self.apex(index))
+        before = jnp.maximum(index - self.paths, 0)
+        previous = stop_gradient(self.apex(before).position)
+        on_ray = (index < self.paths)[:, None]
+        wi = jnp.where(on_ray, stop_gradient(self.first_wi)[self.path(index)], normalize(previous - apex.position))
+        offset = goal - apex.position
+        distance2 = dot(offset, offset)
+        distance2 = jnp.where(distance2 > 0, distance2, 1.0)
+        towards = offset / jnp.sqrt(distance2)[:, None]
+        f = Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi).eval(towards)
+        return f * (jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)[:, None]
+
+
+class Projection(eqx.Module):
+    """Edges projected from the apex onto the plane at the target; all but `displacement` detached.
+
+    - `point` on the projected edge, `edge_point` on the 3D edge, `fraction` of the way to the plane at which that lies.
+    - `normal`: unit, in the plane, towards the side of the edge's faces (the occluded side).
+    - `displacement` = normal . (projected edge point - material point there): its derivative is the scalar normal
+      velocity V (Eq. 6).
+    - `stretch`: length on the plane per length of edge.
+    - `barycentric` coordinates of `point` on the target's face, and their rate of change along `normal`.
+    """
+
+    point: Float[Array, "C 3"]
+    edge_point: Float[Array, "C 3"]
+    fraction: Float[Array, " C"]
+    normal: Float[Array, "C 3"]
+    displacement: Float[Array, " C"]
+    stretch: Float[Array, " C"]
+    barycentric: Float[Array, "C 3"]
+    barycentric_rate: Float[Array, "C 3"]
+
+
+def project_edges(
+    packed: PackedScene, edge: Int[Array, " C"], ends: SegmentEnds, along: Float[Array, " C"] | None = None
+) -> Projection:
+    """Project edges: the foot of the perpendicular from the target, or the point `along` the 3D edge (0 to 1)."""
+    vertices = packed.vertices[packed.edges.vertices[edge]]
+    p0, p1 = vertices[:, 0], vertices[:, 1]
+    apex, target, normal = (stop_gradient(x) for x in (ends.apex, ends.target, ends.normal))
+    s0, s1 = stop_gradient(p0) - apex, stop_gradient(p1) - apex
+    height = _nonzero(dot(normal, target - apex))
+    if along is None:
+        along = _foot(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, target - apex)
+    point = (1 - along)[:, None] * p0 + along[:, None] * p1
+
+    offset = point - ends.apex
+    scale = dot(ends.normal, ends.target - ends.apex) / _nonzero(dot(ends.normal, offset))
+    projected = ends.apex + offset * scale[:, None]
+    on_plane = stop_gradient(projected)
+
+    plane = jnp.cross(s0, s1)
+    side = jnp.sign(dot(plane, stop_gradient(packed.vertices)[packed.edges.opposite[edge, 0]] - apex))
+    in_plane = normalize(plane - dot(plane, normal)[:, None] * normal) * side[:, None]
+
+    # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
+    corners = stop_gradient(ends.corners)
+    barycentric = _affine_coordinates(corners, on_plane)
+    rate = _affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
+    rigid = (ends.corners * barycentric[..., None]).sum(1)
+    material = jnp.where(ends.infinite[:, None], ends.apex + (on_plane - apex), rigid)
+
+    tangent = normalize(s1 - s0)
+    to_edge = stop_gradient(point) - apex
+    depth = _nonzero(dot(normal, to_edge))[:, None]
+    stretch = norm(height[:, None] * (tangent / depth - to_edge * dot(normal, tangent)[:, None] / depth**2))
+    return Projection(
+        point=on_plane,
+        edge_point=stop_gradient(point),
+        fraction=depth[:, 0] / height,
+        normal=in_plane,
+        displacement=dot(in_plane, projected - material),
+        stretch=stretch,
+        barycentric=barycentric,
+        barycentric_rate=rate,
+    )
+
+
+def _nonzero(x):
+    """`x`, with 1 in place of 0 for slots that hold no pair."""
+    return jnp.where(x == 0, 1.0, x)
+
+
+def _affine_coordinates(corners, point):
+    """Barycentric coordinates of points in the planes of their faces."""
+    e1, e2, q = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
+    normal = jnp.cross(e1, e2)
+    squared = dot(normal, normal)
+    v, w = dot(jnp.cross(q, e2), normal) / squared, dot(jnp.cross(e1, q), normal) / squared
+    return jnp.stack([1 - v - w, v, w], -1)
+
+
+def _foot(s0, s1, f0, f1, target):
+    """Fraction of the 3D edge that projects to the foot of the perpendicular from the target; all relative to the apex.
+
+    `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what lies between.
+    """
+    c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
+    rise = _nonzero(f1 - f0)
+    t0, t1 = jnp.where(c0 == f0, 0.0, (c0 - f0) / rise), jnp.where(c1 == f1, 1.0, (c1 - f0) / rise)
+    q0, q1 = s0 + t0[:, None] * (s1 - s0), s0 + t1[:, None] * (s1 - s0)
+    start = q0 / c0[:, None]
+    line = q1 / c1[:, None] - start
+    s = jnp.clip(dot(target - start, line) / _nonzero(dot(line, line)), 0.0, 1.0)
+    # Equal steps on the plane are not equal steps on the edge (perspective).
+    tau = s * c0 / _nonzero(s * c0 + (1 - s) * c1)
+    return t0 + tau * (t1 - t0)
+
+
+def never_silhouettes(packed: PackedScene) -> Bool[Array, " E"]:
+    """Concave edges of shapes that can only be seen from outside: they never bound what is visible."""
+    return concave_edges(packed) & _seen_from_outside(packed)[packed.edges.shape]
+
+
+def _seen_from_outside(packed: PackedScene) -> Bool[Array, " S"]:
+    """Closed one-sided shapes that no other shape reaches into: everything that scatters light is outside of them.
+
+    Decided by bounding boxes, the shape's own shrunk by one per cent so that touching is not reaching in.
+    """
+    points = stop_gradient(packed.vertices)[packed.faces]
+    count = len(packed.closed)
+    lower = jax.ops.segment_min(points.min(1), packed.face_shape, count)
+    upper = jax.ops.segment_max(points.max(1), packed.face_shape, count)
+    margin = 0.01 * (upper - lower)
+    apart = (lower[None] > (upper - margin)[:, None]) | (upper[None] < (lower + margin)[:, None])
+    alone = (apart.any(-1) | jnp.eye(count, dtype=bool)).all(1)
+    return alone & jnp.asarray(packed.closed) & ~packed.two_sided
