@@ -147,7 +147,8 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     distribution = None
     if with_boundary:
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
-        distribution = edge_distribution(packed, shapes)
+        key, pilot_key = jax.random.split(key)
+        distribution = edge_distribution(packed, shapes, pilot_key)
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)

@@ -17,16 +17,22 @@ from jaxdr.transport.interaction import SurfacePoint, local_frame, material_poin
 class Scatterer:
     """The BSDFs at N surface points for the directions `wi` towards the previous vertex (world space).
 
-    Two-sided surfaces are turned to the side of `wi`.
+    Two-sided surfaces are turned to the side of `wi`. Which side that is, the geometric normal decides: where an
+    interpolated normal faces away from a visible surface, `wi` is mirrored into its hemisphere, or a black fringe would
+    border silhouettes and move over the faces without any edge.
     """
 
     def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
         shape = packed.face_shape[point.face]
         behind = stop_gradient(dot(point.normal, wi)) < 0
-        flip = jnp.where(behind & packed.two_sided[shape], -1.0, 1.0)[:, None].astype(wi.dtype)
+        turned = behind & packed.two_sided[shape]
+        flip = jnp.where(turned, -1.0, 1.0)[:, None].astype(wi.dtype)
         self.normal = flip * point.normal
         self.to_local, self.to_world = local_frame(flip * point.shading_normal)
         self.wi = self.to_local(wi)
+        if packed.normals is not None:
+            below = (self.wi[:, 2:] < 0) != (behind & ~turned)[:, None]
+            self.wi = jnp.where(below, self.wi * jnp.asarray([1.0, 1.0, -1.0], wi.dtype), self.wi)
         self.groups = [(_take(group.bsdf, group.row[shape]), group.member[shape]) for group in packed.bsdfs]
 
     def _combine(self, values):

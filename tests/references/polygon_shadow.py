@@ -1,6 +1,6 @@
-"""Exact irradiance under a polygonal light partly hidden by a convex blocker, and its exact derivatives.
+"""Exact irradiance under a polygonal light partly hidden by convex blockers, and its exact derivatives.
 
-What the blocker hides is the light clipped against the pyramid from the point over the blocker's outline, and each
+What a blocker hides is the light clipped against the pyramid from the point over the blocker's outline, and each
 polygon has Lambert's closed form. When a vertex moves, the visible arcs of the outlines of blocker and light sweep area
 on the sphere of directions; their cosine-weighted sweep is the derivative. Nothing here comes from jaxdr: numpy,
 float64, no sampling, no finite differences.
@@ -14,44 +14,47 @@ from scipy.spatial import ConvexHull
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
-def irradiance(point, normal, light, blocker=None):
+def irradiance(point, normal, light, blockers=()):
     """Irradiance at a point under a one-sided light of radiance 1.
 
-    `light` [L, 3]: planar, counter-clockwise seen from the side that emits. `blocker` [B, 3]: the outline of an opaque
-    thing that looks convex from the point and lies between it and the light; either orientation, need not be planar.
+    `light` [L, 3]: planar, counter-clockwise seen from the side that emits. `blockers`: outlines [B, 3] of opaque
+    things between the point and the light that look convex and disjoint from the point (they may touch: several convex
+    pieces make any shape); either orientation, not necessarily planar.
     """
     light, normal = np.asarray(light, float) - point, np.asarray(normal, float)
     if _facing(light) @ light[0] >= 0:
         return 0.0  # the point is behind the light
     light = _clip(light, normal)
-    if blocker is None:
-        return _lambert(light, normal)
-    hidden = light
-    for inward in _pyramid(np.asarray(blocker, float) - point):
-        hidden = _clip(hidden, inward)
-    return _lambert(light, normal) - _lambert(hidden, normal)
+    total = _lambert(light, normal)
+    for blocker in blockers:
+        hidden = light
+        for inward in _pyramid(np.asarray(blocker, float) - point):
+            hidden = _clip(hidden, inward)
+        total -= _lambert(hidden, normal)
+    return total
 
 
-def irradiance_derivatives(point, normal, light, blocker):
-    """Derivatives of `irradiance`: blocker vertices [B, 3], light vertices [L, 3] and the point [3] (normal fixed)."""
-    light, blocker, normal = (np.asarray(a, float) for a in (light, blocker, normal))
-    light, blocker = light - point, blocker - point
+def irradiance_derivatives(point, normal, light, blockers):
+    """Derivatives of `irradiance`: vertices of each blocker (list), of the light, and the point (normal fixed)."""
+    light, normal = np.asarray(light, float) - point, np.asarray(normal, float)
+    blockers = [np.asarray(blocker, float) - point for blocker in blockers]
     if _facing(light) @ light[0] >= 0:
-        return np.zeros_like(blocker), np.zeros_like(light), np.zeros(3)
-    pyramid = _pyramid(blocker)
+        return [np.zeros_like(blocker) for blocker in blockers], np.zeros_like(light), np.zeros(3)
+    pyramids = [_pyramid(blocker) for blocker in blockers]
     outline = np.cross(light, np.roll(light, -1, axis=0))
 
     def lit(direction):
         return direction @ normal > 0 and direction @ _facing(light) < 0 and _winding(light, direction) != 0
 
     def unhidden(direction):
-        return direction @ normal > 0 and np.any(pyramid @ direction < 0)
+        return direction @ normal > 0 and all(np.any(pyramid @ direction < 0) for pyramid in pyramids)
 
-    d_blocker = _sweep(blocker, normal, lit, [*outline, normal])
-    if np.dot(np.cross(blocker[0], blocker[1]), pyramid[0]) < 0:  # a growing blocker takes light away
-        d_blocker = -d_blocker
-    d_light = _sweep(light, normal, unhidden, [*pyramid, normal])
-    return d_blocker, d_light, -(d_blocker.sum(0) + d_light.sum(0))
+    d_blockers = []
+    for blocker, pyramid in zip(blockers, pyramids, strict=True):
+        inwards = np.sign(np.cross(blocker[0], blocker[1]) @ pyramid[0])  # a growing blocker takes light away
+        d_blockers.append(inwards * _sweep(blocker, normal, lit, [*outline, normal]))
+    d_light = _sweep(light, normal, unhidden, [*np.concatenate([*pyramids, [normal]])])
+    return d_blockers, d_light, -(sum(d.sum(0) for d in d_blockers) + d_light.sum(0))
 
 
 def silhouette(point, vertices):

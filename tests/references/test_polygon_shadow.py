@@ -57,7 +57,7 @@ def inside(points, polygon):
 @pytest.mark.parametrize("case", CASES)
 def test_irradiance_is_the_integral_over_the_visible_light(case):
     light, blocker = CASES[case]
-    exact = irradiance(POINT, NORMAL, light, blocker)
+    exact = irradiance(POINT, NORMAL, light, [blocker])
     assert exact < 0.97 * irradiance(POINT, NORMAL, light), "the blocker must matter"
     np.testing.assert_allclose(exact, quadrature(light, blocker, 1200), rtol=1e-3)
 
@@ -71,13 +71,13 @@ def test_unblocked_square_above_the_point():
 
 
 def test_behind_the_light_is_dark():
-    assert irradiance(POINT, NORMAL, SQUARE[::-1], TRIANGLE) == 0.0
+    assert irradiance(POINT, NORMAL, SQUARE[::-1], [TRIANGLE]) == 0.0
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_derivatives_are_those_of_the_irradiance(case):
     light, blocker = CASES[case]
-    d_blocker, d_light, d_point = irradiance_derivatives(POINT, NORMAL, light, blocker)
+    (d_blocker,), d_light, d_point = irradiance_derivatives(POINT, NORMAL, light, [blocker])
     step = 1e-6
 
     def difference(which, index, axis):
@@ -85,7 +85,7 @@ def test_derivatives_are_those_of_the_irradiance(case):
         for sign in (1, -1):
             moved = [POINT.copy(), light.copy(), blocker.copy()]
             moved[which][(*index, axis)] += sign * step
-            values.append(irradiance(moved[0], NORMAL, moved[1], moved[2]))
+            values.append(irradiance(moved[0], NORMAL, moved[1], [moved[2]]))
         return (values[0] - values[1]) / (2 * step)
 
     for i, axis in np.ndindex(blocker.shape):
@@ -97,9 +97,23 @@ def test_derivatives_are_those_of_the_irradiance(case):
 
 
 def test_orientation_of_the_blocker_does_not_matter():
-    forward = irradiance_derivatives(POINT, NORMAL, SQUARE, TRIANGLE)[0]
-    backward = irradiance_derivatives(POINT, NORMAL, SQUARE, TRIANGLE[::-1])[0]
+    forward = irradiance_derivatives(POINT, NORMAL, SQUARE, [TRIANGLE])[0][0]
+    backward = irradiance_derivatives(POINT, NORMAL, SQUARE, [TRIANGLE[::-1]])[0][0]
     np.testing.assert_allclose(forward, backward[::-1], atol=1e-14)
+
+
+def test_pieces_make_a_whole():
+    """A blocker cut in two hides the same, and its derivatives add up: those of the common edge cancel."""
+    middle = 0.3 * TRIANGLE[1] + 0.7 * TRIANGLE[2]
+    pieces = [np.array([TRIANGLE[0], TRIANGLE[1], middle]), np.array([TRIANGLE[0], middle, TRIANGLE[2]])]
+    whole = irradiance(POINT, NORMAL, SQUARE, [TRIANGLE])
+    np.testing.assert_allclose(irradiance(POINT, NORMAL, SQUARE, pieces), whole, rtol=1e-14)
+    (one,), light, point = irradiance_derivatives(POINT, NORMAL, SQUARE, [TRIANGLE])
+    (first, second), light_of_two, point_of_two = irradiance_derivatives(POINT, NORMAL, SQUARE, pieces)
+    np.testing.assert_allclose(first[0] + second[0], one[0], atol=1e-14)
+    np.testing.assert_allclose(first[2] + second[1] + first[1] + second[2], one[1] + one[2], atol=1e-14)
+    np.testing.assert_allclose(light_of_two, light, atol=1e-14)
+    np.testing.assert_allclose(point_of_two, point, atol=1e-14)
 
 
 def test_silhouette_of_a_box():
