@@ -136,8 +136,8 @@ def _importance(packed: PackedScene, moving, key):
             light, difference = receive(direction, jnp.where(sample.infinite[i], 1.0, facing) * power / PILOTS)
             received, jump = received + light, jump + difference
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
-    crease = jump + 0.1 * typical * jnp.where(smooth, 0.1, 1.0) * fold
-    importance = jnp.where(silhouette, typical + received, crease)
+    crease = jump + typical * jnp.where(smooth, 0.1, 1.0) * fold
+    importance = jnp.where(silhouette, 0.5 * (typical + received), crease)
     return silhouette, jnp.where(jnp.asarray(moving)[edges.shape], importance, 0.0)
 
 
