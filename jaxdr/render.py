@@ -16,11 +16,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
 from jaxdr.integrator import PathTracer
+from jaxdr.scene.film import Box
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.interaction import intersect, on_fixed_ray
 from jaxdr.transport.path import trace_paths
-from jaxdr.transport.sampler import FIRST_DIMENSIONS, lattice
+from jaxdr.transport.primary import primary_samples
 
 
 class Moving(NamedTuple):
@@ -61,6 +61,8 @@ def render(
         raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
+    if integrator.primary == "material" and isinstance(scene.camera.film.filter, Box):
+        raise ValueError('render: primary="material" differentiates the pixel filter, and a Box has no derivative; use Gaussian')
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
@@ -148,11 +150,12 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     if with_boundary:
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
-        distribution = edge_distribution(packed, shapes, pilot_key)
+        distribution = edge_distribution(packed, shapes, pilot_key, creases=integrator.primary == "fixed_ray")
+    key_film, key_chunks = jax.random.split(key)
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
-        return _chunk(packed, distribution, samples, key, jax.random.fold_in(key, index), spp, integrator)
+        return _chunk(packed, distribution, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
 
     if chunks == 1:
         return chunk(packed, 0)
@@ -167,37 +170,27 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
 def _chunk(packed: PackedScene, distribution, samples, key, chunk_key, spp, integrator) -> dict:
     """Share of the image from some samples of every pixel: `samples` are their numbers, those from `spp` on count zero."""
-    film = packed.camera.film
-    x0, y0, width, height = film.window
+    _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
-    dtype = packed.vertices.dtype
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
-    settings = integrator.settings
+    settings, material = integrator.settings, distribution is not None and integrator.primary == "material"
+    primary = primary_samples(packed, samples, key, settings.rays, material)
+    record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings)
+    radiance = record.radiance * primary.weight[:, None]
 
-    u = lattice(key, pixels, samples, FIRST_DIMENSIONS, dtype).reshape(pixels * count, FIRST_DIMENSIONS)
-    row, column = jnp.divmod(jnp.arange(pixels), width)
-    centre = jnp.stack([column + x0, row + y0], -1).astype(dtype) + 0.5
-    film_points = jnp.repeat(centre, count, axis=0) + film.filter.sample(u[:, :2])
-    origin, direction = packed.camera.rays(film_points)
-    origin = jnp.broadcast_to(origin, direction.shape)
-    everywhere = jnp.ones(pixels * count, bool)
-    face = intersect(packed, origin, direction, everywhere, settings.rays)
-    first = on_fixed_ray(packed, origin, direction, face)
-    record = trace_paths(packed, first, direction, u[:, 2:], key_path, settings)
-
-    weight = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
+    weight = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(radiance.dtype)
 
     def gather(values):
         return (values.reshape(pixels, count, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
 
-    terms = {"interior": gather(record.radiance)}
+    terms = {"interior": gather(radiance)}
     if distribution is None:
         return terms
     points = max(1, round(pixels * count * integrator.edge_samples))
-    edges = film_edge_terms(packed, distribution, points, key_edges, settings)
+    edges = film_edge_terms(packed, distribution, points, key_edges, settings, material)
     share = weight.sum()
     terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
     index = jnp.tile(samples, pixels)
-    total = integrator.boundary.estimate(packed, first, -direction, record, index, key_boundary, settings)
+    total = integrator.boundary.estimate(packed, primary.first, -primary.direction, record, index, key_boundary, settings)
     terms["boundary"] = gather(total)
     return terms

@@ -16,7 +16,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import LUMINANCE, PackedScene
 from jaxdr.scene.splat import splat
-from jaxdr.transport.interaction import on_fixed_ray
+from jaxdr.transport.interaction import material_point, on_fixed_ray
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.shading import has_emitters, sample_emitter
@@ -41,8 +41,10 @@ class EdgeDistribution(NamedTuple):
     cdf: Float[Array, " E"]
 
 
-def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
-    """Distribution over the silhouettes and creases of the `moving` shapes (all of them when the camera moves)."""
+def edge_distribution(
+    packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, creases: bool = True
+) -> EdgeDistribution:
+    """Distribution over the silhouettes and `creases` of the `moving` shapes; `key` draws a few emitter samples."""
     packed = jax.tree.map(stop_gradient, packed)
     camera, edges = packed.camera, packed.edges
     local = camera.local(packed.vertices)
@@ -57,6 +59,8 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
     s0, s1 = _inside_window(camera.film, start, end)
     length = jnp.where(in_front, norm(end - start) * jnp.maximum(s1 - s0, 0.0), 0.0)
     silhouette, importance = _importance(packed, moving, key)
+    if not creases:
+        importance = jnp.where(silhouette, importance, 0.0)
     cdf = jnp.cumsum(length * importance)
     return EdgeDistribution(
         start=start,
@@ -149,9 +153,18 @@ class FilmEdgeTerms(NamedTuple):
 
 
 def film_edge_terms(
-    packed: PackedScene, distribution: EdgeDistribution, count: int, key: PRNGKeyArray, settings: PathSettings
+    packed: PackedScene,
+    distribution: EdgeDistribution,
+    count: int,
+    key: PRNGKeyArray,
+    settings: PathSettings,
+    material: bool = False,
 ) -> FilmEdgeTerms:
-    """Boundary terms of the film from `count` edge points, stratified along all edges."""
+    """Boundary terms of the film from `count` edge points, stratified along all edges.
+
+    With `material` first hits only the surface behind a silhouette has a boundary there, and the edge's velocity counts
+    relative to that surface.
+    """
     camera, film = packed.camera, packed.camera.film
     key_edge, key_first, key_path = jax.random.split(key, 3)
     edge, fraction, weight = _sample(distribution, count, key_edge)
@@ -179,9 +192,10 @@ def film_edge_terms(
         first = on_fixed_ray(detached, origin, direction, hit.face)
         # Common random numbers on both sides: what does not jump cancels.
         found = trace_paths(detached, first, direction, u, key_path, settings).radiance
-        return found, hit.face, jnp.where(hit.face >= 0, hit.t.astype(direction.dtype), jnp.inf)
+        distance = jnp.where(first.valid, hit.t.astype(direction.dtype), jnp.inf)
+        return found, hit.face, first.barycentric, distance
 
-    colour, face, distance = jax.vmap(radiance)(jnp.asarray([1.0, -1.0], point.dtype))
+    colour, face, barycentric, distance = jax.vmap(radiance)(jnp.asarray([1.0, -1.0], point.dtype))
     edge_distance = norm(stop_gradient(point) - detached.camera.position)
     at_edge = jnp.abs(distance.min(0) - edge_distance) <= edge_distance * (
         1e-5 + 50 * step / detached.camera.pixels_per_tangent
@@ -190,8 +204,21 @@ def film_edge_terms(
     at_neighbour = ((face[:, :, None] == neighbours[None]) & (neighbours >= 0)[None]).any((0, 2))
     seen = at_edge | at_neighbour
 
-    displacement = dot(normal, film_point - stop_gradient(film_point))
-    value = jnp.where(seen, weight, 0.0)[:, None] * (colour[1] - colour[0]) * displacement[:, None]
+    jump = colour[1] - colour[0]
+    position = film_point
+    if material:
+        behind = distance.argmax(0)
+        jump = jnp.where((behind == 1)[:, None], colour[1], -colour[0])
+        far_face, far_barycentric = (
+            jnp.take_along_axis(x, behind.reshape(1, -1, *[1] * (x.ndim - 2)), 0)[0] for x in (face, barycentric)
+        )
+        hits = far_face >= 0
+        far = material_point(packed, jnp.where(hits, far_face, 0), far_barycentric, hits)
+        local = camera.local(far.position)
+        local = jnp.where(hits[:, None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
+        position = film_point - jnp.where(hits[:, None], camera.project_local(local), 0.0)
+    displacement = dot(normal, position - stop_gradient(position))
+    value = jnp.where(seen, weight, 0.0)[:, None] * jump * displacement[:, None]
     is_silhouette = d.silhouette[:, None]
     return FilmEdgeTerms(
         silhouettes=splat(film, film_point, jnp.where(is_silhouette, value, 0.0)),

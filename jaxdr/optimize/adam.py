@@ -36,14 +36,14 @@ def scale_by_adam_uniform(b1: float = 0.9, b2: float = 0.999, eps: float = 1e-8)
     if not (0 <= b1 < 1 and 0 <= b2 < 1 and eps >= 0):
         raise ValueError(f"adam_uniform: need 0 <= b1 < 1, 0 <= b2 < 1 and eps >= 0; got {b1}, {b2} and {eps}")
 
-    def init(parameters):
-        zeros = optax.tree.zeros_like(parameters)
+    def init(params):
+        zeros = optax.tree.zeros_like(params)
         return AdamUniformState(jnp.zeros([], jnp.int32), zeros, zeros)
 
-    def update(gradient, state, parameters=None):
-        del parameters
-        mu = optax.tree.update_moment(gradient, state.mu, b1, 1)
-        nu = optax.tree.update_moment(gradient, state.nu, b2, 2)
+    def update(updates, state, params=None):
+        del params
+        mu = optax.tree.update_moment(updates, state.mu, b1, 1)
+        nu = optax.tree.update_moment(updates, state.nu, b2, 2)
         count = state.count + 1
 
         def scaled(m, n):

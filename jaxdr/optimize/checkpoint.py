@@ -38,7 +38,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     arrays = {name: np.asarray(value) for name, value in checkpoint._asdict().items() if name != "optimizer"}
     leaves = {f"optimizer_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(checkpoint.optimizer))}
     with atomic_path(path) as temporary:
-        np.savez(temporary, **arrays, **leaves)
+        np.savez(temporary, allow_pickle=False, **arrays, **leaves)
 
 
 def load_checkpoint(path: Path, optimizer: optax.GradientTransformation) -> Checkpoint:

@@ -14,7 +14,7 @@ from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
 from jaxdr.optimize.problem import OBJECT, build_problem
-from jaxdr.optimize.progress import Progress, deferred_interrupt
+from jaxdr.optimize.progress import Interruption, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
 
 # Streams of random numbers under the run's seed.
@@ -39,8 +39,7 @@ def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = 
     """
     run = _Run(config)
     run.folder.open(resume, overwrite)
-    with deferred_interrupt() as interruption:
-        run.interruption = interruption
+    with deferred_interrupt() as run.interruption:
         return run.run(resume)
 
 
@@ -55,6 +54,7 @@ class _Run:
         if self.remeshing:
             require_gpytoolbox()  # now, not after an hour
         self.folder = RunFolder(config)
+        self.interruption = Interruption()
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
 

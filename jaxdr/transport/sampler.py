@@ -1,4 +1,4 @@
-"""Random numbers of a path: reproducible, independent for every pixel and bounce, well spread over a pixel's samples."""
+"""Random numbers of a path: reproducible, independent for every pixel and bounce, spread evenly in a pixel."""
 
 import jax
 import jax.numpy as jnp
