@@ -1,10 +1,20 @@
-"""jaxdr: differentiable rendering in JAX, with correct derivatives where visibility changes."""
+"""jaxdr: differentiable rendering in JAX, with right derivatives where visibility changes."""
+
+from importlib.metadata import PackageNotFoundError as _NotInstalled
+from importlib.metadata import version as _version
 
 from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
+from jaxdr.geometry import shapes as shapes
 from jaxdr.geometry.load import load_mesh as load_mesh
 from jaxdr.geometry.load import save_mesh as save_mesh
 from jaxdr.geometry.mesh import Mesh as Mesh
 from jaxdr.integrator import PathTracer as PathTracer
+from jaxdr.optimize import losses as losses
+from jaxdr.optimize.adam import adam_uniform as adam_uniform
+from jaxdr.optimize.chamfer import chamfer as chamfer
+from jaxdr.optimize.preconditioner import LargeSteps as LargeSteps
+from jaxdr.optimize.remesh import remesh as remesh
+from jaxdr.render import Moving as Moving
 from jaxdr.render import derivative_terms as derivative_terms
 from jaxdr.render import render as render
 from jaxdr.scene.bsdf import Diffuse as Diffuse
@@ -20,3 +30,8 @@ from jaxdr.scene.film import Tent as Tent
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape
+
+try:
+    __version__ = _version("jaxdr")
+except _NotInstalled:  # run from a source tree that was never installed
+    __version__ = "0.0.0"

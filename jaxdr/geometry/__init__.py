@@ -1,0 +1,1 @@
+"""Meshes, procedural shapes and ray queries."""

@@ -1,0 +1,1 @@
+"""Losses, preconditioning, remeshing, metrics, and the optimisation loop with its checkpoints."""

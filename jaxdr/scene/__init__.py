@@ -1,0 +1,1 @@
+"""Camera, film, materials, emitters, the scene and its file formats."""

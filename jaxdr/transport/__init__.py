@@ -1,0 +1,1 @@
+"""Random numbers, first hits, path tracing."""
