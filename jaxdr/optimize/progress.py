@@ -7,22 +7,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TextIO
 
 from tqdm import tqdm
 
 
 class Progress:
-    """Reports on `total` steps of which `done` are done. On a terminal a tqdm bar; otherwise a line every `seconds`."""
+    """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then."""
 
-    def __init__(self, name: str, total: int, done: int = 0, stream: TextIO | None = None, seconds: float = 10.0):
+    def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0):
         self.name, self.total, self.done, self.seconds = name, total, done, seconds
-        self.stream = sys.stderr if stream is None else stream
         self.first = done
-        self.start = self.last_line = time.monotonic()
         self.bar = None
-        if self.stream.isatty():
-            self.bar = tqdm(total=total, initial=done, desc=name, file=self.stream, dynamic_ncols=True)
+        if sys.stderr.isatty():
+            self.bar = tqdm(total=total, initial=done, desc=name, file=sys.stderr, dynamic_ncols=True)
 
     def __enter__(self) -> "Progress":
         return self
@@ -39,18 +36,25 @@ class Progress:
             self.bar.update()
             return
         now = time.monotonic()
-        if now - self.last_line >= self.seconds or self.done == self.total or self.done == self.first + 1:
+        if self.done == self.first + 1:
+            # The first step compiles: it shows that things move, and says nothing about the time left.
+            self.start = self.last_line = now
+            left = ""
+        elif now - self.last_line >= self.seconds or self.done == self.total:
             self.last_line = now
-            left = (now - self.start) / (self.done - self.first) * (self.total - self.done)
-            shown = "".join(f"  {k} {v:.4g}" for k, v in values.items())
-            print(f"{self.name} {self.done}/{self.total}{shown}  {_clock(left)} left", file=self.stream, flush=True)
+            per_step = (now - self.start) / (self.done - self.first - 1)
+            left = f"  {_clock(per_step * (self.total - self.done))} left"
+        else:
+            return
+        shown = "".join(f"  {k} {v:.4g}" for k, v in values.items())
+        print(f"{self.name} {self.done}/{self.total}{shown}{left}", file=sys.stderr, flush=True)
 
     def say(self, text: str) -> None:
         """A line of text that doesn't break the bar."""
         if self.bar is not None:
-            self.bar.write(text, file=self.stream)
+            self.bar.write(text, file=sys.stderr)
         else:
-            print(text, file=self.stream, flush=True)
+            print(text, file=sys.stderr, flush=True)
 
 
 class Interruption:

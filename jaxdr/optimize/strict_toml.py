@@ -60,7 +60,7 @@ def build(kind: type[Config], table: dict, source: str) -> Config:
     return _convert(kind, table, source, "")
 
 
-def _convert(kind: type[Any], value, source: str, key: str) -> Any:
+def _convert(kind: Any, value, source: str, key: str) -> Any:
     place = f"{source}: {key}" if key else source
     if dataclasses.is_dataclass(kind):
         return _convert_table(kind, value, source, key)

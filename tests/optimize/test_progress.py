@@ -1,0 +1,66 @@
+"""Progress lines, the bar on a terminal, and the deferred Ctrl-C."""
+
+import io
+import signal
+import sys
+import threading
+
+import pytest
+
+from jaxdr.optimize import progress
+from jaxdr.optimize.progress import Progress, deferred_interrupt
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_lines_where_there_is_no_terminal(monkeypatch, capsys):
+    clock = iter([4.0, 11.0, 15.0, 18.0, 24.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+    with Progress("optimise", 7, done=2) as bar:
+        for loss in (0.5, 0.4, 0.3, 0.2, 0.12345):
+            bar.step(loss=loss)
+        bar.say("done")
+    # The first, every ten seconds, the last; time left from the steps after the first, which compiled.
+    assert capsys.readouterr().err.splitlines() == [
+        "optimise 3/7  loss 0.5",
+        "optimise 5/7  loss 0.3  0:11 left",
+        "optimise 7/7  loss 0.1235  0:00 left",
+        "done",
+    ]
+
+
+def test_bar_on_a_terminal(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with Progress("optimise", 2) as bar:
+        bar.step(loss=0.5)
+        bar.step(loss=0.25)
+    assert "optimise: 100%" in stream.getvalue()
+    assert "2/2" in stream.getvalue() and "loss=0.25" in stream.getvalue()
+
+
+def test_first_ctrl_c_waits_second_stops(capsys):
+    with deferred_interrupt() as interruption:
+        assert not interruption.requested
+        signal.raise_signal(signal.SIGINT)
+        assert interruption.requested
+        assert "Ctrl-C again stops at once" in capsys.readouterr().err
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_may_use_it():
+    seen = []
+
+    def work():
+        with deferred_interrupt() as interruption:
+            seen.append(interruption.requested)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [False]
