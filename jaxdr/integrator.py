@@ -1,6 +1,6 @@
 """Integrators: what `render` estimates and how, as static settings."""
 
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -14,11 +14,17 @@ from jaxdr.transport.path import PathRecord, PathSettings
 
 @runtime_checkable
 class BoundaryEstimator(Protocol):
-    """Boundary term of the segments behind the first hit; see `KernelDensity.estimate`."""
+    """Boundary term of the segments behind the first hit; see `KernelDensity`.
+
+    `prepare` runs once an image, `estimate` for every chunk of its samples.
+    """
+
+    def prepare(self, packed: PackedScene) -> Any: ...
 
     def estimate(
         self,
         packed: PackedScene,
+        prepared: Any,
         first: SurfacePoint,
         first_wi: Float[Array, "N 3"],
         record: PathRecord,
@@ -32,10 +38,10 @@ class PathTracer(eqx.Module):
     """Unidirectional path tracing with next-event estimation; every field is static.
 
     - `max_depth`: longest path in segments, as Mitsuba counts: 1 = emitters seen directly, 2 = direct light, ...
-    - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and* the
-      moving silhouettes and creases in the image (interior term only).
-    - `primary`: "fixed_ray" (camera rays stay, moving edges in the image are explicit) or "material" (first hits move with
-      their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures).
+    - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and*
+      the moving silhouettes and creases in the image (interior term only).
+    - `primary`: "fixed_ray" (camera rays stay, moving edges in the image are explicit) or "material" (first hits move
+      with their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures).
     - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
       faster where emitters are small and always noisier where they are large or near.
     - `edge_samples`: edge points in the image per path sample.
@@ -54,7 +60,11 @@ class PathTracer(eqx.Module):
     def __check_init__(self):
         if self.max_depth < 1:
             raise ValueError(f"PathTracer: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
-        for name, known in (("primary", ("fixed_ray", "material")), ("sampling", ("mis", "emitter")), ("rays", IMPLEMENTATIONS)):
+        for name, known in (
+            ("primary", ("fixed_ray", "material")),
+            ("sampling", ("mis", "emitter")),
+            ("rays", IMPLEMENTATIONS),
+        ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
         if not self.edge_samples > 0 or self.chunk_size < 1:

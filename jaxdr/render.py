@@ -8,7 +8,6 @@ and the gradient of a non-linear loss of the image is unbiased.
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
@@ -49,8 +48,8 @@ def render(
 ) -> Float[Array, "H W 3"]:
     """Image [H, W, 3] of a scene, linear RGB, row 0 at the top; differentiable in every float parameter of the scene.
 
-    `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the same
-    image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
+    `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the
+    same image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
     differentiated is known when the program is traced, and only the terms they need are compiled.
     Raises ValueError for spp < 1 or an argument of the wrong kind.
     """
@@ -62,7 +61,9 @@ def render(
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
     if integrator.primary == "material" and isinstance(scene.camera.film.filter, Box):
-        raise ValueError('render: primary="material" differentiates the pixel filter, and a Box has no derivative; use Gaussian')
+        raise ValueError(
+            'render: primary="material" differentiates the pixel filter, and a Box has no derivative; use Gaussian'
+        )
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
@@ -140,22 +141,25 @@ def _moving(active: Scene) -> Moving:
 def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Moving | None) -> dict:
     """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel."""
     packed = pack(scene)
-    x0, y0, width, height = scene.camera.film.window
+    _, _, width, height = scene.camera.film.window
     pixels = width * height
     chunks = -(-spp * pixels // integrator.chunk_size)
     chunks = min(chunks, spp)
     per_chunk = -(-spp // chunks)
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
-    distribution = None
+    distribution = prepared = None
     if with_boundary:
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
         distribution = edge_distribution(packed, shapes, pilot_key, creases=integrator.primary == "fixed_ray")
+        prepared = integrator.boundary.prepare(packed)
     key_film, key_chunks = jax.random.split(key)
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
-        return _chunk(packed, distribution, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
+        return _chunk(
+            packed, distribution, prepared, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator
+        )
 
     if chunks == 1:
         return chunk(packed, 0)
@@ -168,8 +172,8 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
 
 
-def _chunk(packed: PackedScene, distribution, samples, key, chunk_key, spp, integrator) -> dict:
-    """Share of the image from some samples of every pixel: `samples` are their numbers, those from `spp` on count zero."""
+def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key, spp, integrator) -> dict:
+    """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero."""
     _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
@@ -191,6 +195,8 @@ def _chunk(packed: PackedScene, distribution, samples, key, chunk_key, spp, inte
     share = weight.sum()
     terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
     index = jnp.tile(samples, pixels)
-    total = integrator.boundary.estimate(packed, primary.first, -primary.direction, record, index, key_boundary, settings)
+    total = integrator.boundary.estimate(
+        packed, prepared, primary.first, -primary.direction, record, index, key_boundary, settings
+    )
     terms["boundary"] = gather(total)
     return terms

@@ -35,8 +35,8 @@ class KernelDensity(eqx.Module):
     Where this differs from the paper, each difference has a switch; the values in brackets are the paper's.
 
     - `widest` (0): the radius is measured at the edge and magnified by the projection to the far end, up to this share
-      of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely met:
-      ten times the variance on a mesh that shadows itself.
+      of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely
+      met: ten times the variance on a mesh that shadows itself.
     - `concave_edges` (True): count concave edges of closed one-sided shapes, which never bound what is visible.
     - `visibility_ray` (False): drop silhouettes that are hidden, by one ray that passes just beside the edge.
     - `at_boundary` (False): evaluate BSDF and geometric term on the boundary and not at the path's own vertex, which is
@@ -49,8 +49,8 @@ class KernelDensity(eqx.Module):
     With `kernel="edge"` and all of these on, direct light from polygons has no bias at any radius; light that arrives
     from other surfaces keeps one, as what they radiate at the boundary is taken from r away.
 
-    `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at random
-    without bias, with a warning. Direct light is weighted by emitter sampling alone, without MIS.
+    `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
+    random without bias, with a warning. Direct light is weighted by emitter sampling alone, without MIS.
     """
 
     radius: float = eqx.field(static=True, default=0.02)
@@ -88,9 +88,15 @@ class KernelDensity(eqx.Module):
             radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
         return radii
 
+    def prepare(self, packed: PackedScene) -> Float[Array, " E"]:
+        """Kernel radius of every edge (scene units), once for a whole image; zero leaves the edge out."""
+        radius = self.radius * packed.shape_sizes()[packed.edges.shape]
+        return radius if self.concave_edges else jnp.where(never_silhouettes(packed), 0.0, radius)
+
     def estimate(
         self,
         packed: PackedScene,
+        radius: Float[Array, " E"],
         first: SurfacePoint,
         first_wi: Float[Array, "N 3"],
         record: PathRecord,
@@ -100,8 +106,8 @@ class KernelDensity(eqx.Module):
     ) -> Float[Array, "N 3"]:
         """Boundary term of N paths: zero in value, right in derivative.
 
-        `first` are the paths' first hits (differentiable), `first_wi` the directions from them to the camera,
-        `sample_index` numbers the samples of a pixel.
+        `radius` as `prepare` returns it. `first` are the paths' first hits (differentiable), `first_wi` the directions
+        from them to the camera, `sample_index` numbers the samples of a pixel.
         """
         total = jnp.zeros_like(record.radiance)
         schedule = jnp.asarray(self.radius_schedule(), total.dtype)
@@ -109,13 +115,15 @@ class KernelDensity(eqx.Module):
         key_direct, key_scattered = jax.random.split(key)
         if record.direct is not None:
             paths = PathSegments(packed, first, first_wi, record.direct)
-            total = total + self._term(packed, paths, record.direct, scale, self.both_sides, key_direct, settings)
+            total = total + self._term(
+                packed, radius, paths, record.direct, scale, self.both_sides, key_direct, settings
+            )
         if record.scattered is not None:
             paths = PathSegments(packed, first, first_wi, record.scattered)
-            total = total + self._term(packed, paths, record.scattered, scale, False, key_scattered, settings)
+            total = total + self._term(packed, radius, paths, record.scattered, scale, False, key_scattered, settings)
         return total
 
-    def _term(self, packed, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
+    def _term(self, packed, radius, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""
         every = jnp.arange(paths.count)
         lit = (paths.table.weight != 0).any(-1) & (both_sides | paths.table.visible)
@@ -123,13 +131,13 @@ class KernelDensity(eqx.Module):
         ends = jax.tree.map(stop_gradient, paths.ends(every))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
-        pairs, edge, along, density = self._pairs(packed, ends, scale, widest, both_sides, key, settings)
+        pairs, edge, along, density = self._pairs(packed, radius, ends, scale, widest, both_sides, key, settings)
 
         valid = pairs.segment >= 0
         segment = jnp.where(valid, pairs.segment, 0)
         ends = paths.ends(segment)
         projection = project_edges(packed, edge, ends, along)
-        r = self._edge_radii(packed)[edge] * scale[segment]
+        r = radius[edge] * scale[segment]
         magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
         r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
         r = jnp.where(valid, r, 1.0)
@@ -152,9 +160,8 @@ class KernelDensity(eqx.Module):
         value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
-    def _pairs(self, packed, ends: SegmentEnds, scale, widest, both_sides, key, settings):
+    def _pairs(self, packed, radius, ends: SegmentEnds, scale, widest, both_sides, key, settings):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None)."""
-        radius = self._edge_radii(packed)
         capacity = min(max(4096, round(self.capacity * scale.shape[0])), 1 << 24)
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
@@ -169,11 +176,6 @@ class KernelDensity(eqx.Module):
         points = segment[:, 0] + along[:, None] * (segment[:, 1] - segment[:, 0])
         pairs = queries.point_candidates(*table, points, edges, radius[edges], *rays, **options)
         return pairs, edges[pairs.element], along[pairs.element], length / self.points
-
-    def _edge_radii(self, packed: PackedScene) -> Float[Array, " E"]:
-        """Kernel radius of every edge (scene units); zero leaves the edge out."""
-        radius = self.radius * packed.shape_sizes()[packed.edges.shape]
-        return radius if self.concave_edges else jnp.where(never_silhouettes(packed), 0.0, radius)
 
     def _edge_points(self, packed: PackedScene, radius, key):
         """(edge, fraction along it, total length): points uniform over the length of all edges that count."""
@@ -190,8 +192,8 @@ class KernelDensity(eqx.Module):
 def _strip_in_face(ends: SegmentEnds, projection: Projection, r, both_sides: bool):
     """(width of the kernel's strip across a boundary point, whether it was cut to the face, whether the point counts).
 
-    Strips are cut to the target's face where that is larger than the kernel; smaller faces are parts of one surface, and
-    the strip goes on over their plane.
+    Strips are cut to the target's face where that is larger than the kernel; smaller faces are parts of one surface,
+    and the strip goes on over their plane.
     """
     corners = stop_gradient(ends.corners)
     a, b, c = (corners[:, k] for k in range(3))

@@ -16,9 +16,9 @@ from jaxdr.transport.shading import Scatterer
 class SegmentEnds(eqx.Module):
     """Both ends of C segments; `apex` and `target` are differentiable.
 
-    `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene is
-    large. `corners` are those of the target's face, `normal` that of the plane at the target: its face, or at infinity
-    the plane across the segment.
+    `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
+    is large. `corners` are those of the target's face, `normal` that of the plane at the target: its face, or at
+    infinity the plane across the segment.
     """
 
     apex: Float[Array, "C 3"]
@@ -72,7 +72,7 @@ class PathSegments:
         return self.table.weight[index] * far[:, None]
 
     def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """BSDF value at the apex times geometric term towards points of the target's plane (RGB, per area); detached."""
+        """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""
         apex = jax.tree.map(stop_gradient, self.apex(index))
         before = jnp.maximum(index - self.paths, 0)
         previous = stop_gradient(self.apex(before).position)
@@ -169,7 +169,7 @@ def _affine_coordinates(corners, point):
 def _foot(s0, s1, f0, f1, target):
     """Fraction of the 3D edge that projects to the foot of the perpendicular from the target; all relative to the apex.
 
-    `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what lies between.
+    `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what is between.
     """
     c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
     rise = _nonzero(f1 - f0)

@@ -33,7 +33,9 @@ class BVHCache:
     `lock` from `find` to the end of the launch: a structure in use is never refitted.
     """
 
-    def __init__(self, build: Callable, refit: Callable, capacity: int = 12, per_topology: int = 3, max_refits: int = 16):
+    def __init__(
+        self, build: Callable, refit: Callable, capacity: int = 12, per_topology: int = 3, max_refits: int = 16
+    ):
         self.build = build
         self.refit = refit
         self.capacity = capacity

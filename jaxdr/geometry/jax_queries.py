@@ -87,7 +87,11 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
         return (jnp.where(t < MISS, face, -1), t, count), None
 
     n = origin.shape[0]
-    start = (jnp.full((n, capacity), -1, jnp.int32), jnp.full((n, capacity), MISS, jnp.float32), jnp.zeros(n, jnp.int32))
+    start = (
+        jnp.full((n, capacity), -1, jnp.int32),
+        jnp.full((n, capacity), MISS, jnp.float32),
+        jnp.zeros(n, jnp.int32),
+    )
     return jax.lax.scan(visit, start, _blocks(faces))[0]
 
 
@@ -147,7 +151,9 @@ def _candidates(near_block, blocks, seed, capacity):
     return state[2], state[3], state[1], 1.0 / probability
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False):
+def edge_candidates(
+    vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False
+):
     """(segment, edge, count, weight): see `queries.edge_candidates`."""
     height = dot(normal, target - apex)
     b, n = target[:, None], normal[:, None]
@@ -175,7 +181,22 @@ def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, sca
     return _candidates(near_block, _blocks(edges, opposite, radius), seed, capacity)
 
 
-def point_candidates(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False):
+def point_candidates(
+    vertices,
+    edges,
+    opposite,
+    point,
+    point_edge,
+    radius,
+    apex,
+    target,
+    normal,
+    scale,
+    widest,
+    seed,
+    capacity,
+    both_sides=False,
+):
     """(segment, point, count, weight): see `queries.point_candidates`."""
     height = dot(normal, target - apex)
 

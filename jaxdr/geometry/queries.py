@@ -78,7 +78,10 @@ def _over_rays(query: Callable, geometry_count: int) -> Callable:
         geometry, rays = args[:geometry_count], args[geometry_count:]
         if any(is_batched[:geometry_count]):
             return _one_by_one(call, size, is_batched, args)
-        rays = [r if b else jnp.broadcast_to(r, (size, *r.shape)) for r, b in zip(rays, is_batched[geometry_count:])]
+        rays = [
+            r if b else jnp.broadcast_to(r, (size, *r.shape))
+            for r, b in zip(rays, is_batched[geometry_count:], strict=True)
+        ]
         flat = [r.reshape(-1, *r.shape[2:]) for r in rays]
         results = call(*geometry, *flat)
         results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
@@ -168,8 +171,9 @@ def edge_candidates(
     """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
 
     An edge counts for a segment when all its faces (their vertices `opposite`, -1 padded) lie on one side of the plane
-    through apex and edge and the target on the other (or anywhere, with `both_sides`), it lies between the apex and the target's plane, and the foot
-    of the perpendicular from the target onto its projection is on the projection, less than the kernel radius away.
+    through apex and edge and the target on the other (or anywhere, with `both_sides`), it lies between the apex and the
+    target's plane, and the foot of the perpendicular from the target onto its projection is on the projection, less
+    than the kernel radius away.
     That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
     than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
     """
@@ -204,5 +208,7 @@ def point_candidates(
     module = _module(implementation)
     query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity, both_sides)))
     return Candidates(
-        *query(*_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed))
+        *query(
+            *_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed)
+        )
     )

@@ -42,11 +42,14 @@ def occluded(
 
 
 @wp.func
-def directed_volume(o: wp.vec3, d: wp.vec3, p: wp.vec3, q: wp.vec3, i: int, j: int):
-    """Signed volume of the ray with edge (p, q), evaluated in the order of the vertex indices: both faces agree on it."""
+def directed_volume(d: wp.vec3d, p: wp.vec3d, q: wp.vec3d, i: int, j: int):
+    """Signed volume of the ray with edge (p, q), evaluated in the order of the vertex indices: both faces agree on it.
+
+    In double precision, so that the faces around a vertex agree as well.
+    """
     if i < j:
-        return wp.dot(d, wp.cross(p - o, q - o))
-    return -wp.dot(d, wp.cross(q - o, p - o))
+        return wp.dot(d, wp.cross(p, q))
+    return -wp.dot(d, wp.cross(q, p))
 
 
 @wp.kernel
@@ -64,25 +67,25 @@ def all_hits(
 ):
     """All faces a ray crosses; the nearest `capacity` of them are kept, sorted by distance (insertion sort)."""
     i = start + wp.tid()
-    o = origin[i]
-    d = direction[i]
+    o = wp.vec3d(origin[i])
+    d = wp.vec3d(direction[i])
     capacity = face.shape[1]
     found = int(0)
     f = int(0)
-    query = wp.bvh_query_ray(bvh, o, d)
+    query = wp.bvh_query_ray(bvh, origin[i], direction[i])
     while wp.bvh_query_next(query, f, t_max[i]):
         v = faces[f]
-        a = vertices[v[0]]
-        b = vertices[v[1]]
-        c = vertices[v[2]]
-        u0 = directed_volume(o, d, b, c, v[1], v[2])
-        u1 = directed_volume(o, d, c, a, v[2], v[0])
-        u2 = directed_volume(o, d, a, b, v[0], v[1])
-        volume = u0 + u1 + u2
-        inside = (u0 >= 0.0 and u1 >= 0.0 and u2 >= 0.0) or (u0 <= 0.0 and u1 <= 0.0 and u2 <= 0.0)
-        if inside and volume != 0.0:
+        a = wp.vec3d(vertices[v[0]]) - o
+        b = wp.vec3d(vertices[v[1]]) - o
+        c = wp.vec3d(vertices[v[2]]) - o
+        u0 = directed_volume(d, b, c, v[1], v[2])
+        u1 = directed_volume(d, c, a, v[2], v[0])
+        u2 = directed_volume(d, a, b, v[0], v[1])
+        zero = wp.float64(0.0)
+        inside = (u0 >= zero and u1 >= zero and u2 >= zero) or (u0 <= zero and u1 <= zero and u2 <= zero)
+        if inside and u0 + u1 + u2 != zero:
             n = wp.cross(b - a, c - a)
-            distance = wp.dot(a - o, n) / wp.dot(d, n)
+            distance = wp.float32(wp.dot(a, n) / wp.dot(d, n))
             if distance > 0.0 and distance < t_max[i]:
                 slot = wp.min(found, capacity)
                 found += 1

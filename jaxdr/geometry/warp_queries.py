@@ -20,6 +20,9 @@ THREADS = os.cpu_count() or 1
 # Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
 SLICE = 8192
 
+# Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
+BOX_MARGIN = 16 * np.finfo(np.float32).eps
+
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
 
 
@@ -28,19 +31,43 @@ def _host(array: wp.array) -> np.ndarray:
     return array.numpy()
 
 
-def _build_mesh(moving, topology, device):
-    points = wp.array(moving[0], dtype=wp.vec3, device=device)
-    return wp.Mesh(points=points, indices=wp.array(topology[0].ravel(), dtype=int, device=device))
-
-
-def _refit_mesh(mesh, moving):
-    mesh.points.assign(moving[0])
-    mesh.refit()
-
-
 def _face_boxes(moving, topology):
+    """Bounds of the faces, grown by what rounding in a ray-box test amounts to."""
     corners = moving[0][topology[0]]
-    return corners.min(1), corners.max(1)
+    margin = BOX_MARGIN * np.abs(moving[0]).max()
+    return corners.min(1) - margin, corners.max(1) + margin
+
+
+class _MeshBVH:
+    """A Warp mesh whose boxes are those of `_face_boxes`.
+
+    Warp computes boxes from the points it is built (refitted) with and faces from the points it has at a query. So it
+    is built with corners pushed apart to the ends of their boxes, and gets the true corners afterwards.
+    """
+
+    def __init__(self, moving, topology, device):
+        self.topology = topology
+        points = wp.array(self._spread(moving), dtype=wp.vec3, device=device)
+        indices = wp.array(np.arange(topology[0].size), dtype=int, device=device)
+        self.mesh = wp.Mesh(points=points, indices=indices)
+        self.mesh.points.assign(self._corners(moving))
+
+    @property
+    def id(self):
+        return self.mesh.id
+
+    def refit(self, moving):
+        self.mesh.points.assign(self._spread(moving))
+        self.mesh.refit()
+        self.mesh.points.assign(self._corners(moving))
+
+    def _corners(self, moving):
+        return moving[0][self.topology[0]].reshape(-1, 3)
+
+    def _spread(self, moving):
+        """Three points a face that span its box: the first holds the lower end, the last the upper one."""
+        lower, upper = _face_boxes(moving, self.topology)
+        return np.stack([lower, lower, upper], 1).reshape(-1, 3)
 
 
 def _edge_boxes(moving, topology):
@@ -80,7 +107,7 @@ def _box_cache(boxes):
 
 
 def _mesh_cache(device):
-    return BVHCache(lambda m, t: _build_mesh(m, t, device), _refit_mesh)
+    return BVHCache(lambda m, t: _MeshBVH(m, t, device), lambda structure, m: structure.refit(m))
 
 
 _caches: dict[tuple[str, str], BVHCache] = {}
@@ -187,7 +214,7 @@ def _compact(kernel, bvh, leading, rays, seed, segment, element, count, weight, 
         element.zero_()
         warnings.warn(
             f"jaxdr: {every} (segment, edge) pairs of {total} segments exceed the capacity of {capacity}; "
-            f"thinned without bias to {probability:.0%}. A smaller kernel radius or a larger pair capacity avoids the noise.",
+            f"thinned without bias to {probability:.0%}. A smaller kernel radius or a larger capacity avoids it.",
             stacklevel=2,
         )
     count.assign(np.array([every], np.int32))
@@ -273,7 +300,10 @@ def _point_candidates(
     with cache.lock:
         bvh = cache.find([_host(point), _host(radius)], [])
         seed, both_sides = (int(option) for option in _host(options))
-        leading, rays = [vertices, edges, opposite, point, point_edge, radius], [apex, target, normal, scale, widest, both_sides]
+        leading, rays = (
+            [vertices, edges, opposite, point, point_edge, radius],
+            [apex, target, normal, scale, widest, both_sides],
+        )
         _compact(kernels.point_candidates, bvh, leading, rays, seed, segment, element, count, weight, device)
 
 
@@ -321,16 +351,53 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
 def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides):
     """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
     dims = {"segment": capacity, "edge": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.stack([seed, jnp.int32(both_sides)]))
+    args = (
+        vertices,
+        edges,
+        opposite,
+        radius,
+        apex,
+        target,
+        normal,
+        scale,
+        widest,
+        jnp.stack([seed, jnp.int32(both_sides)]),
+    )
     segment, edge, count, weight = _edge_candidates_call(*args, output_dims=dims)
     return segment, edge, count[0], weight[0]
 
 
 def point_candidates(
-    vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed, capacity, both_sides
+    vertices,
+    edges,
+    opposite,
+    point,
+    point_edge,
+    radius,
+    apex,
+    target,
+    normal,
+    scale,
+    widest,
+    seed,
+    capacity,
+    both_sides,
 ):
     """(segment [C], point [C], count, weight): points on silhouette edges near segments."""
     dims = {"segment": capacity, "element": capacity, "count": 1, "weight": 1}
-    args = (vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, jnp.stack([seed, jnp.int32(both_sides)]))
+    args = (
+        vertices,
+        edges,
+        opposite,
+        point,
+        point_edge,
+        radius,
+        apex,
+        target,
+        normal,
+        scale,
+        widest,
+        jnp.stack([seed, jnp.int32(both_sides)]),
+    )
     segment, element, count, weight = _point_candidates_call(*args, output_dims=dims)
     return segment, element, count[0], weight[0]

@@ -106,7 +106,7 @@ def pack(scene: Scene) -> PackedScene:
         emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
     return PackedScene(
         vertices=jnp.concatenate([m.vertices for m in meshes]),
-        faces=jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex)]),
+        faces=jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
         face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
         edges=_pack_edges(meshes, first_vertex, first_face),
         bsdfs=_group(bsdfs),
@@ -146,9 +146,9 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
 
     counts = [m.edges.vertices.shape[0] for m in meshes]
     return PackedEdges(
-        vertices=jnp.concatenate([m.edges.vertices + int(v) for m, v in zip(meshes, first_vertex)]),
-        faces=jnp.concatenate([shift(m.edges.faces, f) for m, f in zip(meshes, first_face)]),
-        opposite=jnp.concatenate([shift(m.edges.opposite, v) for m, v in zip(meshes, first_vertex)]),
+        vertices=jnp.concatenate([m.edges.vertices + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
+        faces=jnp.concatenate([shift(m.edges.faces, f) for m, f in zip(meshes, first_face[:-1], strict=True)]),
+        opposite=jnp.concatenate([shift(m.edges.opposite, v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
         interior=jnp.concatenate([m.edges.kind == INTERIOR for m in meshes]),
         shape=jnp.asarray(np.repeat(np.arange(len(meshes)), counts), jnp.int32),
     )

@@ -26,7 +26,7 @@ class Shape(eqx.Module):
         for name, kind in (("mesh", Mesh), ("bsdf", (BSDF, TwoSided)), ("emitter", (AreaEmitter, type(None)))):
             value = getattr(self, name)
             if not isinstance(value, kind):
-                raise ValueError(f"Shape: {name} is a {type(value).__name__}; see jaxdr.{name.capitalize()} and its kind")
+                raise ValueError(f"Shape: {name} can't be a {type(value).__name__}")
 
 
 def _sorted_by_id(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
@@ -49,7 +49,9 @@ class Scene(eqx.Module):
             raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
         for name, shape in self.shapes.items():
             if not name or "." in name or name in RESERVED:
-                raise ValueError(f"Scene: {name!r} can't be a shape id (no dots, not empty, not {' or '.join(RESERVED)})")
+                raise ValueError(
+                    f"Scene: {name!r} can't be a shape id (no dots, not empty, not {' or '.join(RESERVED)})"
+                )
             if not isinstance(shape, Shape):
                 raise ValueError(f"Scene: shapes[{name!r}] is a {type(shape).__name__}, expected a jaxdr.Shape")
 

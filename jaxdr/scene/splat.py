@@ -10,7 +10,7 @@ from jaxdr.scene.film import Film
 
 
 def splat(film: Film, points: Float[Array, "n 2"], values: Float[Array, "n 3"]) -> Float[Array, "H W 3"]:
-    """Image of the rendered window in which each value is weighted with the filter density around its (detached) point."""
+    """Image of the rendered window: each value weighted with the filter density around its (detached) point."""
     x0, y0, width, height = film.window
     points = stop_gradient(points)
     span = math.ceil(2 * film.filter.radius)

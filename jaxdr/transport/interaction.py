@@ -18,8 +18,8 @@ class SurfacePoint(NamedTuple):
     """N points on the scene's surfaces; only `valid` ones mean anything (the others sit on face 0).
 
     `normal` is the unit geometric normal (orientation of the face), `shading_normal` the interpolated one, `area` the
-    area of the face, all differentiable; `barycentric`, `face` and `scale`, the largest coordinate that the position was
-    computed from, are detached.
+    area of the face, all differentiable; `barycentric`, `face` and `scale`, the largest coordinate that the position
+    was computed from, are detached.
     """
 
     valid: Bool[Array, " N"]
@@ -104,7 +104,11 @@ def material_point(
 
 
 def intersect(
-    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], active: Bool[Array, " N"], rays: str
+    packed: PackedScene,
+    origin: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+    active: Bool[Array, " N"],
+    rays: str,
 ) -> Int[Array, " N"]:
     """The nearest face on each active ray, -1 for none. `rays` names the query implementation."""
     reach = jnp.where(active, 1e30, 0.0).astype(origin.dtype)

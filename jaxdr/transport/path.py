@@ -48,8 +48,8 @@ class Segments(NamedTuple):
 class PathRecord(NamedTuple):
     """Radiance towards the camera of N paths, and the segments behind the first hit.
 
-    `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments; they
-    carry what is gathered at their far end and beyond. None where there are none.
+    `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments;
+    they carry what is gathered at their far end and beyond. None where there are none.
     """
 
     radiance: Float[Array, "N 3"]
@@ -84,7 +84,7 @@ def trace_paths(
         return PathRecord(radiance, None, None)
 
     def numbers(bounce):
-        fresh = jax.random.uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
+        fresh = uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
         return jnp.where(bounce == 0, u, fresh)
 
     def step(state, bounce):
