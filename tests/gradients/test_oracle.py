@@ -1,0 +1,70 @@
+"""The reference scenes that lie beside the repository, compared by their own `check.py` at a lower sample count.
+
+Its tolerances are kept; what fewer samples add is allowed for by the standard error it reports.
+"""
+
+import argparse
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+import jaxdr as jd
+
+ORACLE = Path(__file__).resolve().parents[3] / "shared" / "oracle"
+BESIDE = "the reference scenes are not in ../shared/oracle (relative to the repository root)"
+# Samples per pixel of the quick version, all keys together, and the standard error of the projection it must reach.
+CASES = {
+    ("direct_spot", "translate_x"): (64, 0.03),
+    ("direct_spot", "rotate_z"): (64, 0.03),
+    ("shadow_goathead", "translate_x"): (64, 0.03),
+    ("cornell_indirect", "translate_x"): (2048, 0.08),
+    ("cube_constant", "translate_z"): (64, 0.03),
+}
+
+pytestmark = pytest.mark.skipif(not (ORACLE / "check.py").exists(), reason=BESIDE)
+
+
+@pytest.fixture(scope="module")
+def check():
+    specification = importlib.util.spec_from_file_location("oracle_check", ORACLE / "check.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def compare(check, case, name, spp, keys, boundary="KernelDensity"):
+    folder = ORACLE / case
+    oracle = json.loads((folder / "oracle.json").read_text())
+    parameter = next(p for p in oracle["parameters"] if p["name"] == name)
+    options = argparse.Namespace(spp=spp, keys=keys, boundary=boundary, bidirectional=False, seed=0)
+    return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
+
+
+@pytest.mark.parametrize(("case", "name"), CASES)
+def test_quick(check, case, name):
+    spp, deviation = CASES[case, name]
+    row = compare(check, case, name, spp, keys=8)
+    assert row["projection_error"] < deviation, "too few samples to tell"
+    assert row["primal"] < check.PRIMAL_TOLERANCE
+    assert abs(row["projection"] - 1) < check.PROJECTION_TOLERANCE + 2 * row["projection_error"]
+    assert row["passed"] or abs(row["projection"] - 1) > check.PROJECTION_TOLERANCE, f"mean gradient: {row['mean']:.1%}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "broken",
+    [None, jd.KernelDensity(both_sides=False, concave_edges=True, visibility_ray=False)],
+    ids=["no boundary term", "Eq. 18 alone"],
+)
+def test_broken_on_purpose_fails(check, monkeypatch, broken):
+    monkeypatch.setattr(jd, "KernelDensity", lambda: broken)
+    row = compare(check, "shadow_goathead", "translate_x", 128, keys=8)
+    assert abs(row["projection"] - 1) > check.PROJECTION_TOLERANCE + 3 * row["projection_error"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "name"), CASES)
+def test_as_committed(check, case, name):
+    assert compare(check, case, name, spp=1024, keys=8)["passed"]
