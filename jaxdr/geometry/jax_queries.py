@@ -20,29 +20,43 @@ def _blocks(*arrays):
     return index, source, tuple(a[source] for a in arrays)
 
 
-def _directed_volume(d, p, q, i, j):
-    """Signed volume of the ray with edge (p, q) relative to its origin, evaluated in the order of the vertex indices.
+def _edge_function(p, q, i, j):
+    """Twice the signed area of the triangle (0, p, q) in the plane across the ray, in the order of the vertex indices.
 
     Both faces of an edge then get the same number up to its sign, whatever the rounding: no ray slips between them.
     """
     swap = i > j
     first, second = jnp.where(swap[..., None], q, p), jnp.where(swap[..., None], p, q)
-    return jnp.where(swap, -1.0, 1.0) * dot(d, jnp.cross(first, second))
+    return jnp.where(swap, -1.0, 1.0) * (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
 def _crossings(vertices, faces, origin, direction, t_max):
-    """t [N, BLOCK] of every ray with every face of a block; MISS where there is none."""
+    """t [N, BLOCK] of every ray with every face of a block; MISS where there is none.
+
+    Watertight (Woop et al. 2013): corners are sheared into the plane across the ray one by one, so that the faces
+    around a vertex agree where it is, and then it is a question of the plane.
+    """
     corners = vertices[faces]  # [B, 3, 3]
-    o, d = origin[:, None], direction[:, None]
-    a, b, c = (corners[None, :, k] - o for k in range(3))
+    largest = jnp.argmax(jnp.abs(direction), axis=1)
+
+    def turned(v):
+        """Coordinates [N, ...] in cyclic order with the largest of the direction last."""
+        axis = largest.reshape(-1, *(1,) * (v.ndim - 1))
+        x, y, z = v[..., :1], v[..., 1:2], v[..., 2:]
+        return [jnp.where(axis == 0, p, jnp.where(axis == 1, q, r)) for p, q, r in ((y, z, x), (z, x, y), (x, y, z))]
+
+    dx, dy, dz = turned(direction[:, None, None])
+    x, y, z = turned(corners[None] - origin[:, None, None])  # [N, B, 3, 1]
+    flat = jnp.concatenate([x - dx / dz * z, y - dy / dz * z], -1)
+    a, b, c = (flat[:, :, k] for k in range(3))
     i, j, k = (faces[None, :, k] for k in range(3))
-    u0 = _directed_volume(d, b, c, j, k)
-    u1 = _directed_volume(d, c, a, k, i)
-    u2 = _directed_volume(d, a, b, i, j)
+    u0 = _edge_function(b, c, j, k)
+    u1 = _edge_function(c, a, k, i)
+    u2 = _edge_function(a, b, i, j)
     inside = ((u0 >= 0) & (u1 >= 0) & (u2 >= 0)) | ((u0 <= 0) & (u1 <= 0) & (u2 <= 0))
     normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[None]
-    slope = dot(d, normal)
-    t = dot(a, normal) / jnp.where(slope == 0, 1.0, slope)
+    slope = dot(direction[:, None], normal)
+    t = dot(corners[None, :, 0] - origin[:, None], normal) / jnp.where(slope == 0, 1.0, slope)
     hit = inside & (u0 + u1 + u2 != 0) & (slope != 0) & (t > 0) & (t < t_max[:, None])
     return jnp.where(hit, t, MISS)
 
