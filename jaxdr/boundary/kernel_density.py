@@ -4,7 +4,7 @@ A path segment that passes close to a silhouette, seen from its camera-side end,
 there: its contribution is spread over a strip (or disc) of radius r around the projected silhouette.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.silhouettes import PathSegments, Projection, SegmentEnds, never_silhouettes, project_edges
 from jaxdr.geometry import queries
+from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
 from jaxdr.geometry.vector import norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave
@@ -21,6 +22,13 @@ from jaxdr.transport.path import PathRecord, PathSettings, Segments
 
 # How far beside the edge the visibility ray passes, as a share of the largest coordinate: some 100 float32 roundings.
 BESIDE = 1.2e-5
+
+
+class Prepared(NamedTuple):
+    """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges."""
+
+    radius: Float[Array, " E"]
+    tree: EdgeTree
 
 
 class KernelDensity(eqx.Module):
@@ -88,15 +96,19 @@ class KernelDensity(eqx.Module):
             radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
         return radii
 
-    def prepare(self, packed: PackedScene) -> Float[Array, " E"]:
-        """Kernel radius of every edge (scene units), once for a whole image; zero leaves the edge out."""
+    def prepare(self, packed: PackedScene) -> Prepared:
+        """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges, once for a whole image."""
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
-        return radius if self.concave_edges else jnp.where(never_silhouettes(packed), 0.0, radius)
+        if not self.concave_edges:
+            radius = jnp.where(never_silhouettes(packed), 0.0, radius)
+        edges = packed.edges
+        tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, radius)
+        return Prepared(radius, tree)
 
     def estimate(
         self,
         packed: PackedScene,
-        radius: Float[Array, " E"],
+        prepared: Prepared,
         first: SurfacePoint,
         first_wi: Float[Array, "N 3"],
         record: PathRecord,
@@ -106,7 +118,7 @@ class KernelDensity(eqx.Module):
     ) -> Float[Array, "N 3"]:
         """Boundary term of N paths: zero in value, right in derivative.
 
-        `radius` as `prepare` returns it. `first` are the paths' first hits (differentiable), `first_wi` the directions
+        `prepared` by `prepare`. `first` are the paths' first hits (differentiable), `first_wi` the directions
         from them to the camera, `sample_index` numbers the samples of a pixel.
         """
         total = jnp.zeros_like(record.radiance)
@@ -116,14 +128,14 @@ class KernelDensity(eqx.Module):
         if record.direct is not None:
             paths = PathSegments(packed, first, first_wi, record.direct)
             total = total + self._term(
-                packed, radius, paths, record.direct, scale, self.both_sides, key_direct, settings
+                packed, prepared, paths, record.direct, scale, self.both_sides, key_direct, settings
             )
         if record.scattered is not None:
             paths = PathSegments(packed, first, first_wi, record.scattered)
-            total = total + self._term(packed, radius, paths, record.scattered, scale, False, key_scattered, settings)
+            total = total + self._term(packed, prepared, paths, record.scattered, scale, False, key_scattered, settings)
         return total
 
-    def _term(self, packed, radius, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
+    def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""
         every = jnp.arange(paths.count)
         lit = (paths.table.weight != 0).any(-1) & (both_sides | paths.table.visible)
@@ -131,13 +143,13 @@ class KernelDensity(eqx.Module):
         ends = jax.tree.map(stop_gradient, paths.ends(every))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
-        pairs, edge, along, density = self._pairs(packed, radius, ends, scale, widest, both_sides, key, settings)
+        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, both_sides, key, settings)
 
         valid = pairs.segment >= 0
         segment = jnp.where(valid, pairs.segment, 0)
         ends = paths.ends(segment)
         projection = project_edges(packed, edge, ends, along)
-        r = radius[edge] * scale[segment]
+        r = prepared.radius[edge] * scale[segment]
         magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
         r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
         r = jnp.where(valid, r, 1.0)
@@ -160,16 +172,17 @@ class KernelDensity(eqx.Module):
         value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
-    def _pairs(self, packed, radius, ends: SegmentEnds, scale, widest, both_sides, key, settings):
+    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, both_sides, key, settings):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None)."""
         capacity = min(max(4096, round(self.capacity * scale.shape[0])), 1 << 24)
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
+        radius = prepared.radius
         table = (packed.vertices, packed.edges.vertices, packed.edges.opposite)
         rays = (ends.apex, ends.target, ends.normal, scale, widest, seed)
         options = dict(capacity=capacity, both_sides=both_sides, implementation=settings.rays)
         if self.kernel == "edge":
-            pairs = queries.edge_candidates(*table, radius, *rays, **options)
+            pairs = queries.edge_candidates(prepared.tree, *table, radius, *rays, **options)
             return pairs, pairs.element, None, None
         edges, along, length = self._edge_points(packed, radius, key_points)
         segment = stop_gradient(packed.vertices)[packed.edges.vertices[edges]]

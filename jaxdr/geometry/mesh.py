@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.edge_tree import spatial_order
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import dot, normalize
 
@@ -28,7 +29,7 @@ class Mesh(eqx.Module):
     - `faces`: corner -> row of `vertices`.
     - `uvs`, `uv_faces`: texture coordinates, and corner -> row of `uvs`; both None without texture coordinates.
     - `normal_faces`: corner -> smoothing group, whose corners share one interpolated normal; None for flat shading.
-    - `edges`: the edges and the faces at them.
+    - `edges`: the edges and the faces at them, in spatial order (trees over them need no sorting).
     - `closed`: watertight and consistently oriented, that is, every edge is interior.
     - `normal_group_count`: number of smoothing groups G, zero for flat shading.
     """
@@ -86,7 +87,9 @@ class Mesh(eqx.Module):
         if normal_faces is not None:
             self.normal_faces = kept_corners("normal_faces", normal_faces, None, "smoothing groups")
             self.normal_group_count = int(self.normal_faces.max()) + 1
-        self.edges = build_edges(corners[kept])
+        edges = build_edges(corners[kept])
+        order = spatial_order(points[np.asarray(edges.vertices)].mean(1))
+        self.edges = jax.tree.map(lambda table: table[order], edges)
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
     def with_vertices(self, vertices: Float[Array | np.ndarray, "V 3"]) -> "Mesh":

@@ -14,6 +14,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import jax_queries
+from jaxdr.geometry.edge_tree import EdgeTree
 
 IMPLEMENTATIONS = ("warp", "jax")
 
@@ -154,6 +155,7 @@ def all_hits(
 
 
 def edge_candidates(
+    tree: EdgeTree,
     vertices: Float[Array, "V 3"],
     edges: Int[Array, "E 2"],
     opposite: Int[Array, "E K"],
@@ -175,13 +177,19 @@ def edge_candidates(
     target's plane, and the foot of the perpendicular from the target onto its projection is on the projection, less
     than the kernel radius away.
     That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
-    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
+    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out. `tree` is
+    `build_edge_tree` of the same vertices, edges and radii.
     """
-    module = _module(implementation)
-    query = _sequential(lambda *args: tuple(module.edge_candidates(*args, capacity, both_sides)))
-    return Candidates(
-        *query(*_discrete(vertices, edges, opposite, radius, apex, target, normal, scale, widest, jnp.asarray(seed)))
-    )
+    query = _sequential(lambda *args: _edge_query(implementation, args, capacity, both_sides))
+    arrays = (*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed)
+    return Candidates(*query(*_discrete(*arrays)))
+
+
+def _edge_query(implementation, args, capacity, both_sides):
+    tree, rest = EdgeTree(*args[: len(EdgeTree._fields)]), args[len(EdgeTree._fields) :]
+    if implementation == "jax":  # every edge is tried: no tree
+        return tuple(jax_queries.edge_candidates(*rest, capacity, both_sides))
+    return tuple(_module(implementation).edge_candidates(tree, *rest, capacity, both_sides))
 
 
 def point_candidates(

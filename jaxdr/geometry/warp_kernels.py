@@ -5,7 +5,10 @@ Every kernel works on the slice that starts at `start`, so that a CPU launch can
 
 import warp as wp
 
+from jaxdr.geometry import edge_tree
+
 MISS = wp.constant(wp.float32(3.0e38))
+LEAF = wp.constant(edge_tree.LEAF)
 
 
 @wp.kernel
@@ -128,10 +131,107 @@ def kernel_reach(radius: float, magnification: float, widest: float):
     return wp.max(radius, wp.min(radius * magnification, widest))
 
 
+@wp.func
+def near_silhouette(
+    vertices: wp.array(dtype=wp.vec3),
+    opposite: wp.array2d(dtype=int),
+    edge: int,
+    p0: wp.vec3,
+    p1: wp.vec3,
+    a: wp.vec3,
+    b: wp.vec3,
+    n: wp.vec3,
+    height: float,
+    radius: float,
+    widest: float,
+    both_sides: int,
+):
+    """Whether an edge is a silhouette from `a` whose projection onto the plane (b, n) passes within the kernel."""
+    if radius <= 0.0:
+        return False
+    plane = wp.cross(p0 - a, p1 - a)
+    side = all_on_one_side(vertices, opposite, edge, plane, a)
+    if side == 0.0 or (both_sides == 0 and side * wp.dot(plane, b - a) >= 0.0):
+        return False
+    # The part of the edge between the apex and the target's plane (0 < f <= 1), projected.
+    f0 = wp.dot(n, p0 - a) / height
+    f1 = wp.dot(n, p1 - a) / height
+    if wp.min(f0, f1) >= 1.0 or wp.max(f0, f1) <= 1.0e-6:
+        return False
+    c0 = wp.clamp(f0, 1.0e-6, 1.0)
+    c1 = wp.clamp(f1, 1.0e-6, 1.0)
+    q0 = p0
+    q1 = p1
+    if c0 != f0:
+        q0 = p0 + (c0 - f0) / (f1 - f0) * (p1 - p0)
+    if c1 != f1:
+        q1 = p1 + (c1 - f1) / (f0 - f1) * (p0 - p1)
+    m0 = a + (q0 - a) / c0
+    line = a + (q1 - a) / c1 - m0
+    length = wp.length(line)
+    s = wp.dot(b - m0, line) / length
+    if s < 0.0 or s >= length:
+        return False
+    share = s / length
+    # 1/f is linear along the projected edge.
+    reach = kernel_reach(radius, (1.0 - share) / c0 + share / c1, widest)
+    return wp.length(b - m0 - share * line) < reach
+
+
+@wp.func
+def may_hold_silhouettes(
+    center: wp.vec3,
+    extent: wp.vec3,
+    axis: wp.vec3,
+    cosine: float,
+    radius: float,
+    apex: wp.vec3,
+    along: wp.vec3,
+    length: float,
+    widest: float,
+):
+    """Whether a node of the edge tree reaches into a segment's kernel and its faces do not all face alike.
+
+    The kernel around the segment (apex, unit `along`, `length`) is as wide as a kernel of radius `radius` at the edge,
+    but never wider than `widest` at the far end: a cone near the apex, a tube further on.
+    """
+    to_center = center - apex
+    t = wp.dot(to_center, along)
+    reach_t = wp.dot(extent, wp.vec3(wp.abs(along[0]), wp.abs(along[1]), wp.abs(along[2])))
+    size = wp.length(extent)
+    far_reach = wp.max(radius, widest)
+    fraction = float(1.0)
+    if far_reach < length:
+        if t + reach_t < 0.0:
+            return False
+        fraction = wp.min(1.0, (t + reach_t) / (length - far_reach))
+    if t - reach_t > length + far_reach:
+        return False
+    distance = wp.length(to_center - t * along)
+    if distance - size > wp.max(radius * fraction, wp.min(radius, widest * fraction)):
+        return False
+    if cosine > 0.0:
+        away = wp.length(to_center)
+        if away > size:
+            # The node spans the angle beta around its centre: all faces face alike when axis and view are more than
+            # alpha + beta off a right angle.
+            sin_b = size / away
+            cos_b = wp.sqrt(1.0 - sin_b * sin_b)
+            sin_a = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
+            if cosine * cos_b - sin_a * sin_b > 0.0:
+                if wp.abs(wp.dot(axis, to_center)) > (sin_a * cos_b + cosine * sin_b) * away:
+                    return False
+    return True
+
+
 @wp.kernel
 def edge_candidates(
-    bvh: wp.uint64,
     start: int,
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+    axis: wp.array(dtype=wp.vec3),
+    cosine: wp.array(dtype=float),
+    node_radius: wp.array(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     edges: wp.array(dtype=wp.vec2i),
     opposite: wp.array2d(dtype=int),
@@ -151,7 +251,8 @@ def edge_candidates(
     """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
 
     `radius` of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
-    `found` = [kept, all].
+    `found` = [kept, all]. The tree is walked without a stack: from node n (counted from 1, children 2n and 2n + 1)
+    the next subtree is that of n + 1 without its trailing zeros.
     """
     i = start + wp.tid()
     if scale[i] <= 0.0:
@@ -160,42 +261,48 @@ def edge_candidates(
     b = target[i]
     n = normal[i]
     height = wp.dot(n, b - a)
-    e = int(0)
-    query = wp.bvh_query_ray(bvh, a, b - a)
-    while wp.bvh_query_next(query, e, 1.0):
-        r = radius[e] * scale[i]
-        p0 = vertices[edges[e][0]]
-        p1 = vertices[edges[e][1]]
-        plane = wp.cross(p0 - a, p1 - a)
-        side = all_on_one_side(vertices, opposite, e, plane, a)
-        if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
-            # The part of the edge between the apex and the target's plane (0 < f <= 1), projected.
-            f0 = wp.dot(n, p0 - a) / height
-            f1 = wp.dot(n, p1 - a) / height
-            if wp.min(f0, f1) < 1.0 and wp.max(f0, f1) > 1.0e-6:
-                c0 = wp.clamp(f0, 1.0e-6, 1.0)
-                c1 = wp.clamp(f1, 1.0e-6, 1.0)
-                q0 = p0
-                q1 = p1
-                if c0 != f0:
-                    q0 = p0 + (c0 - f0) / (f1 - f0) * (p1 - p0)
-                if c1 != f1:
-                    q1 = p1 + (c1 - f1) / (f0 - f1) * (p0 - p1)
-                m0 = a + (q0 - a) / c0
-                along = a + (q1 - a) / c1 - m0
-                length = wp.length(along)
-                s = wp.dot(b - m0, along) / length
-                distance = wp.length(b - m0 - s / length * along)
-                # 1/f is linear along the projected edge.
-                share = s / length
-                reach = kernel_reach(r, (1.0 - share) / c0 + share / c1, widest[i])
-                if s >= 0.0 and s < length and distance < reach:
-                    wp.atomic_add(found, 1, 1)
-                    if keeps(i, e, seed, probability):
-                        j = wp.atomic_add(found, 0, 1)
-                        if j < segment_out.shape[0]:
-                            segment_out[j] = i
-                            edge_out[j] = e
+    length = wp.length(b - a)
+    along = (b - a) / length
+    nodes = lower.shape[0]
+    leaves = nodes // 2
+    node = int(1)
+    while node > 0:
+        inside = bool(False)
+        if node_radius[node] > 0.0:
+            inside = may_hold_silhouettes(
+                0.5 * (lower[node] + upper[node]),
+                0.5 * (upper[node] - lower[node]),
+                axis[node],
+                cosine[node],
+                node_radius[node] * scale[i],
+                a,
+                along,
+                length,
+                widest[i],
+            )
+        if inside and node < leaves:
+            node = 2 * node
+        else:
+            if inside:
+                first = (node - leaves) * LEAF
+                for k in range(LEAF):
+                    e = first + k
+                    if e < edges.shape[0]:
+                        p0 = vertices[edges[e][0]]
+                        p1 = vertices[edges[e][1]]
+                        r = radius[e] * scale[i]
+                        if near_silhouette(vertices, opposite, e, p0, p1, a, b, n, height, r, widest[i], both_sides):
+                            wp.atomic_add(found, 1, 1)
+                            if keeps(i, e, seed, probability):
+                                j = wp.atomic_add(found, 0, 1)
+                                if j < segment_out.shape[0]:
+                                    segment_out[j] = i
+                                    edge_out[j] = e
+            node = node + 1
+            while node % 2 == 0:
+                node = node // 2
+            if node == 1:
+                node = 0
 
 
 @wp.kernel

@@ -70,11 +70,6 @@ class _MeshBVH:
         return np.stack([lower, lower, upper], 1).reshape(-1, 3)
 
 
-def _edge_boxes(moving, topology):
-    ends, radius = moving[0][topology[0]], np.maximum(moving[1], 0.0)[:, None]
-    return ends.min(1) - radius, ends.max(1) + radius
-
-
 def _point_boxes(moving, topology):
     radius = np.maximum(moving[1], 0.0)[:, None]
     return moving[0] - radius, moving[0] + radius
@@ -114,7 +109,6 @@ _caches: dict[tuple[str, str], BVHCache] = {}
 _MAKERS = {
     "mesh": _mesh_cache,
     "faces": _box_cache(_face_boxes),
-    "edges": _box_cache(_edge_boxes),
     "points": _box_cache(_point_boxes),
 }
 
@@ -194,52 +188,45 @@ def _all_hits(
         _launch(kernels.all_hits, origin.shape[0], [bvh.id], arrays, vertices.device)
 
 
-def _compact(kernel, bvh, leading, rays, seed, segment, element, count, weight, device):
-    """Run a candidate kernel and gather its pairs; when they overflow, run it again with unbiased thinning.
+def _compact(kernel, leading, rest, total, seed, segment, element, count, weight, device):
+    """Run a candidate kernel over `total` segments and gather its pairs; when they overflow, thin them without bias.
 
     The thinning probability depends on the number of pairs alone, not on which of them survive, so weighting the
     survivors by its inverse is unbiased; eight standard deviations of slack keep them within the capacity.
     """
-    segment.fill_(-1)
-    element.zero_()
-    capacity, total = segment.shape[0], rays[0].shape[0]
-    probability = 1.0
-    for _ in range(2):
-        found = _run_candidates(kernel, bvh, leading, rays, seed, probability, segment, element, device)
-        kept, every = found
-        if kept <= capacity:
-            break
+    capacity, probability = segment.shape[0], 1.0
+    kept, every = _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device)
+    if kept > capacity:
         probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
-        segment.fill_(-1)
-        element.zero_()
         warnings.warn(
             f"jaxdr: {every} (segment, edge) pairs of {total} segments exceed the capacity of {capacity}; "
             f"thinned without bias to {probability:.0%}. A smaller kernel radius or a larger capacity avoids it.",
             stacklevel=2,
         )
+        kept, _ = _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device)
+        if kept > capacity:
+            raise RuntimeError(f"jaxdr: thinning {every} pairs left {kept}, more than the capacity of {capacity}")
     count.assign(np.array([every], np.int32))
     weight.assign(np.array([1.0 / probability], np.float32))
 
 
-def _run_candidates(kernel, bvh, leading, rays, seed, probability, segment, element, device):
-    capacity, total = segment.shape[0], rays[0].shape[0]
+def _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device):
+    """Fill `segment` and `element` with pairs; returns how many were kept and how many there are."""
+    capacity = segment.shape[0]
+    segment.fill_(-1)
+    element.zero_()
     if not device.is_cpu:
         found = wp.zeros(2, dtype=int, device=device)
-        wp.launch(
-            kernel,
-            dim=total,
-            inputs=[bvh.id, 0, *leading, *rays, seed, probability, segment, element, found],
-            device=device,
-            record_tape=False,
-        )
-        return [int(n) for n in found.numpy()]
+        inputs = [*leading, 0, *rest, seed, probability, segment, element, found]
+        wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
+        return tuple(int(n) for n in found.numpy())
     wp.load_module(kernel.module, device=device)
 
     def run(start):
         size = min(SLICE, total - start)
         out = [wp.empty(capacity, dtype=int, device=device) for _ in range(2)]
         found = wp.zeros(2, dtype=int, device=device)
-        inputs = [bvh.id, start, *leading, *rays, seed, probability, *out, found]
+        inputs = [*leading, start, *rest, seed, probability, *out, found]
         wp.launch(kernel, dim=size, inputs=inputs, device=device, record_tape=False)
         kept, every = (int(n) for n in found.numpy())
         return [a.numpy()[: min(kept, capacity)] for a in out], kept, every
@@ -249,10 +236,15 @@ def _run_candidates(kernel, bvh, leading, rays, seed, probability, segment, elem
     for target, index in ((segment, 0), (element, 1)):
         joined = np.concatenate([part[0][index] for part in parts])[:capacity]
         target.numpy()[: len(joined)] = joined
-    return [sum(part[1] for part in parts), sum(part[2] for part in parts)]
+    return sum(part[1] for part in parts), sum(part[2] for part in parts)
 
 
 def _edge_candidates(
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+    axis: wp.array(dtype=wp.vec3),
+    cosine: wp.array(dtype=float),
+    node_radius: wp.array(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     edges: wp.array(dtype=wp.vec2i),
     opposite: wp.array2d(dtype=int),
@@ -268,13 +260,10 @@ def _edge_candidates(
     count: wp.array(dtype=int),
     weight: wp.array(dtype=float),
 ):
-    device = vertices.device
-    cache = _cache("edges", device)
-    with cache.lock:
-        bvh = cache.find([_host(vertices), _host(radius)], [_host(edges)])
-        seed, both_sides = (int(option) for option in _host(options))
-        leading, rays = [vertices, edges, opposite, radius], [apex, target, normal, scale, widest, both_sides]
-        _compact(kernels.edge_candidates, bvh, leading, rays, seed, segment, edge, count, weight, device)
+    seed, both_sides = (int(option) for option in _host(options))
+    tree = [lower, upper, axis, cosine, node_radius]
+    rest = [*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, both_sides]
+    _compact(kernels.edge_candidates, [], rest, apex.shape[0], seed, segment, edge, count, weight, vertices.device)
 
 
 def _point_candidates(
@@ -295,16 +284,13 @@ def _point_candidates(
     count: wp.array(dtype=int),
     weight: wp.array(dtype=float),
 ):
-    device = vertices.device
-    cache = _cache("points", device)
+    cache = _cache("points", vertices.device)
     with cache.lock:
         bvh = cache.find([_host(point), _host(radius)], [])
         seed, both_sides = (int(option) for option in _host(options))
-        leading, rays = (
-            [vertices, edges, opposite, point, point_edge, radius],
-            [apex, target, normal, scale, widest, both_sides],
-        )
-        _compact(kernels.point_candidates, bvh, leading, rays, seed, segment, element, count, weight, device)
+        rest = [vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, both_sides]
+        total, device = apex.shape[0], vertices.device
+        _compact(kernels.point_candidates, [bvh.id], rest, total, seed, segment, element, count, weight, device)
 
 
 class _Call:
@@ -348,22 +334,15 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     return _all_hits_call(vertices, faces, origin, direction, t_max, output_dims=dims)
 
 
-def edge_candidates(vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides):
+def edge_candidates(
+    tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides
+):
     """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
     dims = {"segment": capacity, "edge": capacity, "count": 1, "weight": 1}
-    args = (
-        vertices,
-        edges,
-        opposite,
-        radius,
-        apex,
-        target,
-        normal,
-        scale,
-        widest,
-        jnp.stack([seed, jnp.int32(both_sides)]),
-    )
-    segment, edge, count, weight = _edge_candidates_call(*args, output_dims=dims)
+    table = (*tree, vertices, edges, opposite, radius)
+    options = jnp.stack([seed, jnp.int32(both_sides)])
+    call = _edge_candidates_call(*table, apex, target, normal, scale, widest, options, output_dims=dims)
+    segment, edge, count, weight = call
     return segment, edge, count[0], weight[0]
 
 
