@@ -102,47 +102,48 @@ def _importance(packed: PackedScene, moving, key):
     their fold that stands for all other light. Silhouettes: what the visible face receives, and a typical value for
     the background. Only the noise depends on these estimates.
     """
-    edges, vertices = packed.edges, packed.vertices
-    apex = packed.camera.position
-    a, b = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]
-    plane = jnp.cross(a - apex, b - apex)
-    present = edges.opposite >= 0
-    sides = jnp.sign(dot(plane[:, None], vertices[edges.opposite] - apex[None, None]))
-    silhouette = jnp.where(present, sides == sides[:, :1], True).all(-1)
+    corner = packed.vertices[packed.faces[:, 0]]
+    normal = normalize(packed.face_normals())
+    front = dot(normal, corner - packed.camera.position) < 0
     # Normals turned towards the camera: two faces that continue each other have no crease.
-    normals = normalize(packed.face_normals())[edges.faces]
-    away = dot(normals, jnp.broadcast_to((a - apex)[:, None], normals.shape)) > 0
-    normals = jnp.where(away[..., None], -normals, normals)
-    fold = jnp.max(jnp.where(present, norm(normals - normals[:, :1]), 0.0), axis=-1)
-    # A one-sided face that is seen from behind is black.
-    glows = present & (~away | packed.two_sided[edges.shape][:, None])
-    smooth = jnp.asarray(packed.smooth)[edges.shape]
-    received, jump = jnp.zeros_like(fold), jnp.zeros_like(fold)
-    if has_emitters(packed):
-        middle, average = 0.5 * (a + b), normalize(normals.sum(1))
-        sample = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, a.dtype)[0])
+    normal = jnp.where(front[:, None], normal, -normal)
+    smooth = jnp.asarray(packed.smooth)[packed.face_shape]
+    lit = front | packed.two_sided[packed.face_shape]  # one-sided faces seen from behind are black
+    received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
 
-        def receive(direction, irradiance):
-            cosine = jnp.maximum(dot(normals, jnp.broadcast_to(direction[:, None], normals.shape)), 0.0)
-            # Interpolated normals agree at the edge; what differs is which faces the light can reach.
-            shared = jnp.maximum(dot(average, direction), 0.0)[:, None]
-            cosine = jnp.where(smooth[:, None], jnp.where(cosine > 0, shared, 0.0), cosine)
-            light = jnp.where(glows, cosine, 0.0) * irradiance[:, None]
-            difference = jnp.max(jnp.where(present, jnp.abs(light - light[:, :1]), 0.0), axis=-1)
-            return light.max(-1), difference
-
-        for i in range(PILOTS):
-            offset = sample.point.position[i] - middle
-            distance2 = jnp.maximum(dot(offset, offset), 1e-30)
-            direction = jnp.where(sample.infinite[i], sample.direction[i], normalize(offset))
-            facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / distance2
-            power = (sample.radiance[i] @ jnp.asarray(LUMINANCE, a.dtype)) / sample.pdf[i]
-            light, difference = receive(direction, jnp.where(sample.infinite[i], 1.0, facing) * power / PILOTS)
-            received, jump = received + light, jump + difference
+    edges = packed.edges
+    face0 = edges.faces[:, 0]
+    face1 = jnp.where(edges.faces[:, 1] >= 0, edges.faces[:, 1], face0)
+    # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
+    silhouette = ~edges.interior | (front[face0] != front[face1])
+    fold = norm(normal[face0] - normal[face1])
+    jump = jnp.abs(received[face0] - received[face1])
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
-    crease = jump + typical * jnp.where(smooth, 0.1, 1.0) * fold
-    importance = jnp.where(silhouette, 0.5 * (typical + received), crease)
+    crease = jump + typical * jnp.where(smooth[face0], 0.1, 1.0) * fold
+    bright = jnp.maximum(received[face0], received[face1])
+    importance = jnp.where(silhouette, 0.5 * (typical + bright), crease)
     return silhouette, jnp.where(jnp.asarray(moving)[edges.shape], importance, 0.0)
+
+
+def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
+    """Irradiance (luminance) of faces from a few emitter samples, without visibility.
+
+    Interpolated normals agree at an edge: what can differ for smooth faces is which of them the light reaches at all.
+    """
+    received = jnp.zeros(corner.shape[0], corner.dtype)
+    if not has_emitters(packed):
+        return received
+    sample = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
+    for i in range(PILOTS):
+        offset = sample.point.position[i] - corner
+        squared = jnp.maximum(dot(offset, offset), 1e-30)
+        direction = jnp.where(sample.infinite[i], sample.direction[i], offset / jnp.sqrt(squared)[:, None])
+        facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / squared
+        power = (sample.radiance[i] @ jnp.asarray(LUMINANCE, corner.dtype)) / sample.pdf[i] / PILOTS
+        cosine = dot(direction, normal)
+        cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
+        received = received + cosine * jnp.where(sample.infinite[i], 1.0, facing) * power
+    return received
 
 
 class FilmEdgeTerms(NamedTuple):

@@ -193,10 +193,8 @@ def _seen_from_outside(packed: PackedScene) -> Bool[Array, " S"]:
 
     Decided by bounding boxes, the shape's own shrunk by one per cent so that touching is not reaching in.
     """
-    points = stop_gradient(packed.vertices)[packed.faces]
+    lower, upper = packed.shape_bounds()
     count = len(packed.closed)
-    lower = jax.ops.segment_min(points.min(1), packed.face_shape, count)
-    upper = jax.ops.segment_max(points.max(1), packed.face_shape, count)
     margin = 0.01 * (upper - lower)
     apart = (lower[None] > (upper - margin)[:, None]) | (upper[None] < (lower + margin)[:, None])
     alone = (apart.any(-1) | jnp.eye(count, dtype=bool)).all(1)

@@ -177,8 +177,8 @@ def edge_candidates(
     target's plane, and the foot of the perpendicular from the target onto its projection is on the projection, less
     than the kernel radius away.
     That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
-    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out. `tree` is
-    `build_edge_tree` of the same vertices, edges and radii.
+    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
+    `tree` is `build_edge_tree` of the same vertices, edges and radii.
     """
     query = _sequential(lambda *args: _edge_query(implementation, args, capacity, both_sides))
     arrays = (*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed)

@@ -5,6 +5,8 @@ Only what the scene has is there: one group per kind of BSDF, emitter tables onl
 with smooth shapes.
 """
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,7 +43,10 @@ class BSDFGroup(eqx.Module):
 
 
 class PackedScene(eqx.Module):
-    """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces."""
+    """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
+
+    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`.
+    """
 
     vertices: Float[Array, "V 3"]
     faces: Int[Array, "F 3"]
@@ -49,6 +54,7 @@ class PackedScene(eqx.Module):
     edges: PackedEdges
     bsdfs: tuple[BSDFGroup, ...]
     two_sided: Bool[Array, " S"]
+    first_face: tuple[int, ...] = eqx.field(static=True)
     closed: tuple[bool, ...] = eqx.field(static=True)
     smooth: tuple[bool, ...] = eqx.field(static=True)
     normals: Float[Array, "G 3"] | None
@@ -63,11 +69,15 @@ class PackedScene(eqx.Module):
         """Whether any shape glows."""
         return self.emitter_faces is not None
 
+    def shape_bounds(self) -> tuple[Float[Array, "S 3"], Float[Array, "S 3"]]:
+        """Lowest and highest coordinates of every shape (scene units), detached."""
+        points = stop_gradient(self.vertices)[self.faces]
+        parts = [points[a:b] for a, b in itertools.pairwise(self.first_face)]
+        return jnp.stack([p.min((0, 1)) for p in parts]), jnp.stack([p.max((0, 1)) for p in parts])
+
     def shape_sizes(self) -> Float[Array, " S"]:
         """Bounding-box diagonal of every shape (scene units), detached."""
-        points = stop_gradient(self.vertices)[self.faces]
-        lower = jax.ops.segment_min(points.min(1), self.face_shape, len(self.closed))
-        upper = jax.ops.segment_max(points.max(1), self.face_shape, len(self.closed))
+        lower, upper = self.shape_bounds()
         return norm(upper - lower)
 
     def size(self) -> Float[Array, ""]:
@@ -81,11 +91,14 @@ class PackedScene(eqx.Module):
         return jnp.cross(b - a, c - a)
 
     def emitter_cdf(self) -> Float[Array, " L"]:
-        """Cumulative probability of choosing each emitting face, proportional to its power; detached."""
+        """Cumulative probability of choosing each emitting face, proportional to its power; detached.
+
+        Proportional to area where all emitters are off, as an optimisation of their radiance may start.
+        """
         area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
         radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
         power = area * (radiance @ jnp.asarray(LUMINANCE, radiance.dtype))
-        cumulative = jnp.cumsum(power)
+        cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
         return cumulative / cumulative[-1]
 
 
@@ -111,6 +124,7 @@ def pack(scene: Scene) -> PackedScene:
         edges=_pack_edges(meshes, first_vertex, first_face),
         bsdfs=_group(bsdfs),
         two_sided=jnp.asarray([isinstance(shape.bsdf, TwoSided) for shape in shapes]),
+        first_face=tuple(int(f) for f in first_face),
         closed=tuple(m.closed for m in meshes),
         smooth=tuple(m.normal_faces is not None for m in meshes),
         normals=normals,
