@@ -18,7 +18,7 @@ BESIDE = "the reference scenes are not in ../shared/oracle (relative to the repo
 CASES = {
     ("direct_spot", "translate_x"): (64, 0.03),
     ("direct_spot", "rotate_z"): (64, 0.03),
-    ("shadow_goathead", "translate_x"): (64, 0.03),
+    ("shadow_goathead", "translate_x"): (128, 0.03),
     ("cornell_indirect", "translate_x"): (2048, 0.08),
     ("cube_constant", "translate_z"): (64, 0.03),
 }
