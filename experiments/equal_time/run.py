@@ -44,7 +44,7 @@ def reference(path, case, batches):
     return dict(np.load(kept))
 
 
-def measure(case, method, oracle, quick):
+def measure(case, method, oracle, quick, samples=None):
     """The rows of one method on one case, a fresh process for every sample count."""
     path = write_scene(case, oracle, common.scratch(STUDY) / case.name)
     truth = reference(path, case, 4 if quick else case.batches)
@@ -52,7 +52,7 @@ def measure(case, method, oracle, quick):
     if quick:
         counts, positions = counts[:2], 2
     offsets = [case.step * ((2 * k + 1) / positions - 1) for k in range(positions)]
-    for spp in counts:
+    for spp in [n for n in counts if not samples or n in samples]:
         images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
         row = errors.statistics(images, truth["image"], truth["noise_variance"])
         row |= {"method": method, "spp": spp, "seconds": quantiles.median(seconds), "all_seconds": seconds}
@@ -111,6 +111,7 @@ def main():
     parser = common.parser(__doc__)
     parser.add_argument("--case", choices=CASES, action="append", help="may be repeated; default: all")
     parser.add_argument("--method", choices=METHODS, action="append", help="may be repeated; default: all")
+    parser.add_argument("--spp", type=int, action="append", help="sample count, may be repeated; default: all")
     options = parser.parse_args()
     folder = common.results(STUDY, options.quick)
 
@@ -119,7 +120,7 @@ def main():
         file = folder / f"{case.name}.json"
         old = json.loads(file.read_text())["rows"] if file.exists() else []
         for method in options.method or METHODS:
-            rows = list(measure(case, method, options.oracle, options.quick))
+            rows = list(measure(case, method, options.oracle, options.quick, options.spp))
             old = [row for row in old if row["method"] != method] + rows
             common.write_json(file, {"case": case.name, "rows": old})
 

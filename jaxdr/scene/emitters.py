@@ -2,6 +2,7 @@
 
 import equinox as eqx
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from jaxdr.scene.color import as_rgb
 
@@ -11,7 +12,7 @@ class AreaEmitter(eqx.Module):
 
     radiance: Float[Array, "3"]
 
-    def __init__(self, radiance):
+    def __init__(self, radiance: ArrayLike):
         self.radiance = as_rgb(radiance, "AreaEmitter: radiance")
 
 
@@ -20,5 +21,5 @@ class ConstantEnvironment(eqx.Module):
 
     radiance: Float[Array, "3"]
 
-    def __init__(self, radiance=1.0):
+    def __init__(self, radiance: ArrayLike = 1.0):
         self.radiance = as_rgb(radiance, "ConstantEnvironment: radiance")

@@ -4,6 +4,7 @@ import math
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.color import as_rgb
@@ -15,7 +16,7 @@ class Diffuse(BSDF):
 
     reflectance: Float[Array, "*n 3"]
 
-    def __init__(self, reflectance=0.5):
+    def __init__(self, reflectance: ArrayLike = 0.5):
         self.reflectance = as_rgb(reflectance, "Diffuse: reflectance")
 
     def eval(self, wi, wo):
