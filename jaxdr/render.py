@@ -6,7 +6,7 @@ and the gradient of a non-linear loss of the image is unbiased.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,7 @@ class Moving(NamedTuple):
 class Plan(NamedTuple):
     """Everything static about a rendering; hashable."""
 
-    structure: jax.tree_util.PyTreeDef
+    structure: Any  # a jax.tree_util.PyTreeDef
     is_float: tuple[bool, ...]
     spp: int
     integrator: PathTracer

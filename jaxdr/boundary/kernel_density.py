@@ -4,7 +4,7 @@ A path segment that passes close to a silhouette, seen from its camera-side end,
 there: its contribution is spread over a strip (or disc) of radius r around the projected silhouette.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -180,7 +180,7 @@ class KernelDensity(eqx.Module):
         radius = prepared.radius
         table = (packed.vertices, packed.edges.vertices, packed.edges.opposite)
         rays = (ends.apex, ends.target, ends.normal, scale, widest, seed)
-        options = dict(capacity=capacity, both_sides=both_sides, implementation=settings.rays)
+        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=settings.rays)
         if self.kernel == "edge":
             pairs = queries.edge_candidates(prepared.tree, *table, radius, *rays, **options)
             return pairs, pairs.element, None, None

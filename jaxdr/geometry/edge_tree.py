@@ -70,7 +70,7 @@ def build_edge_tree(
         radius=radius,
     )
     padding = leaves * LEAF - count
-    fill = EdgeTree(inf, -inf, 0.0, 1.0, 0.0)
+    fill = (jnp.inf, -jnp.inf, 0.0, 1.0, 0.0)
     level = EdgeTree(
         *(
             jnp.concatenate([table, jnp.full((padding, *table.shape[1:]), value, table.dtype)])

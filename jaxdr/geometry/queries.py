@@ -6,7 +6,7 @@ becomes one larger batch of rays.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,7 +47,7 @@ class Candidates(NamedTuple):
     weight: Float[Array, ""]
 
 
-def _module(implementation: str):
+def _module(implementation: str) -> Any:
     if implementation == "jax":
         return jax_queries
     if implementation == "warp":
@@ -186,10 +186,11 @@ def edge_candidates(
 
 
 def _edge_query(implementation, args, capacity, both_sides):
-    tree, rest = EdgeTree(*args[: len(EdgeTree._fields)]), args[len(EdgeTree._fields) :]
+    module, nodes = _module(implementation), len(EdgeTree._fields)
+    tree, rest = EdgeTree(*args[:nodes]), args[nodes:]
     if implementation == "jax":  # every edge is tried: no tree
-        return tuple(jax_queries.edge_candidates(*rest, capacity, both_sides))
-    return tuple(_module(implementation).edge_candidates(tree, *rest, capacity, both_sides))
+        return tuple(module.edge_candidates(*rest, capacity, both_sides))
+    return tuple(module.edge_candidates(tree, *rest, capacity, both_sides))
 
 
 def point_candidates(

@@ -88,7 +88,8 @@ def trace_paths(
         return jnp.where(bounce == 0, u, fresh)
 
     def step(state, bounce):
-        return _bounce(packed, *state, numbers(bounce), settings)
+        point, wi, throughput = state
+        return _bounce(packed, point, wi, throughput, numbers(bounce), settings)
 
     # Without MIS the last bounce needs no BSDF ray; it stands behind the loop, whatever the depth.
     looped = bounces if settings.mis else bounces - 1

@@ -35,11 +35,11 @@ class Scatterer:
             self.wi = jnp.where(below, self.wi * jnp.asarray([1.0, 1.0, -1.0], wi.dtype), self.wi)
         self.groups = [(_take(group.bsdf, group.row[shape]), group.member[shape]) for group in packed.bsdfs]
 
-    def _combine(self, values):
+    def _combine(self, values) -> Array:
         """The value of the group each point belongs to."""
         if len(values) == 1:
             return values[0]
-        total = 0.0
+        total = jnp.zeros_like(values[0])
         for value, (_, member) in zip(values, self.groups, strict=True):
             total = total + jnp.where(member.reshape(member.shape + (1,) * (value.ndim - 1)), value, 0.0)
         return total
