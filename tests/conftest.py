@@ -4,6 +4,8 @@ from pathlib import Path
 
 from jaxtyping import install_import_hook
 
+import tests.type_checker  # noqa: F401  the hook names it in a string
+
 ROOT = Path(__file__).parents[1]
 
 # Before the first import of the package: the hook rewrites modules as they are loaded. Annotations in the Warp modules
@@ -14,5 +16,5 @@ install_import_hook(
         for path in (ROOT / "jaxdr").rglob("*.py")
         if not path.name.startswith(("warp", "__init__"))
     ],
-    "beartype.beartype",
+    "tests.type_checker.check",
 )
