@@ -3,7 +3,7 @@
 ArrayLike is written for static checkers: at run time it refuses floats and tuples.
 """
 
-from beartype import BeartypeConf, BeartypeHintOverrides, beartype
+from beartype import BeartypeConf, FrozenDict, beartype
 from numpy.typing import ArrayLike
 
-check = beartype(conf=BeartypeConf(hint_overrides=BeartypeHintOverrides({ArrayLike: object})))
+check = beartype(conf=BeartypeConf(hint_overrides=FrozenDict({ArrayLike: object})))
