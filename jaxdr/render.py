@@ -15,7 +15,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
 from jaxdr.integrator import PathTracer
-from jaxdr.scene.film import Box
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path import trace_paths
@@ -60,9 +59,11 @@ def render(
         raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
-    if integrator.primary == "material" and isinstance(scene.camera.film.filter, Box):
+    pixel_filter = scene.camera.film.filter
+    if integrator.primary == "material" and not pixel_filter.smooth:
         raise ValueError(
-            'render: primary="material" differentiates the pixel filter, and a Box has no derivative; use Gaussian'
+            'render: primary="material" differentiates the pixel filter, and a '
+            f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
         )
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
@@ -151,7 +152,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     if with_boundary:
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
-        distribution = edge_distribution(packed, shapes, pilot_key, creases=integrator.primary == "fixed_ray")
+        distribution = edge_distribution(packed, shapes, pilot_key)
         prepared = integrator.boundary.prepare(packed)
     key_film, key_chunks = jax.random.split(key)
 
@@ -177,9 +178,9 @@ def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key,
     _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
-    settings, material = integrator.settings, distribution is not None and integrator.primary == "material"
-    primary = primary_samples(packed, samples, key, settings.rays, material)
-    record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings)
+    settings, form = integrator.settings, _form(packed, integrator, distribution is not None)
+    primary = primary_samples(packed, samples, key, settings.rays, form)
+    record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
     radiance = record.radiance * primary.weight[:, None]
 
     weight = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(radiance.dtype)
@@ -190,13 +191,20 @@ def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key,
     terms = {"interior": gather(radiance)}
     if distribution is None:
         return terms
-    points = max(1, round(pixels * count * integrator.edge_samples))
-    edges = film_edge_terms(packed, distribution, points, key_edges, settings, material)
+    points = max(1, round(pixels * count * integrator.edge_points_per_sample))
+    edges = film_edge_terms(packed, distribution, points, key_edges, settings, form)
     share = weight.sum()
     terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
     index = jnp.tile(samples, pixels)
-    total = integrator.boundary.estimate(
-        packed, prepared, primary.first, -primary.direction, record, index, key_boundary, settings
-    )
+    total = integrator.boundary.estimate(packed, prepared, primary, record, index, key_boundary, settings)
     terms["boundary"] = gather(total)
     return terms
+
+
+def _form(packed: PackedScene, integrator: PathTracer, with_boundary: bool) -> str:
+    """How first hits move, see `primary_samples`; without boundary terms as they always did."""
+    if not with_boundary:
+        return "fixed"
+    if integrator.primary == "material":
+        return "material"
+    return "near" if packed.camera.film.filter.smooth else "fixed"

@@ -16,8 +16,9 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import LUMINANCE, PackedScene
 from jaxdr.scene.splat import splat
-from jaxdr.transport.interaction import material_point, on_fixed_ray
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.interaction import SurfacePoint, material_point, on_fixed_ray
+from jaxdr.transport.near_field import NearField
+from jaxdr.transport.path import PathSettings, trace_jump, trace_paths
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.shading import has_emitters, sample_emitter
 
@@ -28,7 +29,7 @@ class EdgeDistribution(NamedTuple):
     """What edge points are drawn from; detached. `start`, `end` are the film points of the visible part of each edge.
 
     `clip` are the fractions of the 3D edge at its near-clipped ends, `depth` the depths there, `range` the part of the
-    projected edge inside the film window. `importance` per unit length, `cdf` of length x importance.
+    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance.
     """
 
     start: Float[Array, "E 2"]
@@ -36,15 +37,13 @@ class EdgeDistribution(NamedTuple):
     clip: Float[Array, "E 2"]
     depth: Float[Array, "E 2"]
     range: Float[Array, "E 2"]
-    silhouette: Bool[Array, " E"]
     importance: Float[Array, " E"]
-    cdf: Float[Array, " E"]
+    silhouettes: Float[Array, " E"]
+    creases: Float[Array, " E"]
 
 
-def edge_distribution(
-    packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, creases: bool = True
-) -> EdgeDistribution:
-    """Distribution over the silhouettes and `creases` of the `moving` shapes; `key` draws a few emitter samples."""
+def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
+    """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
     packed = jax.tree.map(stop_gradient, packed)
     camera, edges = packed.camera, packed.edges
     local = camera.local(packed.vertices)
@@ -59,18 +58,16 @@ def edge_distribution(
     s0, s1 = _inside_window(camera.film, start, end)
     length = jnp.where(in_front, norm(end - start) * jnp.maximum(s1 - s0, 0.0), 0.0)
     silhouette, importance = _importance(packed, moving, key)
-    if not creases:
-        importance = jnp.where(silhouette, importance, 0.0)
-    cdf = jnp.cumsum(length * importance)
+    mass = length * importance
     return EdgeDistribution(
         start=start,
         end=end,
         clip=jnp.stack([t0, t1], -1),
         depth=jnp.stack([q0[:, 2], q1[:, 2]], -1),
         range=jnp.stack([s0, s1], -1),
-        silhouette=silhouette,
         importance=importance,
-        cdf=cdf,
+        silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
+        creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
     )
 
 
@@ -159,19 +156,41 @@ def film_edge_terms(
     count: int,
     key: PRNGKeyArray,
     settings: PathSettings,
-    material: bool = False,
+    form: str = "fixed",
 ) -> FilmEdgeTerms:
-    """Boundary terms of the film from `count` edge points, stratified along all edges.
+    """Boundary terms of the film from `count` points on silhouettes and as many on creases, stratified along the edges.
 
-    With `material` first hits only the surface behind a silhouette has a boundary there, and the edge's velocity counts
-    relative to that surface.
+    `form` of the first hits, see `primary_samples`. Of light in material form only what the surface behind a silhouette
+    sends has a boundary there, and the edge's velocity counts relative to that surface.
     """
-    camera, film = packed.camera, packed.camera.film
-    key_edge, key_first, key_path = jax.random.split(key, 3)
-    edge, fraction, weight = _sample(distribution, count, key_edge)
+    key_silhouettes, key_creases = jax.random.split(key)
+    terms = FilmEdgeTerms(_silhouettes(packed, distribution, count, key_silhouettes, settings, form), None)
+    if form == "material":
+        return terms._replace(creases=jnp.zeros_like(terms.silhouettes))
+    return terms._replace(creases=_creases(packed, distribution, count, key_creases, settings, form))
 
-    # The point of the 3D edge seen at this fraction of the projected edge; it moves with the edge.
+
+class _EdgePoints(NamedTuple):
+    """Points on visible edges, and the camera rays on their two sides (leading axis 2).
+
+    `weight` = 1 / (count x density per pixel of length), zero where the edge is hidden. `normal` on the film, towards
+    the first side. Only `film_point` is differentiable.
+    """
+
+    film_point: Float[Array, "n 2"]
+    normal: Float[Array, "n 2"]
+    weight: Float[Array, " n"]
+    direction: Float[Array, "2 n 3"]
+    first: SurfacePoint
+    distance: Float[Array, "2 n"]
+    at_edge: Bool[Array, "2 n"]
+
+
+def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settings) -> _EdgePoints:
+    camera, film = packed.camera, packed.camera.film
+    edge, fraction, weight = _sample(distribution, cdf, count, key)
     d = jax.tree.map(lambda table: table[edge], distribution)
+    # The point of the 3D edge seen at this fraction of the projected edge; it moves with the edge.
     z0, z1 = d.depth[:, 0], d.depth[:, 1]
     tau = fraction * z0 / (fraction * z0 + (1 - fraction) * z1)
     tau = (d.clip[:, 0] + tau * (d.clip[:, 1] - d.clip[:, 0]))[:, None]
@@ -183,55 +202,77 @@ def film_edge_terms(
     normal = jnp.stack([along[:, 1], -along[:, 0]], -1)
     detached = jax.tree.map(stop_gradient, packed)
     step = 1e-5 * max(film.width, film.height)
-    u = lattice(key_first, count, jnp.zeros(1, jnp.int32), 4, point.dtype)[:, 0]
-
-    def radiance(side):
-        origin, direction = detached.camera.rays(stop_gradient(film_point) + side * step * normal)
-        origin = jnp.broadcast_to(origin, direction.shape)
-        reach = jnp.full(count, 1e30, direction.dtype)
-        hit = queries.closest_hit(detached.vertices, detached.faces, origin, direction, reach, settings.rays)
-        first = on_fixed_ray(detached, origin, direction, hit.face)
-        # Common random numbers on both sides: what does not jump cancels.
-        found = trace_paths(detached, first, direction, u, key_path, settings).radiance
-        distance = jnp.where(first.valid, hit.t.astype(direction.dtype), jnp.inf)
-        return found, hit.face, first.barycentric, distance
-
-    colour, face, barycentric, distance = jax.vmap(radiance)(jnp.asarray([1.0, -1.0], point.dtype))
+    sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
+    origin, direction = detached.camera.rays(stop_gradient(film_point) + sides * step * normal)
+    rays = direction.reshape(-1, 3)
+    origin = jnp.broadcast_to(origin, rays.shape)
+    reach = jnp.full(2 * count, 1e30, rays.dtype)
+    hit = queries.closest_hit(detached.vertices, detached.faces, origin, rays, reach, settings.rays)
+    first = on_fixed_ray(detached, origin, rays, hit.face)
+    first = jax.tree.map(lambda x: x.reshape(2, count, *x.shape[1:]), first)
+    distance = jnp.where(first.valid, hit.t.reshape(2, count).astype(rays.dtype), jnp.inf)
     edge_distance = norm(stop_gradient(point) - detached.camera.position)
-    at_edge = jnp.abs(distance.min(0) - edge_distance) <= edge_distance * (
-        1e-5 + 50 * step / detached.camera.pixels_per_tangent
-    )
+    near = jnp.abs(distance - edge_distance) <= edge_distance * (1e-5 + 50 * step / detached.camera.pixels_per_tangent)
     neighbours = packed.edges.faces[edge]
-    at_neighbour = ((face[:, :, None] == neighbours[None]) & (neighbours >= 0)[None]).any((0, 2))
-    seen = at_edge | at_neighbour
+    at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
+    return _EdgePoints(film_point, normal, weight, direction, first, distance, near | at_neighbour)
 
-    jump = colour[1] - colour[0]
-    position = film_point
-    if material:
-        behind = distance.argmax(0)
-        jump = jnp.where((behind == 1)[:, None], colour[1], -colour[0])
-        far_face, far_barycentric = (
-            jnp.take_along_axis(x, behind.reshape(1, -1, *[1] * (x.ndim - 2)), 0)[0] for x in (face, barycentric)
-        )
-        hits = far_face >= 0
-        far = material_point(packed, jnp.where(hits, far_face, 0), far_barycentric, hits)
-        local = camera.local(far.position)
-        local = jnp.where(hits[:, None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
-        position = film_point - jnp.where(hits[:, None], camera.project_local(local), 0.0)
-    displacement = dot(normal, position - stop_gradient(position))
-    value = jnp.where(seen, weight, 0.0)[:, None] * jump * displacement[:, None]
-    is_silhouette = d.silhouette[:, None]
-    return FilmEdgeTerms(
-        silhouettes=splat(film, film_point, jnp.where(is_silhouette, value, 0.0)),
-        creases=splat(film, film_point, jnp.where(is_silhouette, 0.0, value)),
-    )
+
+def _value(packed, points: _EdgePoints, seen, jump, position) -> Float[Array, "H W 3"]:
+    """Image of jump x normal velocity of `position`, zero in value."""
+    displacement = dot(points.normal, position - stop_gradient(position))
+    value = jnp.where(seen, points.weight, 0.0)[:, None] * jump * displacement[:, None]
+    return splat(packed.camera.film, points.film_point, value)
+
+
+def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Array, "H W 3"]:
+    camera = packed.camera
+    key_edge, key_first, key_path = jax.random.split(key, 3)
+    points = _edge_points(packed, distribution, distribution.silhouettes, count, key_edge, settings)
+    detached = jax.tree.map(stop_gradient, packed)
+    u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
+
+    def radiance(first, direction):
+        near = _near_field(detached, first) if form == "near" else None
+        record = trace_paths(detached, first, direction, u, key_path, settings, near)
+        return record.radiance, record.radiance if form == "material" else record.near
+
+    total, near = jax.vmap(radiance)(points.first, points.direction)
+    seen, film_point, image = points.at_edge.any(0), points.film_point, 0.0
+    if form != "material":
+        image += _value(packed, points, seen, (total - near)[1] - (total - near)[0], film_point)
+    if form != "fixed":
+        behind = points.distance.argmax(0)
+        far = jax.tree.map(lambda x: jnp.where(behind.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0]), points.first)
+        material = material_point(packed, far.face, far.barycentric, far.valid)
+        ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
+        local = jnp.where(far.valid[:, None], camera.local(material.position), ahead)
+        position = film_point - jnp.where(far.valid[:, None], camera.project_local(local), 0.0)
+        jump = jnp.where((behind == 1)[:, None], near[1], -near[0])
+        image += _value(packed, points, seen, jump, position)
+    return image
+
+
+def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "H W 3"]:
+    key_edge, key_first, key_path = jax.random.split(key, 3)
+    points = _edge_points(packed, distribution, distribution.creases, count, key_edge, settings)
+    detached = jax.tree.map(stop_gradient, packed)
+    u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
+    one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
+    near = _near_field(detached, one) if form == "near" else None
+    jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
+    return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
+
+
+def _near_field(detached: PackedScene, first: SurfacePoint) -> NearField:
+    """Where nothing moves both forms of the first hit are one."""
+    return NearField(detached.camera, first, jnp.ones_like(first.area))
 
 
 def _sample(
-    distribution: EdgeDistribution, count: int, key
+    distribution: EdgeDistribution, cdf: Float[Array, " E"], count: int, key
 ) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
     """Edges, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
-    cdf = distribution.cdf
     total = cdf[-1]
     strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
     target = strata / count * total

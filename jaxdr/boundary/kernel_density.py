@@ -12,16 +12,26 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.silhouettes import PathSegments, Projection, SegmentEnds, never_silhouettes, project_edges
+from jaxdr.boundary.lobe_kernel import lobe_term
+from jaxdr.boundary.silhouettes import (
+    BESIDE,
+    PathSegments,
+    Projection,
+    SegmentEnds,
+    affine_coordinates,
+    never_silhouettes,
+    project_edges,
+)
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
-from jaxdr.geometry.vector import norm
+from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.interaction import leave
 from jaxdr.transport.path import PathRecord, PathSettings, Segments
+from jaxdr.transport.primary import PrimarySamples
 
-# How far beside the edge the visibility ray passes, as a share of the largest coordinate: some 100 float32 roundings.
-BESIDE = 1.2e-5
+# Emitters of no more faces than this are treated as one outline.
+FEW_FACES = 16
 
 
 class Prepared(NamedTuple):
@@ -37,8 +47,8 @@ class KernelDensity(eqx.Module):
     - `radius`: kernel radius, relative to the bounding-box diagonal of the shape whose edge it is.
     - `kernel`: "edge" integrates the kernel along the projected edge exactly; "point" is the paper's: `points` points
       drawn uniformly on all edges, a disc around each projection (Eq. 16, 19).
-    - `alpha`, `iterations`: the samples of a pixel are dealt to `iterations` radii that shrink by Eq. 21; their average
-      is Eq. 22. One iteration keeps the radius.
+    - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21; their average
+      is Eq. 22.
 
     Where this differs from the paper, each difference has a switch; the values in brackets are the paper's.
 
@@ -51,11 +61,13 @@ class KernelDensity(eqx.Module):
       off to one side by r/2 on average: a bias of first order in r.
     - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides of the
       boundary. Corners of the boundary then cause no bias and half the variance is gone.
-    - `clip_to_face` (False): where the target's face is larger than the kernel, the strip ends at the outline of the
-      face and is normalised by the width that is left.
-
-    With `kernel="edge"` and all of these on, direct light from polygons has no bias at any radius; light that arrives
-    from other surfaces keeps one, as what they radiate at the boundary is taken from r away.
+    - `clip_to_face` (False): the strip ends at the outline of an emitter of few faces, and of any face larger than the
+      kernel, and is normalised by the width that is left.
+    - `trace_background` (False): what lies behind silhouettes near BSDF-sampled directions is found by a ray past the
+      edge, and its radiance by a path from there, see `lobe_kernel`. The kernel is then one over directions, of radius
+      `lobe_radius` at the edge, relative to the shape, and at most 45 degrees.
+    - `iterations` (4): with `kernel="edge"` and all of the above nothing is biased at any radius but light from
+      emitters of many small faces, so that nothing has to shrink.
 
     `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
     random without bias, with a warning. Direct light is weighted by emitter sampling alone, without MIS.
@@ -64,19 +76,25 @@ class KernelDensity(eqx.Module):
     radius: float = eqx.field(static=True, default=0.02)
     kernel: Literal["edge", "point"] = eqx.field(static=True, default="edge")
     alpha: float = eqx.field(static=True, default=0.3)
-    iterations: int = eqx.field(static=True, default=4)
+    iterations: int = eqx.field(static=True, default=1)
     widest: float = eqx.field(static=True, default=0.1)
     concave_edges: bool = eqx.field(static=True, default=False)
     visibility_ray: bool = eqx.field(static=True, default=True)
     at_boundary: bool = eqx.field(static=True, default=True)
     both_sides: bool = eqx.field(static=True, default=True)
     clip_to_face: bool = eqx.field(static=True, default=True)
+    trace_background: bool = eqx.field(static=True, default=True)
+    lobe_radius: float = eqx.field(static=True, default=0.06)
     points: int = eqx.field(static=True, default=1 << 16)
     capacity: float = eqx.field(static=True, default=0.25)
 
     def __check_init__(self):
         if not self.radius > 0:
             raise ValueError(f"KernelDensity: radius must be positive (share of the shape's size), got {self.radius}")
+        if not self.lobe_radius > 0:
+            raise ValueError(
+                f"KernelDensity: lobe_radius must be positive (share of the shape's size), got {self.lobe_radius}"
+            )
         if self.kernel not in ("edge", "point"):
             raise ValueError(f"KernelDensity: kernel must be 'edge' or 'point', got {self.kernel!r}")
         if not 0 < self.alpha < 1:
@@ -109,8 +127,7 @@ class KernelDensity(eqx.Module):
         self,
         packed: PackedScene,
         prepared: Prepared,
-        first: SurfacePoint,
-        first_wi: Float[Array, "N 3"],
+        primary: PrimarySamples,
         record: PathRecord,
         sample_index: Int[Array, " N"],
         key: PRNGKeyArray,
@@ -118,21 +135,28 @@ class KernelDensity(eqx.Module):
     ) -> Float[Array, "N 3"]:
         """Boundary term of N paths: zero in value, right in derivative.
 
-        `prepared` by `prepare`. `first` are the paths' first hits (differentiable), `first_wi` the directions
-        from them to the camera, `sample_index` numbers the samples of a pixel.
+        `prepared` by `prepare`. `primary` are the paths' first hits, `sample_index` numbers the samples of a pixel.
         """
         total = jnp.zeros_like(record.radiance)
         schedule = jnp.asarray(self.radius_schedule(), total.dtype)
         scale = schedule[sample_index % self.iterations]
         key_direct, key_scattered = jax.random.split(key)
         if record.direct is not None:
-            paths = PathSegments(packed, first, first_wi, record.direct)
+            paths = PathSegments(packed, primary, record.direct)
             total = total + self._term(
                 packed, prepared, paths, record.direct, scale, self.both_sides, key_direct, settings
             )
         if record.scattered is not None:
-            paths = PathSegments(packed, first, first_wi, record.scattered)
-            total = total + self._term(packed, prepared, paths, record.scattered, scale, False, key_scattered, settings)
+            paths = PathSegments(packed, primary, record.scattered)
+            if self.trace_background:
+                capacity = self._capacity(paths.count)
+                lobes = scale * (self.lobe_radius / self.radius)
+                total = total + lobe_term(
+                    packed, prepared.tree, prepared.radius, paths, lobes, capacity, key_scattered, settings
+                )
+            else:
+                terms = (packed, prepared, paths, record.scattered, scale, False, key_scattered, settings)
+                total = total + self._term(*terms)
         return total
 
     def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
@@ -158,7 +182,7 @@ class KernelDensity(eqx.Module):
         if self.kernel == "edge":
             width = 2 * r if both_sides else r
             if self.clip_to_face:
-                width, whole_face, on_face = _strip_in_face(ends, projection, r, both_sides)
+                width, whole_face, on_face = _strip_in_face(packed, ends, projection, r, both_sides)
                 valid = valid & on_face
             share = 1.0 / jnp.where(valid, width, 1.0)
         else:
@@ -172,9 +196,12 @@ class KernelDensity(eqx.Module):
         value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
+    def _capacity(self, segments: int) -> int:
+        return min(max(4096, round(self.capacity * segments)), 1 << 24)
+
     def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, both_sides, key, settings):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None)."""
-        capacity = min(max(4096, round(self.capacity * scale.shape[0])), 1 << 24)
+        capacity = self._capacity(scale.shape[0])
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
         radius = prepared.radius
@@ -202,27 +229,49 @@ class KernelDensity(eqx.Module):
         return edge, fraction, cdf[-1]
 
 
-def _strip_in_face(ends: SegmentEnds, projection: Projection, r, both_sides: bool):
+def _inradius(corners) -> Float[Array, " C"]:
+    """Radius of the circle inscribed in triangles."""
+    a, b, c = (corners[:, k] for k in range(3))
+    return norm(jnp.cross(b - a, c - a)) / (norm(b - a) + norm(c - b) + norm(a - c))
+
+
+def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection, r, both_sides: bool):
     """(width of the kernel's strip across a boundary point, whether it was cut to the face, whether the point counts).
 
-    Strips are cut to the target's face where that is larger than the kernel; smaller faces are parts of one surface,
-    and the strip goes on over their plane.
+    Strips are cut to the emitter where that has few faces, else to the target's face where that is larger than the
+    kernel; smaller faces are parts of one surface, and the strip goes on over their plane.
     """
-    corners = stop_gradient(ends.corners)
-    a, b, c = (corners[:, k] for k in range(3))
-    inradius = norm(jnp.cross(b - a, c - a)) / (norm(b - a) + norm(c - b) + norm(a - c))
-    large = (inradius > r) & ~ends.infinite
+    low, high = -r, r if both_sides else jnp.zeros_like(r)
+    width, inside = _overlap(projection.barycentric, projection.barycentric_rate, low, high)
+    large = _inradius(stop_gradient(ends.corners)) > r
+    if packed.has_area_emitters and packed.emitter_faces.shape[0] <= FEW_FACES:
+        on_emitter = (ends.face[:, None] == packed.emitter_faces).any(-1)
+        corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+        same_shape = packed.face_shape[packed.emitter_faces] == packed.face_shape[ends.face][:, None]
+        height = jnp.abs(
+            dot(corners[None] - projection.point[:, None, None], stop_gradient(ends.normal)[:, None, None])
+        )
+        coplanar = same_shape & (height.max(-1) <= 1e-4 * norm(corners[:, 1] - corners[:, 0]))
+        barycentric = affine_coordinates(corners, projection.point[:, None])
+        rate = affine_coordinates(corners, corners[:, 0] + projection.normal[:, None]) - jnp.eye(3, dtype=r.dtype)[0]
+        widths, insides = _overlap(barycentric, rate, low[:, None], high[:, None])
+        width = jnp.where(on_emitter, jnp.where(coplanar, widths, 0.0).sum(-1), width)
+        inside = jnp.where(on_emitter, (coplanar & insides).any(-1), inside)
+        large = large | on_emitter
+    large = large & ~ends.infinite
+    return jnp.where(large, width, high - low), large, (inside & (width > 0)) | ~large
 
-    def room(rate):
-        shrinks = rate < 0
-        return jnp.where(shrinks, projection.barycentric / jnp.where(shrinks, -rate, 1.0), jnp.inf).min(-1)
 
-    width = jnp.minimum(r, room(-projection.barycentric_rate))
-    if both_sides:
-        width = width + jnp.minimum(r, room(projection.barycentric_rate))
-    inside = (projection.barycentric > 0).all(-1) & (width > 0)
-    plain = 2 * r if both_sides else r
-    return jnp.where(large, width, plain), large, inside | ~large
+def _overlap(barycentric, rate, low, high):
+    """(length of the line's parameter range [low, high] inside triangles, whether its origin is).
+
+    `barycentric` coordinates at the origin and their `rate` along the line.
+    """
+    root = -barycentric / jnp.where(rate == 0, 1.0, rate)
+    missed = ((rate == 0) & (barycentric < 0)).any(-1)
+    start = jnp.maximum(low, jnp.where(rate > 0, root, -jnp.inf).max(-1))
+    end = jnp.minimum(high, jnp.where(rate < 0, root, jnp.inf).min(-1))
+    return jnp.where(missed, 0.0, jnp.maximum(end - start, 0.0)), (barycentric > 0).all(-1)
 
 
 def _sees_past_edge(

@@ -9,31 +9,53 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.near_field import footprint2, near_share
 from jaxdr.transport.path import Segments
+from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
+
+# How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
+BESIDE = 1.2e-5
 
 
 class SegmentEnds(eqx.Module):
     """Both ends of C segments; `apex` and `target` are differentiable.
 
     `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
-    is large. `corners` are those of the target's face, `normal` that of the plane at the target: its face, or at
-    infinity the plane across the segment.
+    is large. `face` is the target's and `corners` are its vertices; `normal` is that of the plane at the target: its
+    face, or at infinity the plane across the segment. `attached` is the apex as a material point where it has both
+    forms, `size2` the squared size of a pixel there, zero where it has one form.
     """
 
     apex: Float[Array, "C 3"]
     target: Float[Array, "C 3"]
     normal: Float[Array, "C 3"]
+    face: Int[Array, " C"]
     corners: Float[Array, "C 3 3"]
     infinite: Bool[Array, " C"]
+    attached: Float[Array, "C 3"] | None = None
+    size2: Float[Array, " C"] | None = None
+
+    def apex_towards(self, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """The apex as it moves for light from `goal`."""
+        return _mixed(self.apex, self.attached, self.size2, goal)
+
+
+def _mixed(apex, attached, size2, goal):
+    """Both forms of the apex, mixed by the share that the near field has of light from `goal`."""
+    if attached is None:
+        return apex
+    offset = goal - stop_gradient(apex)
+    share = near_share(size2, jnp.where(size2 > 0, dot(offset, offset), 1.0))[:, None]
+    return (1 - share) * apex + share * attached
 
 
 class PathSegments:
     """The segments of N paths, flattened over the bounces and looked up by number."""
 
-    def __init__(self, packed: PackedScene, first: SurfacePoint, first_wi: Float[Array, "N 3"], segments: Segments):
+    def __init__(self, packed: PackedScene, primary: PrimarySamples, segments: Segments):
         bounces, self.paths = segments.apex_face.shape
-        self.packed, self.first, self.first_wi = packed, first, first_wi
+        self.packed, self.first, self.first_wi, self.near = packed, primary.first, -primary.direction, primary.near
         self.table = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), segments)
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size()
@@ -58,32 +80,55 @@ class PathSegments:
         normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         on_face = (corners * barycentric[..., None]).sum(1)
         far = infinite[:, None]
+        attached, size2 = self._attached(index, apex)
+        if size2 is not None:
+            size2 = jnp.where(infinite, 0.0, size2)
         return SegmentEnds(
             apex=apex,
             target=jnp.where(far, apex + self.distance_to_infinity * direction, on_face),
             normal=jnp.where(far, direction, normal),
+            face=face,
             corners=corners,
             infinite=infinite,
+            attached=attached,
+            size2=size2,
         )
+
+    def _attached(self, index, apex):
+        """(the apex as a material point, squared size of a pixel there or zero) where it has both forms."""
+        if self.near is None:
+            return None, None
+        on_ray = index < self.paths
+        attached = jnp.where(on_ray[:, None], self.near.point.position[self.path(index)], apex)
+        return attached, jnp.where(on_ray, stop_gradient(footprint2(self.packed.camera, apex)), 0.0)
+
+    def apex_towards(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """Near ends as they move for light from `goal`."""
+        apex = self.apex(index).position
+        return _mixed(apex, *self._attached(index, apex), goal)
 
     def weight(self, index: Int[Array, " C"]) -> Float[Array, "C 3"]:
         """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target."""
         far = jnp.where(self.table.infinite[index], self.distance_to_infinity**2, 1.0)
         return self.table.weight[index] * far[:, None]
 
-    def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""
+    def scatterer(self, index: Int[Array, " C"]) -> Scatterer:
+        """The BSDF at the near ends; detached."""
         apex = jax.tree.map(stop_gradient, self.apex(index))
         before = jnp.maximum(index - self.paths, 0)
         previous = stop_gradient(self.apex(before).position)
         on_ray = (index < self.paths)[:, None]
         wi = jnp.where(on_ray, stop_gradient(self.first_wi)[self.path(index)], normalize(previous - apex.position))
-        offset = goal - apex.position
+        return Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi)
+
+    def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""
+        scatterer = self.scatterer(index)
+        offset = goal - scatterer.point.position
         distance2 = dot(offset, offset)
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
         towards = offset / jnp.sqrt(distance2)[:, None]
-        f = Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi).eval(towards)
-        return f * (jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)[:, None]
+        return scatterer.eval(towards) * (jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)[:, None]
 
 
 class Projection(eqx.Module):
@@ -117,13 +162,15 @@ def project_edges(
     s0, s1 = stop_gradient(p0) - apex, stop_gradient(p1) - apex
     height = _nonzero(dot(normal, target - apex))
     if along is None:
-        along = _foot(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, target - apex)
+        along = foot_on_edge(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, target - apex)
     point = (1 - along)[:, None] * p0 + along[:, None] * p1
 
-    offset = point - ends.apex
-    scale = dot(ends.normal, ends.target - ends.apex) / _nonzero(dot(ends.normal, offset))
-    projected = ends.apex + offset * scale[:, None]
-    on_plane = stop_gradient(projected)
+    to_edge = stop_gradient(point) - apex
+    on_plane = apex + to_edge * (height / _nonzero(dot(normal, to_edge)))[:, None]
+    moving_apex = ends.apex_towards(on_plane)
+    offset = point - moving_apex
+    scale = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
+    projected = moving_apex + offset * scale[:, None]
 
     plane = jnp.cross(s0, s1)
     side = jnp.sign(dot(plane, stop_gradient(packed.vertices)[packed.edges.opposite[edge, 0]] - apex))
@@ -131,13 +178,12 @@ def project_edges(
 
     # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
     corners = stop_gradient(ends.corners)
-    barycentric = _affine_coordinates(corners, on_plane)
-    rate = _affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
+    barycentric = affine_coordinates(corners, on_plane)
+    rate = affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
     rigid = (ends.corners * barycentric[..., None]).sum(1)
     material = jnp.where(ends.infinite[:, None], ends.apex + (on_plane - apex), rigid)
 
     tangent = normalize(s1 - s0)
-    to_edge = stop_gradient(point) - apex
     depth = _nonzero(dot(normal, to_edge))[:, None]
     stretch = norm(height[:, None] * (tangent / depth - to_edge * dot(normal, tangent)[:, None] / depth**2))
     return Projection(
@@ -157,16 +203,17 @@ def _nonzero(x):
     return jnp.where(x == 0, 1.0, x)
 
 
-def _affine_coordinates(corners, point):
-    """Barycentric coordinates of points in the planes of their faces."""
-    e1, e2, q = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
+def affine_coordinates(corners: Float[Array, "*n 3 3"], point: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """Barycentric coordinates of points in the planes of triangles."""
+    origin = corners[..., 0, :]
+    e1, e2, q = corners[..., 1, :] - origin, corners[..., 2, :] - origin, point - origin
     normal = jnp.cross(e1, e2)
     squared = dot(normal, normal)
     v, w = dot(jnp.cross(q, e2), normal) / squared, dot(jnp.cross(e1, q), normal) / squared
     return jnp.stack([1 - v - w, v, w], -1)
 
 
-def _foot(s0, s1, f0, f1, target):
+def foot_on_edge(s0, s1, f0, f1, target):
     """Fraction of the 3D edge that projects to the foot of the perpendicular from the target; all relative to the apex.
 
     `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what is between.

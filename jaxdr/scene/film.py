@@ -16,10 +16,16 @@ from jaxtyping import Array, Float
 
 @runtime_checkable
 class ReconstructionFilter(Protocol):
-    """A separable density over film offsets: `radius` (pixels), `sample` and `pdf`."""
+    """A separable density over film offsets: `radius` (pixels), `sample` and `pdf`.
+
+    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points.
+    """
 
     @property
     def radius(self) -> float: ...
+
+    @property
+    def smooth(self) -> bool: ...
 
     def sample(self, u: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]: ...
 
@@ -38,6 +44,10 @@ class Gaussian(eqx.Module):
     @property
     def radius(self) -> float:
         return 4.0 * self.stddev
+
+    @property
+    def smooth(self) -> bool:
+        return True
 
     def sample(self, u):
         """Film offsets [..., 2] (pixels) from uniform numbers, by inversion of the cut normal distribution."""
@@ -61,6 +71,10 @@ class Box(eqx.Module):
         if not self.radius > 0:
             raise ValueError(f"Box: radius must be positive (pixels), got {self.radius}")
 
+    @property
+    def smooth(self) -> bool:
+        return False
+
     def sample(self, u):
         """Film offsets [..., 2] (pixels) from uniform numbers."""
         return self.radius * (2.0 * u - 1.0)
@@ -79,6 +93,10 @@ class Tent(eqx.Module):
     def __check_init__(self):
         if not self.radius > 0:
             raise ValueError(f"Tent: radius must be positive (pixels), got {self.radius}")
+
+    @property
+    def smooth(self) -> bool:
+        return False
 
     def sample(self, u):
         """Film offsets [..., 2] (pixels) from uniform numbers, by inversion of the triangular distribution."""

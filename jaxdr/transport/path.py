@@ -21,8 +21,9 @@ from jaxdr.transport.interaction import (
     leave,
     material_point,
 )
+from jaxdr.transport.near_field import NearField
 from jaxdr.transport.sampler import uniform
-from jaxdr.transport.shading import Scatterer, emitted, emitter_pdf, sample_emitter
+from jaxdr.transport.shading import Scatterer, ScatteringJump, emitted, emitter_pdf, sample_emitter
 
 
 class Segments(NamedTuple):
@@ -32,7 +33,8 @@ class Segments(NamedTuple):
     `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
     without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
     over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one.
+    occluded; its weight is that of an unoccluded one. `lobe`, of BSDF-sampled segments, is the throughput to the apex
+    over the density of `direction` (solid angle), whatever lies there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -43,16 +45,19 @@ class Segments(NamedTuple):
     direction: Float[Array, "B N 3"]
     weight: Float[Array, "B N 3"]
     visible: Bool[Array, "B N"]
+    lobe: Float[Array, "B N 3"] | None = None
 
 
 class PathRecord(NamedTuple):
     """Radiance towards the camera of N paths, and the segments behind the first hit.
 
     `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments;
-    they carry what is gathered at their far end and beyond. None where there are none.
+    they carry what is gathered at their far end and beyond. None where there are none. `near` is the share of the
+    radiance (detached) that is taken in material form.
     """
 
     radiance: Float[Array, "N 3"]
+    near: Float[Array, "N 3"]
     direct: Segments | None
     scattered: Segments | None
 
@@ -65,6 +70,21 @@ class PathSettings(NamedTuple):
     rays: str
 
 
+class _Bounce(NamedTuple):
+    """What one vertex of N paths adds.
+
+    `light` by emitter sampling, `emission` found by BSDF sampling; `near_light` and `near_beyond` are the shares of the
+    light sample and of everything behind the BSDF-sampled segment that are in material form.
+    """
+
+    light: Float[Array, "N 3"]
+    emission: Float[Array, "N 3"]
+    near_light: Float[Array, " N"]
+    near_beyond: Float[Array, " N"]
+    direct: Segments
+    scattered: Segments | None
+
+
 def trace_paths(
     packed: PackedScene,
     first: SurfacePoint,
@@ -72,75 +92,175 @@ def trace_paths(
     u: Float[Array, "N 4"],
     key: PRNGKeyArray,
     settings: PathSettings,
+    near: NearField | None = None,
 ) -> PathRecord:
     """Trace paths on from first hits; `direction` is that of the rays which found them, `u` the first bounce's numbers.
 
     Next-event estimation and BSDF sampling are combined by the balance heuristic (Veach 1997), unless `settings.mis`
-    is off: then emitters are reached by next-event estimation alone.
+    is off: then emitters are reached by next-event estimation alone. `near` is the other form of the first hits.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
-        return PathRecord(radiance, None, None)
+        return PathRecord(radiance, jnp.zeros_like(radiance), None, None)
+    scatterer = Scatterer(packed, first, -direction)
+    parts = _gather(packed, scatterer, bounces, u, key, settings, near)
+    light, emission = parts.light, parts.emission
+    own = stop_gradient(light + emission)
+    # What every BSDF-sampled segment carries from its far end: the light that later bounces add, summed from the end.
+    beyond = jnp.cumsum(own[::-1], axis=0)[::-1] - own
+    near_radiance = jnp.zeros_like(radiance)
+    if near is not None:
+        near_radiance = parts.near_light[0, :, None] * stop_gradient(light[0])
+        near_radiance += parts.near_beyond[0, :, None] * (stop_gradient(emission[0]) + beyond[0])
+    scattered = None
+    if bounces > 1:
+        scattered = jax.tree.map(lambda x: x[: bounces - 1], parts.scattered)
+        transfer = scattered.weight  # so far: BSDF value times geometric term of the segment itself
+        gathered = beyond[:-1] / jnp.where(transfer > 0, transfer, 1.0)
+        scattered = scattered._replace(weight=jnp.where(transfer > 0, gathered, 0.0))
+    return PathRecord(
+        radiance + light.sum(0) + emission.sum(0),
+        near_radiance,
+        jax.tree.map(stop_gradient, parts.direct),
+        jax.tree.map(stop_gradient, scattered),
+    )
+
+
+def trace_jump(
+    packed: PackedScene,
+    one: SurfacePoint,
+    two: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    u: Float[Array, "N 4"],
+    key: PRNGKeyArray,
+    settings: PathSettings,
+    near: NearField | None = None,
+) -> Float[Array, "N 3"]:
+    """Radiance from points `one` less that from points `two` beside them, across a crease: one path for both.
+
+    With `near`, only the share that is not in material form.
+    """
+    radiance = emitted(packed, one, -direction) - emitted(packed, two, -direction)
+    bounces = settings.max_depth - 1
+    if bounces == 0:
+        return radiance
+    jump = ScatteringJump(Scatterer(packed, one, -direction), Scatterer(packed, two, -direction))
+    parts = _gather(packed, jump, bounces, u, key, settings, near)
+    light, emission = parts.light, parts.emission
+    if near is not None:
+        far_light, far_beyond = 1.0 - parts.near_light[0, :, None], 1.0 - parts.near_beyond[0, :, None]
+        light = jnp.concatenate([light[:1] * far_light, light[1:] * far_beyond])
+        emission = emission * far_beyond
+    return radiance + light.sum(0) + emission.sum(0)
+
+
+def gathered_radiance(
+    packed: PackedScene,
+    point: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    u: Float[Array, "N 4"],
+    key: PRNGKeyArray,
+    settings: PathSettings,
+    bounces: int,
+    remaining: Int[Array, " N"],
+) -> Float[Array, "N 3"]:
+    """Radiance that surface points scatter back against `direction`, without what they emit.
+
+    Paths scatter `remaining` times, at most `bounces`.
+    """
+    parts = _gather(packed, Scatterer(packed, point, -direction), bounces, u, key, settings, None)
+    counts = (jnp.arange(bounces)[:, None] < remaining)[..., None]
+    return jnp.where(counts, parts.light + parts.emission, 0.0).sum(0)
+
+
+def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
+    """All bounces of paths from their first vertex on, [B, N, ...]."""
 
     def numbers(bounce):
-        fresh = uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
-        return jnp.where(bounce == 0, u, fresh)
+        return uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
+
+    # Without MIS the last bounce needs no BSDF ray.
+    throughput = jnp.ones_like(scatterer.point.position)
+    if bounces == 1 and not settings.mis:
+        return _stack(_last_bounce(packed, scatterer, throughput, u, settings, near))
+    state, added = _bounce(packed, scatterer, throughput, u, settings, near)
+    parts = [_stack(added)]
 
     def step(state, bounce):
         point, wi, throughput = state
-        return _bounce(packed, point, wi, throughput, numbers(bounce), settings)
+        return _bounce(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
 
-    # Without MIS the last bounce needs no BSDF ray; it stands behind the loop, whatever the depth.
-    looped = bounces if settings.mis else bounces - 1
-    state, parts = (first, -direction, jnp.ones_like(direction)), []
-    gathered = scattered = None
-    if looped:
-        state, (light, emission, direct, scattered) = jax.lax.scan(step, state, jnp.arange(looped))
-        parts.append((light, direct))
-        radiance = radiance + light.sum(0) + emission.sum(0)
-    if looped < bounces:
+    last = bounces if settings.mis else bounces - 1
+    if last > 1:
+        state, added = jax.lax.scan(step, state, jnp.arange(1, last))
+        parts.append(added)
+    if last < bounces:
         point, wi, throughput = state
         scatterer = Scatterer(packed, point, wi)
-        last = _emitter_connection(packed, point, scatterer, throughput, numbers(looped)[:, :2], settings)
-        parts.append(jax.tree.map(lambda x: x[None], last))
-        radiance = radiance + last[0]
-    light, direct = jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
-    if bounces > 1:
-        # What is gathered beyond a BSDF-sampled segment: the light that later bounces add, summed from the end.
-        later = stop_gradient(light)[1:]
-        if settings.mis:
-            later = later + stop_gradient(emission)[1:]
-        gathered = jnp.cumsum(later[::-1], axis=0)[::-1]
-        scattered = jax.tree.map(lambda x: x[: bounces - 1], scattered)
-        own = scattered.weight  # so far: BSDF value times geometric term of the segment itself
-        scattered = scattered._replace(weight=jnp.where(own > 0, gathered / jnp.where(own > 0, own, 1.0), 0.0))
-    else:
-        scattered = None
-    return PathRecord(radiance, jax.tree.map(stop_gradient, direct), jax.tree.map(stop_gradient, scattered))
+        parts.append(_stack(_last_bounce(packed, scatterer, throughput, numbers(last), settings)))
+    return jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
 
 
-def _emitter_connection(packed, point, scatterer, throughput, u, settings):
-    """(direct light at a vertex from one emitter sample, the segment to it)."""
-    sample = sample_emitter(packed, u)
-    offset = sample.point.position - point.position
-    infinite = sample.infinite[:, None]
-    towards = jnp.where(infinite, sample.direction, normalize(offset))
-    distance2 = jnp.where(sample.infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
-    cosine = jnp.where(sample.infinite, 1.0, -dot(sample.point.normal, towards))
-    f = scatterer.eval(towards)
-    reachable = point.valid & (stop_gradient(cosine) > 0) & (stop_gradient(f) > 0).any(-1)
-    start = leave(point, towards)
+def _stack(bounce: _Bounce) -> _Bounce:
+    return jax.tree.map(lambda x: x[None], bounce)
+
+
+class _Transfer(NamedTuple):
+    """From a vertex towards a target: `value` = f_s |cos| G J (RGB; G counts the target's cosine, 1 at infinity).
+
+    `towards` unit, `cosine` at the target (signed), `geometry` = G J; all of them differentiable.
+    """
+
+    value: Float[Array, "N 3"]
+    towards: Float[Array, "N 3"]
+    distance2: Float[Array, " N"]
+    cosine: Float[Array, " N"]
+    geometry: Float[Array, " N"]
+
+
+def _transfer(scatterer, target: SurfacePoint, infinite, direction) -> _Transfer:
+    offset = target.position - scatterer.point.position
+    towards = jnp.where(infinite[:, None], direction, normalize(offset))
+    distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
+    cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
+    geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
+    return _Transfer(scatterer.eval(towards) * geometry[:, None], towards, distance2, cosine, geometry)
+
+
+def _both_forms(packed, near: NearField | None, fixed: _Transfer, scatterer, target: SurfacePoint, infinite, direction):
+    """(value, towards) of both forms of the first hit, mixed by the share of the near field, and that share.
+
+    All of it equals the fixed form's in value; the derivative is what differs.
+    """
+    if near is None:
+        return fixed.value, fixed.towards, jnp.zeros_like(fixed.distance2)
+    material = _transfer(Scatterer(packed, near.point, near.wi), target, infinite, direction)
+    far_share = 1.0 - near.share(scatterer.point, target.position, infinite)
+    share = near.share(near.point, target.position, infinite)
+    weight = share * near.importance
+    value = far_share[:, None] * fixed.value + weight[:, None] * material.value
+    mixed = stop_gradient(share)[:, None]
+    return value, (1.0 - mixed) * fixed.towards + mixed * material.towards, stop_gradient(share)
+
+
+def _emitter_connection(packed, scatterer, throughput, u, settings, near):
+    """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
+    sample, point = sample_emitter(packed, u), scatterer.point
+    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction)
+    infinite, towards = sample.infinite[:, None], fixed.towards
+    facing = stop_gradient(fixed.cosine) > 0
+    reachable = point.valid & facing & (stop_gradient(fixed.value) != 0).any(-1)
+    start = scatterer.leave(towards)
     end = jnp.where(infinite, start + 2.0 * packed.size() * towards, leave(sample.point, -towards))
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
     seen = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
-    geometry = jnp.where(sample.infinite, 1.0, cosine / distance2 * sample.point.area_ratio())
-    weight = 1.0
-    if settings.mis:
-        solid_angle_pdf = sample.pdf * stop_gradient(distance2 / jnp.where(reachable, cosine, 1.0))
-        weight = solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards))
+    value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction)
     arriving = throughput * sample.radiance / sample.pdf[:, None]
-    value = arriving * f * (geometry * weight)[:, None]
+    light = arriving * value
+    if settings.mis:
+        solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
+        light *= (solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)))[:, None]
     segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -151,43 +271,48 @@ def _emitter_connection(packed, point, scatterer, throughput, u, settings):
         weight=jnp.where(reachable[:, None], arriving, 0.0),
         visible=seen,
     )
-    return jnp.where(seen[:, None], value, 0.0), segment
+    return jnp.where(seen[:, None], light, 0.0), share, segment
 
 
-def _bounce(packed, point: SurfacePoint, wi, throughput, u, settings):
-    """Direct light at a vertex, and the next vertex by BSDF sampling with the emission found there.
+def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
+    """A vertex behind which paths end: emitter sampling alone."""
+    light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
+    unused = jax.tree.map(jnp.zeros_like, direct)._replace(lobe=jnp.zeros_like(light))
+    return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
+
+
+def _bounce(packed, scatterer, throughput, u, settings, near=None):
+    """((next vertex, direction back from it, throughput), what this vertex adds): light, and BSDF sampling.
 
     The weight of the BSDF-sampled segment is its BSDF value times geometric term, for `trace_paths` to divide by.
     """
-    scatterer = Scatterer(packed, point, wi)
-    light, direct = _emitter_connection(packed, point, scatterer, throughput, u[:, :2], settings)
+    point = scatterer.point
+    light, near_light, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
 
     sampled = scatterer.sample(u[:, 2:])
     pdf = scatterer.pdf(sampled)
     active = point.valid & (pdf > 0)
-    origin = leave(point, sampled)
+    origin = scatterer.leave(sampled)
     face = intersect(packed, origin, sampled, active, settings.rays)
     hit = face >= 0
     face = jnp.where(hit, face, 0)
     barycentric = detached_barycentric(packed, origin, sampled, face)
     following = material_point(packed, face, barycentric, hit)
 
-    offset = following.position - point.position
-    towards = jnp.where(hit[:, None], normalize(offset), sampled)
-    distance2 = jnp.where(hit, jnp.maximum(dot(offset, offset), 1e-30), 1.0)
-    cosine = jnp.abs(dot(following.normal, towards))
-    # f G J / pdf in area measure; sampling in solid angle makes G J / detach(G) of it, one in value on a hit.
-    geometry = jnp.where(hit, cosine / distance2 * following.area_ratio(), 1.0)
-    detached = stop_gradient(geometry)
-    change = jnp.where(detached > 0, geometry / jnp.where(detached > 0, detached, 1.0), 0.0)
-    f = scatterer.eval(towards)
-    factor = f * (change / jnp.where(active, pdf, 1.0))[:, None]
-    throughput = jnp.where(active[:, None], throughput * factor, 0.0)
+    # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
+    fixed = _transfer(scatterer, following, ~hit, sampled)
+    value, towards, near_beyond = _both_forms(packed, near, fixed, scatterer, following, ~hit, sampled)
+    density = pdf * stop_gradient(fixed.geometry)
+    carries = active & (density > 0)
+    incoming = throughput
+    factor = value / jnp.where(carries, density, 1.0)[:, None]
+    throughput = jnp.where(carries[:, None], throughput * factor, 0.0)
 
     emission = jnp.zeros_like(throughput)
     if settings.mis:
-        weight = pdf / jnp.where(active, pdf + emitter_pdf(packed, following, distance2, cosine), 1.0)
-        emission = throughput * emitted(packed, following, -towards) * stop_gradient(weight)[:, None]
+        found = emitter_pdf(packed, following, fixed.distance2, jnp.abs(fixed.cosine))
+        weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
+        emission = throughput * emitted(packed, following, -towards) * weight[:, None]
     scattered = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -195,9 +320,10 @@ def _bounce(packed, point: SurfacePoint, wi, throughput, u, settings):
         target_barycentric=barycentric,
         infinite=active & ~hit,
         direction=sampled,
-        weight=jnp.where(hit[:, None], stop_gradient(f) * detached[:, None], 0.0),
+        weight=jnp.where(hit[:, None], stop_gradient(fixed.value), 0.0),
         visible=hit,
+        lobe=jnp.where(active[:, None], incoming / jnp.where(active, pdf, 1.0)[:, None], 0.0),
     )
-    carried = (throughput > 0).any(-1)
-    following = following._replace(valid=hit & carried)
-    return (following, -towards, throughput), (light, emission, direct, scattered)
+    following = following._replace(valid=hit & (throughput != 0).any(-1))
+    added = _Bounce(light, emission, near_light, near_beyond, direct, scattered)
+    return (following, -towards, throughput), added

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
-from jaxdr.transport.interaction import SurfacePoint, local_frame, material_point
+from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 
 
 class Scatterer:
@@ -23,6 +23,7 @@ class Scatterer:
     """
 
     def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
+        self.point = point
         shape = packed.face_shape[point.face]
         behind = stop_gradient(dot(point.normal, wi)) < 0
         turned = behind & packed.two_sided[shape]
@@ -58,6 +59,45 @@ class Scatterer:
         """World directions drawn from `pdf`, detached."""
         local = self._combine([bsdf.sample(self.wi, u) for bsdf, _ in self.groups])
         return stop_gradient(self.to_world(local))
+
+    def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
+        """Component of world directions along the normal that the BSDF is evaluated for."""
+        return self.to_local(w)[:, 2]
+
+    def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """Origins of rays that leave the surface."""
+        return leave(self.point, towards)
+
+
+class ScatteringJump:
+    """What jumps across creases: the scattering on one side minus that on the other, at (nearly) the same points.
+
+    Both sides receive the same light but for what their own faces block, so one direction serves both: the noise is
+    that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'.
+    """
+
+    def __init__(self, one: Scatterer, two: Scatterer):
+        self.one, self.two = one, two
+        self.point = one.point
+
+    def eval(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """Difference of f_s |cos| for world directions `wo`."""
+        return self.one.eval(wo) - self.two.eval(wo)
+
+    def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
+        """Density of `sample` (solid angle), detached."""
+        return 0.5 * (self.one.pdf(wo) + self.two.pdf(wo))
+
+    def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
+        """World directions from either side, detached."""
+        second = u[:, :1] >= 0.5
+        rest = jnp.concatenate([2.0 * u[:, :1] - second, u[:, 1:]], -1)
+        return jnp.where(second, self.two.sample(rest), self.one.sample(rest))
+
+    def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """Origins of rays, on a side that scatters towards them: in a concave crease only that one sees the other."""
+        scatters = (self.one.eval(towards) > 0).any(-1, keepdims=True)
+        return jnp.where(scatters, self.one.leave(towards), self.two.leave(towards))
 
 
 def _take(bsdf, row):
