@@ -65,7 +65,7 @@ class KernelDensity(eqx.Module):
       kernel, and is normalised by the width that is left.
     - `trace_background` (False): what lies behind silhouettes near BSDF-sampled directions is found by a ray past the
       edge, and its radiance by a path from there, see `lobe_kernel`. The kernel is then one over directions, of radius
-      `lobe_radius` at the edge, relative to the shape, and at most 45 degrees.
+      `radius` at the edge and at most 45 degrees.
     - `iterations` (4): with `kernel="edge"` and all of the above nothing is biased at any radius but light from
       emitters of many small faces, so that nothing has to shrink.
 
@@ -84,17 +84,12 @@ class KernelDensity(eqx.Module):
     both_sides: bool = eqx.field(static=True, default=True)
     clip_to_face: bool = eqx.field(static=True, default=True)
     trace_background: bool = eqx.field(static=True, default=True)
-    lobe_radius: float = eqx.field(static=True, default=0.06)
     points: int = eqx.field(static=True, default=1 << 16)
     capacity: float = eqx.field(static=True, default=0.25)
 
     def __check_init__(self):
         if not self.radius > 0:
             raise ValueError(f"KernelDensity: radius must be positive (share of the shape's size), got {self.radius}")
-        if not self.lobe_radius > 0:
-            raise ValueError(
-                f"KernelDensity: lobe_radius must be positive (share of the shape's size), got {self.lobe_radius}"
-            )
         if self.kernel not in ("edge", "point"):
             raise ValueError(f"KernelDensity: kernel must be 'edge' or 'point', got {self.kernel!r}")
         if not 0 < self.alpha < 1:
@@ -150,9 +145,8 @@ class KernelDensity(eqx.Module):
             paths = PathSegments(packed, primary, record.scattered)
             if self.trace_background:
                 capacity = self._capacity(paths.count)
-                lobes = scale * (self.lobe_radius / self.radius)
                 total = total + lobe_term(
-                    packed, prepared.tree, prepared.radius, paths, lobes, capacity, key_scattered, settings
+                    packed, prepared.tree, prepared.radius, paths, scale, capacity, key_scattered, settings
                 )
             else:
                 terms = (packed, prepared, paths, record.scattered, scale, False, key_scattered, settings)

@@ -203,7 +203,7 @@ def _nonzero(x):
     return jnp.where(x == 0, 1.0, x)
 
 
-def affine_coordinates(corners: Float[Array, "*n 3 3"], point: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def affine_coordinates(corners: Float[Array, "*#n 3 3"], point: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Barycentric coordinates of points in the planes of triangles."""
     origin = corners[..., 0, :]
     e1, e2, q = corners[..., 1, :] - origin, corners[..., 2, :] - origin, point - origin
