@@ -56,7 +56,8 @@ def random_projections(count=200, seed=0):
     target = rng.uniform([-1, -1, -2], [1, 1, -1], (count, 3))
     corners = target[:, None] + np.linalg.svd(normal[:, None])[2][:, [1, 2, 1]] * rng.uniform(1, 2, (count, 3, 1))
     corners[:, 2] = target - corners[:, 0] - corners[:, 1] + 2 * target  # around the target
-    ends = SegmentEnds(*(jnp.asarray(x, jnp.float32) for x in (apex, target, normal, corners)), jnp.zeros(count, bool))
+    apex, target, normal, corners = (jnp.asarray(x, jnp.float32) for x in (apex, target, normal, corners))
+    ends = SegmentEnds(apex, target, normal, jnp.zeros(count, int), corners, jnp.zeros(count, bool))
     edge = jnp.asarray(rng.integers(len(packed.edges.vertices), size=count))
     along = jnp.asarray(rng.uniform(0, 1, count), jnp.float32)
     return packed, edge, ends, along
@@ -125,7 +126,9 @@ def test_displacement_is_the_velocity_of_the_shadow():
             moved = jax.tree.map(lambda x: x, packed)
             object.__setattr__(moved, "vertices", packed.vertices + t * velocity)
             shift = s * jnp.asarray(receiver)
-            target = SegmentEnds(ends.apex, ends.target + shift, ends.normal, ends.corners + shift, ends.infinite)
+            target = SegmentEnds(
+                ends.apex, ends.target + shift, ends.normal, ends.face, ends.corners + shift, ends.infinite
+            )
             return project_edges(moved, edge, target, along)
 
         base = displacement(nowhere, nowhere)

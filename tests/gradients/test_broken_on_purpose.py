@@ -18,6 +18,7 @@ def test_no_boundary_term():
         check_derivatives(sheet(HALF_PLANE, 0.1), None)
 
 
+@pytest.mark.slow
 def test_hidden_silhouettes_counted():
     """An edge just inside the shadow of another is a silhouette as well, but no boundary."""
     blocker = arrowhead(concave=0.02, hidden=0.02)

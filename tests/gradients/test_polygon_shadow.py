@@ -39,7 +39,14 @@ def error(corners, radius, boundary, moved=(1, 2), keys=6, sampling="emitter"):
     return mean / true - 1, deviation / abs(true)
 
 
-@pytest.mark.parametrize("corners", [HALF_PLANE, QUADRANGLE, BOOMERANG], ids=["half plane", "quadrangle", "boomerang"])
+@pytest.mark.parametrize(
+    "corners",
+    [
+        pytest.param(HALF_PLANE, id="half plane"),
+        pytest.param(QUADRANGLE, id="quadrangle"),
+        pytest.param(BOOMERANG, id="boomerang", marks=pytest.mark.slow),
+    ],
+)
 def test_every_derivative_is_the_closed_form(corners):
     """Blocker vertices, light vertices and the height of the floor in one reverse pass; default settings."""
     check_derivatives(sheet(corners, 0.1), SHEET, sampling="mis")
@@ -97,6 +104,7 @@ def test_consistent_version_converges():
     assert abs(last / first - mean_radius) < 0.1 * mean_radius + 4 * deviation / abs(first)
 
 
+@pytest.mark.slow
 def test_corner_error_vanishes_with_the_radius():
     """The paper's Fig. 7, small: half a disc stands in for the visible part of it, which is wrong near a notch."""
     results = [error(BOOMERANG, r, POINTS, moved=(0,), keys=10) for r in (0.4, 0.1)]
