@@ -16,10 +16,10 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.silhouettes import BESIDE, PathSegments, foot_on_edge
+from jaxdr.boundary.silhouettes import BESIDE, PathSegments, foot_on_edge, horizon_normal, occluded_side
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance
@@ -65,9 +65,8 @@ def lobe_term(
     edge_point = (1 - along) * vertices[:, 0] + along * vertices[:, 1]
     to_edge = stop_gradient(edge_point) - apex
     distance = jnp.where(valid, norm(to_edge), 1.0)
-    plane = jnp.cross(s0, s1)
-    opposite = stop_gradient(packed.vertices)[packed.edges.opposite[pairs.element, 0]]
-    pole = normalize(plane) * jnp.sign(dot(plane, opposite - apex))[:, None]  # towards the occluded side
+    apex_face = paths.table.apex_face[segment]
+    pole, own = occluded_side(packed, pairs.element, apex, apex_face)
 
     limit = jnp.minimum(radius[pairs.element] * scale[segment] / distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
     scatterer = paths.scatterer(segment)
@@ -91,7 +90,10 @@ def lobe_term(
     far = jnp.where(background.valid[:, None], background.position, 2.0 * stop_gradient(edge_point) - apex)
     moving_apex = paths.apex_towards(segment, stop_gradient(far))
     far_distance = jnp.where(valid, norm(stop_gradient(far) - apex), 1.0)
-    displacement = dot(pole, edge_point - moving_apex) / distance - dot(pole, far - moving_apex) / far_distance
+    edge_moved = dot(pole, edge_point - moving_apex)
+    horizon = -dot(horizon_normal(packed, apex_face, pole), to_edge)  # see `project_edges`
+    edge_moved = jnp.where(own, horizon, edge_moved)
+    displacement = edge_moved / distance - dot(pole, far - moving_apex) / far_distance
     displacement = displacement - stop_gradient(displacement)
     value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
     return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)

@@ -19,7 +19,7 @@ BESIDE = 1.2e-5
 
 
 class SegmentEnds(eqx.Module):
-    """Both ends of C segments; `apex` and `target` are differentiable.
+    """Both ends of C segments; `apex`, on `apex_face`, and `target` are differentiable.
 
     `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
     is large. `face` is the target's and `corners` are its vertices; `normal` is that of the plane at the target: its
@@ -28,6 +28,7 @@ class SegmentEnds(eqx.Module):
     """
 
     apex: Float[Array, "C 3"]
+    apex_face: Int[Array, " C"]
     target: Float[Array, "C 3"]
     normal: Float[Array, "C 3"]
     face: Int[Array, " C"]
@@ -85,6 +86,7 @@ class PathSegments:
             size2 = jnp.where(infinite, 0.0, size2)
         return SegmentEnds(
             apex=apex,
+            apex_face=self.table.apex_face[index],
             target=jnp.where(far, apex + self.distance_to_infinity * direction, on_face),
             normal=jnp.where(far, direction, normal),
             face=face,
@@ -172,9 +174,8 @@ def project_edges(
     scale = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
     projected = moving_apex + offset * scale[:, None]
 
-    plane = jnp.cross(s0, s1)
-    side = jnp.sign(dot(plane, stop_gradient(packed.vertices)[packed.edges.opposite[edge, 0]] - apex))
-    in_plane = normalize(plane - dot(plane, normal)[:, None] * normal) * side[:, None]
+    plane, own = occluded_side(packed, edge, apex, ends.apex_face)
+    in_plane = normalize(plane - dot(plane, normal)[:, None] * normal)
 
     # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
     corners = stop_gradient(ends.corners)
@@ -182,6 +183,11 @@ def project_edges(
     rate = affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
     rigid = (ends.corners * barycentric[..., None]).sum(1)
     material = jnp.where(ends.infinite[:, None], ends.apex + (on_plane - apex), rigid)
+    # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that
+    # is close by, its motion would be the difference of two fast ones.
+    corner = packed.vertices[packed.faces[ends.apex_face, 0]]
+    horizon = dot(horizon_normal(packed, ends.apex_face, plane), corner - on_plane) / _nonzero(dot(plane, in_plane))
+    moved = jnp.where(own, horizon, dot(in_plane, projected))
 
     tangent = normalize(s1 - s0)
     depth = _nonzero(dot(normal, to_edge))[:, None]
@@ -191,11 +197,38 @@ def project_edges(
         edge_point=stop_gradient(point),
         fraction=depth[:, 0] / height,
         normal=in_plane,
-        displacement=dot(in_plane, projected - material),
+        displacement=moved - dot(in_plane, material),
         stretch=stretch,
         barycentric=barycentric,
         barycentric_rate=rate,
     )
+
+
+def occluded_side(
+    packed: PackedScene, edge: Int[Array, " C"], apex: Float[Array, "C 3"], apex_face: Int[Array, " C"]
+) -> tuple[Float[Array, "C 3"], Bool[Array, " C"]]:
+    """(unit normals of the planes through apexes and silhouettes, towards the faces there, detached; own face or not).
+
+    Own are edges of the apex's own face: silhouettes where that face sets. The plane is the face's there.
+    """
+    vertices, edges = stop_gradient(packed.vertices), packed.edges
+    p0, p1 = vertices[edges.vertices[edge, 0]], vertices[edges.vertices[edge, 1]]
+    a, b, c = (vertices[packed.faces[apex_face, k]] for k in range(3))
+    own = (edges.faces[edge] == apex_face[:, None]) & (apex_face >= 0)[:, None]
+    plane = jnp.where(own.any(-1, keepdims=True), jnp.cross(b - a, c - a), jnp.cross(p0 - apex, p1 - p0))
+    # The apex's own face lies in the plane: the face furthest from it tells the side.
+    opposite = edges.opposite[edge]
+    height = (plane[:, None] * (vertices[opposite] - p0[:, None])).sum(-1)
+    height = jnp.where((opposite >= 0) & ~own, height, 0.0)
+    furthest = jnp.take_along_axis(height, jnp.abs(height).argmax(-1)[:, None], 1)
+    return normalize(plane) * jnp.sign(furthest), own.any(-1)
+
+
+def horizon_normal(packed: PackedScene, face: Int[Array, " C"], normal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    """Unit normals of faces, turned to the side of `normal`; differentiable."""
+    a, b, c = (packed.vertices[packed.faces[face, k]] for k in range(3))
+    moving = normalize(jnp.cross(b - a, c - a))
+    return moving * jnp.sign(dot(stop_gradient(moving), normal))[:, None]
 
 
 def _nonzero(x):

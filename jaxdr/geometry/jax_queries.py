@@ -109,12 +109,19 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     return jax.lax.scan(visit, start, _blocks(faces))[0]
 
 
-def _side_of_faces(vertices, opposite, plane, apex):
-    """[N, B]: +1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0."""
-    sides = jnp.sign(dot(plane[:, :, None], vertices[opposite][None] - apex[:, None, None]))  # [N, B, K]
-    present = (opposite >= 0)[None]
-    agree = jnp.where(present, sides == sides[..., :1], True).all(-1)
-    return jnp.where(agree, sides[..., 0], 0.0)
+def _side_of_faces(vertices, opposite, p0, p1, plane, apex):
+    """[N, B]: +1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0.
+
+    Faces that the apex lies in, up to rounding, are on neither side.
+    """
+    largest = jnp.maximum(jnp.abs(p0).max(-1)[None], jnp.abs(apex).max(-1)[:, None])
+    rounding = 5e-7 * largest + 1e-6 * norm(p0[None] - apex[:, None])
+    offset = vertices[opposite] - p0[:, None]  # [B, K]
+    height = dot(plane[:, :, None], offset[None])
+    counts = jnp.abs(height) > (rounding * norm(p1 - p0)[None])[..., None] * norm(offset)[None]
+    sides = jnp.where(counts & (opposite >= 0)[None], jnp.sign(height), 0.0)
+    low, high = sides.min(-1), sides.max(-1)
+    return jnp.where(low * high < 0, 0.0, jnp.sign(low + high))
 
 
 def _project(point, apex, height, normal):
@@ -174,8 +181,8 @@ def edge_candidates(
 
     def near_block(edge, opp, r):
         p0, p1 = vertices[edge[:, 0]][None], vertices[edge[:, 1]][None]
-        plane = jnp.cross(p0 - apex[:, None], p1 - apex[:, None])
-        side = _side_of_faces(vertices, opp, plane, apex)
+        plane = jnp.cross(p0 - apex[:, None], p1 - p0)
+        side = _side_of_faces(vertices, opp, p0[0], p1[0], plane, apex)
         f0, f1 = (dot(p - apex[:, None], n) / height[:, None] for p in (p0, p1))
         c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
         rise = jnp.where(f0 == f1, 1.0, f1 - f0)
@@ -216,8 +223,8 @@ def point_candidates(
 
     def near_block(p, e, r):
         p0, p1 = vertices[edges[e, 0]][None], vertices[edges[e, 1]][None]
-        plane = jnp.cross(p0 - apex[:, None], p1 - apex[:, None])
-        side = _side_of_faces(vertices, opposite[e], plane, apex)
+        plane = jnp.cross(p0 - apex[:, None], p1 - p0)
+        side = _side_of_faces(vertices, opposite[e], p0[0], p1[0], plane, apex)
         f, projected = _project(p[None], apex, height, normal)
         reach = _reach(r[None] * scale[:, None], 1.0 / jnp.where(f == 0, 1.0, f), widest)
         opposite_side = (side * dot(plane, (target - apex)[:, None]) < 0) | (both_sides & (side != 0))

@@ -105,16 +105,32 @@ def all_hits(
 
 @wp.func
 def all_on_one_side(
-    vertices: wp.array(dtype=wp.vec3), opposite: wp.array2d(dtype=int), edge: int, plane: wp.vec3, apex: wp.vec3
+    vertices: wp.array(dtype=wp.vec3),
+    opposite: wp.array2d(dtype=int),
+    edge: int,
+    p0: wp.vec3,
+    p1: wp.vec3,
+    plane: wp.vec3,
+    apex: wp.vec3,
 ):
-    """+1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0."""
-    side = wp.dot(plane, vertices[opposite[edge, 0]] - apex)
-    for k in range(1, opposite.shape[1]):
+    """+1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0.
+
+    Faces that the apex lies in, up to rounding, are on neither side: the horizon of the face that a segment leaves
+    is where the next face bends away.
+    """
+    rounding = 5.0e-7 * wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(apex))) + 1.0e-6 * wp.length(p0 - apex)
+    limit = rounding * wp.length(p1 - p0)
+    side = float(0.0)
+    for k in range(opposite.shape[1]):
         v = opposite[edge, k]
         if v >= 0:
-            if wp.dot(plane, vertices[v] - apex) * side <= 0.0:
-                return 0.0
-    return wp.sign(side)
+            offset = vertices[v] - p0
+            height = wp.dot(plane, offset)
+            if wp.abs(height) > limit * wp.length(offset):
+                if height * side < 0.0:
+                    return 0.0
+                side = wp.sign(height)
+    return side
 
 
 @wp.func
@@ -149,8 +165,8 @@ def near_silhouette(
     """Whether an edge is a silhouette from `a` whose projection onto the plane (b, n) passes within the kernel."""
     if radius <= 0.0:
         return False
-    plane = wp.cross(p0 - a, p1 - a)
-    side = all_on_one_side(vertices, opposite, edge, plane, a)
+    plane = wp.cross(p0 - a, p1 - p0)
+    side = all_on_one_side(vertices, opposite, edge, p0, p1, plane, a)
     if side == 0.0 or (both_sides == 0 and side * wp.dot(plane, b - a) >= 0.0):
         return False
     # The part of the edge between the apex and the target's plane (0 < f <= 1), projected.
@@ -341,8 +357,9 @@ def point_candidates(
         e = point_edge[j]
         r = radius[j] * scale[i]
         p0 = vertices[edges[e][0]]
-        plane = wp.cross(p0 - a, vertices[edges[e][1]] - a)
-        side = all_on_one_side(vertices, opposite, e, plane, a)
+        p1 = vertices[edges[e][1]]
+        plane = wp.cross(p0 - a, p1 - p0)
+        side = all_on_one_side(vertices, opposite, e, p0, p1, plane, a)
         if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
             f = wp.dot(n, point[j] - a) / height
             if f > 1.0e-6 and f <= 1.0:

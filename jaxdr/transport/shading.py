@@ -73,7 +73,8 @@ class ScatteringJump:
     """What jumps across creases: the scattering on one side minus that on the other, at (nearly) the same points.
 
     Both sides receive the same light but for what their own faces block, so one direction serves both: the noise is
-    that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'.
+    that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'. Under
+    interpolated normals a face blocks directions that its shading normal would let through: those do not count for it.
     """
 
     def __init__(self, one: Scatterer, two: Scatterer):
@@ -82,7 +83,7 @@ class ScatteringJump:
 
     def eval(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
         """Difference of f_s |cos| for world directions `wo`."""
-        return self.one.eval(wo) - self.two.eval(wo)
+        return _unblocked(self.one, wo) - _unblocked(self.two, wo)
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
@@ -96,8 +97,14 @@ class ScatteringJump:
 
     def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
         """Origins of rays, on a side that scatters towards them: in a concave crease only that one sees the other."""
-        scatters = (self.one.eval(towards) > 0).any(-1, keepdims=True)
+        scatters = (_unblocked(self.one, towards) > 0).any(-1, keepdims=True)
         return jnp.where(scatters, self.one.leave(towards), self.two.leave(towards))
+
+
+def _unblocked(scatterer: Scatterer, wo):
+    """f_s |cos| where `wo` is on the same side of the face as of its shading normal."""
+    leaves = dot(scatterer.normal, wo) * scatterer.cosine(wo) > 0
+    return jnp.where(leaves[:, None], scatterer.eval(wo), 0.0)
 
 
 def _take(bsdf, row):

@@ -57,7 +57,8 @@ def random_projections(count=200, seed=0):
     corners = target[:, None] + np.linalg.svd(normal[:, None])[2][:, [1, 2, 1]] * rng.uniform(1, 2, (count, 3, 1))
     corners[:, 2] = target - corners[:, 0] - corners[:, 1] + 2 * target  # around the target
     apex, target, normal, corners = (jnp.asarray(x, jnp.float32) for x in (apex, target, normal, corners))
-    ends = SegmentEnds(apex, target, normal, jnp.zeros(count, int), corners, jnp.zeros(count, bool))
+    none = jnp.full(count, -1)
+    ends = SegmentEnds(apex, none, target, normal, none, corners, jnp.zeros(count, bool))
     edge = jnp.asarray(rng.integers(len(packed.edges.vertices), size=count))
     along = jnp.asarray(rng.uniform(0, 1, count), jnp.float32)
     return packed, edge, ends, along
@@ -127,7 +128,13 @@ def test_displacement_is_the_velocity_of_the_shadow():
             object.__setattr__(moved, "vertices", packed.vertices + t * velocity)
             shift = s * jnp.asarray(receiver)
             target = SegmentEnds(
-                ends.apex, ends.target + shift, ends.normal, ends.face, ends.corners + shift, ends.infinite
+                ends.apex,
+                ends.apex_face,
+                ends.target + shift,
+                ends.normal,
+                ends.face,
+                ends.corners + shift,
+                ends.infinite,
             )
             return project_edges(moved, edge, target, along)
 
