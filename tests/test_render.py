@@ -83,6 +83,7 @@ def test_crop_is_a_window_of_the_image():
             assert_same_expectation(everything[:, :, 0:8], part, name)
 
 
+@pytest.mark.slow
 def test_chunks_leave_the_expectation_alone():
     """Seven samples a pixel in four chunks of two, of which the last is half empty."""
     small = jd.PathTracer(max_depth=2, chunk_size=200)

@@ -95,6 +95,7 @@ def test_jit_changes_rounding_only():
         np.testing.assert_allclose(plain, compiled_too, rtol=0, atol=1e-4 * np.abs(plain).max())
 
 
+@pytest.mark.slow
 def test_vmap_over_keys_is_a_loop():
     scene = small_scene()
     alone = [compiled(forward)(scene, key) for key in (KEY, OTHER)]

@@ -42,7 +42,9 @@ def compare(check, case, name, spp, keys, boundary="KernelDensity"):
     return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
 
 
-@pytest.mark.parametrize(("case", "name"), CASES)
+@pytest.mark.parametrize(
+    ("case", "name"), [pytest.param(*c, marks=[pytest.mark.slow] if c[1] == "rotate_z" else []) for c in CASES]
+)
 def test_quick(check, case, name):
     spp, deviation = CASES[case, name]
     row = compare(check, case, name, spp, keys=8)

@@ -71,7 +71,7 @@ def test_points_have_the_same_limit():
     check_derivatives(sheet(HALF_PLANE, 0.1), POINTS, tolerance=0.015)
 
 
-@pytest.mark.parametrize("radius", [0.1, 0.8])
+@pytest.mark.parametrize("radius", [pytest.param(0.1, marks=pytest.mark.slow), 0.8])
 def test_default_has_no_bias_away_from_corners(radius):
     """Evaluated at the boundary, all of the strip stands for the same boundary point, however wide it is."""
     bias, deviation = error(HALF_PLANE, radius, SHEET, sampling="mis")
