@@ -207,4 +207,5 @@ def _form(packed: PackedScene, integrator: PathTracer, with_boundary: bool) -> s
         return "fixed"
     if integrator.primary == "material":
         return "material"
-    return "near" if packed.camera.film.filter.smooth else "fixed"
+    # Of direct light only what emitters that touch a surface send comes from close by: not worth a second form.
+    return "near" if packed.camera.film.filter.smooth and integrator.max_depth > 2 else "fixed"

@@ -164,10 +164,10 @@ def film_edge_terms(
     sends has a boundary there, and the edge's velocity counts relative to that surface.
     """
     key_silhouettes, key_creases = jax.random.split(key)
-    terms = FilmEdgeTerms(_silhouettes(packed, distribution, count, key_silhouettes, settings, form), None)
+    silhouettes = _silhouettes(packed, distribution, count, key_silhouettes, settings, form)
     if form == "material":
-        return terms._replace(creases=jnp.zeros_like(terms.silhouettes))
-    return terms._replace(creases=_creases(packed, distribution, count, key_creases, settings, form))
+        return FilmEdgeTerms(silhouettes, jnp.zeros_like(silhouettes))
+    return FilmEdgeTerms(silhouettes, _creases(packed, distribution, count, key_creases, settings, form))
 
 
 class _EdgePoints(NamedTuple):
@@ -238,7 +238,9 @@ def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Arra
         return record.radiance, record.radiance if form == "material" else record.near
 
     total, near = jax.vmap(radiance)(points.first, points.direction)
-    seen, film_point, image = points.at_edge.any(0), points.film_point, 0.0
+    seen, film_point = points.at_edge.any(0), points.film_point
+    _, _, width, height = packed.camera.film.window
+    image = jnp.zeros((height, width, 3), total.dtype)
     if form != "material":
         image += _value(packed, points, seen, (total - near)[1] - (total - near)[0], film_point)
     if form != "fixed":

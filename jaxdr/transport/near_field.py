@@ -6,7 +6,8 @@ without finite variance. A material first hit moves along with what is near it, 
 filter, which is noisy for all light. So light is split by the length of the second segment: a share
 s^2 / (s^2 + d^2), with s the size of a pixel at the first hit, is taken in material form, the rest with the ray fixed.
 The shares add up to one, each is a smooth function of the scene, and both forms estimate the same derivative, so the
-sum is unbiased; its terms are bounded by 1 / s.
+sum is unbiased; its terms are bounded by 1 / s. Only filters with a smooth derivative allow it, and only indirect light
+is worth it.
 """
 
 from typing import NamedTuple
