@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
@@ -59,7 +59,7 @@ class Scene(eqx.Module):
         """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them."""
         return {name: get(self) for name, get in _accessors(self).items()}
 
-    def replace(self, values: Mapping[str, Array]) -> "Scene":
+    def replace(self, values: Mapping[str, ArrayLike]) -> "Scene":
         """The scene with some parameters replaced; pure and traceable.
 
         Raises ValueError for an unknown name or a shape that differs from the parameter's.
