@@ -173,8 +173,8 @@ def film_edge_terms(
 class _EdgePoints(NamedTuple):
     """Points on visible edges, and the camera rays on their two sides (leading axis 2).
 
-    `weight` = 1 / (count x density per pixel of length), zero where the edge is hidden. `normal` on the film, towards
-    the first side. Only `film_point` is differentiable.
+    `weight` = 1 / (count x density per pixel of length). `normal` on the film, towards the first side. `at_edge`: the
+    ray on that side ends at the edge, which nothing hides there. Only `film_point` is differentiable.
     """
 
     film_point: Float[Array, "n 2"]

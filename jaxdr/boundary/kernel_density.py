@@ -14,12 +14,12 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.lobe_kernel import lobe_term
 from jaxdr.boundary.silhouettes import (
-    BESIDE,
     PathSegments,
     Projection,
     SegmentEnds,
     affine_coordinates,
     never_silhouettes,
+    past_edge,
     project_edges,
 )
 from jaxdr.geometry import queries
@@ -275,8 +275,7 @@ def _sees_past_edge(
     fraction = projection.fraction
     apex = paths.apex(segment)
     position = stop_gradient(apex.position)
-    beside = BESIDE * jnp.maximum(jnp.abs(projection.edge_point).max(-1), jnp.abs(position).max(-1))
-    past = projection.edge_point - beside[:, None] * projection.normal
+    past = past_edge(projection.edge_point, position, projection.normal)
     start = leave(apex, past - position)
     # Through `past` whatever the offset of the start.
     reach = (past - start) / jnp.where(fraction > 0, fraction, 1.0)[:, None]

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.silhouettes import BESIDE, PathSegments, foot_on_edge, horizon_normal, occluded_side
+from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge, horizon_normal, occluded_side, past_edge
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot, norm
@@ -121,9 +121,7 @@ def _kernel(scatterer, centre, boundary, pole, limit):
 
 def _background(packed, apex, point: SurfacePoint, edge_point, to_edge, pole, valid, settings):
     """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
-    edge_point = stop_gradient(edge_point)
-    beside = BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(apex).max(-1))
-    past = edge_point - beside[:, None] * pole
+    past = past_edge(edge_point, apex, pole)
     start = leave(point, to_edge)
     offset = past - start
     length = jnp.where(valid, norm(offset), 1.0)

@@ -231,6 +231,15 @@ def horizon_normal(packed: PackedScene, face: Int[Array, " C"], normal: Float[Ar
     return moving * jnp.sign(dot(stop_gradient(moving), normal))[:, None]
 
 
+def past_edge(
+    edge_point: Float[Array, "C 3"], apex: Float[Array, "C 3"], normal: Float[Array, "C 3"]
+) -> Float[Array, "C 3"]:
+    """Points just beside edges for visibility rays from `apex`; `normal` points to the occluded side. Detached."""
+    edge_point = stop_gradient(edge_point)
+    beside = BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(apex).max(-1))
+    return edge_point - beside[:, None] * normal
+
+
 def _nonzero(x):
     """`x`, with 1 in place of 0 for slots that hold no pair."""
     return jnp.where(x == 0, 1.0, x)
