@@ -22,6 +22,7 @@ METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none", (16, 64, 256, 1024), 8),
     "Mitsuba, octree": (mitsuba_peer.estimates, "octree", (16, 64, 256, 1024), 4),
     "jaxdr, KernelDensity": (jaxdr_side.estimates, "KernelDensity", (4, 16, 64, 256), 8),
+    "jaxdr, LineSampling": (jaxdr_side.estimates, "LineSampling", (4, 16, 64, 256, 1024), 8),
 }
 COLUMNS = {
     "method": ("method", ""),
@@ -121,7 +122,9 @@ def main():
         old = json.loads(file.read_text())["rows"] if file.exists() else []
         for method in options.method or METHODS:
             rows = list(measure(case, method, options.oracle, options.quick, options.spp))
-            old = [row for row in old if row["method"] != method] + rows
+            fresh = {row["spp"] for row in rows}
+            kept = [row for row in old if row["method"] != method or row["spp"] not in fresh]
+            old = sorted(kept + rows, key=lambda row: (list(METHODS).index(row["method"]), row["spp"]))
             common.write_json(file, {"case": case.name, "rows": old})
 
     per_case = {name: folder / f"{name}.json" for name in CASES if (folder / f"{name}.json").exists()}

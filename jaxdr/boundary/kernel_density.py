@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.emitter_planes import few_emitter_faces, part_inside
 from jaxdr.boundary.lobe_kernel import lobe_term
 from jaxdr.boundary.silhouettes import (
     PathSegments,
@@ -29,9 +30,6 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import leave
 from jaxdr.transport.path import PathRecord, PathSettings, Segments
 from jaxdr.transport.primary import PrimarySamples
-
-# Emitters of no more faces than this are treated as one outline.
-FEW_FACES = 16
 
 
 class Prepared(NamedTuple):
@@ -109,13 +107,14 @@ class KernelDensity(eqx.Module):
             radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
         return radii
 
-    def prepare(self, packed: PackedScene) -> Prepared:
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Prepared:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges, once for a whole image."""
+        del moving  # every edge may bound what moving surfaces see
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
         edges = packed.edges
-        tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, radius)
+        tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts)
         return Prepared(radius, tree)
 
     def estimate(
@@ -238,7 +237,7 @@ def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projectio
     low, high = -r, r if both_sides else jnp.zeros_like(r)
     width, inside = _overlap(projection.barycentric, projection.barycentric_rate, low, high)
     large = _inradius(stop_gradient(ends.corners)) > r
-    if packed.has_area_emitters and packed.emitter_faces.shape[0] <= FEW_FACES:
+    if few_emitter_faces(packed):
         on_emitter = (ends.face[:, None] == packed.emitter_faces).any(-1)
         corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
         same_shape = packed.face_shape[packed.emitter_faces] == packed.face_shape[ends.face][:, None]
@@ -257,15 +256,9 @@ def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projectio
 
 
 def _overlap(barycentric, rate, low, high):
-    """(length of the line's parameter range [low, high] inside triangles, whether its origin is).
-
-    `barycentric` coordinates at the origin and their `rate` along the line.
-    """
-    root = -barycentric / jnp.where(rate == 0, 1.0, rate)
-    missed = ((rate == 0) & (barycentric < 0)).any(-1)
-    start = jnp.maximum(low, jnp.where(rate > 0, root, -jnp.inf).max(-1))
-    end = jnp.minimum(high, jnp.where(rate < 0, root, jnp.inf).min(-1))
-    return jnp.where(missed, 0.0, jnp.maximum(end - start, 0.0)), (barycentric > 0).all(-1)
+    """(length of the line's parameter range [low, high] inside triangles, whether its origin is)."""
+    start, end = part_inside(barycentric, rate, low, high)
+    return end - start, (barycentric > 0).all(-1)
 
 
 def _sees_past_edge(

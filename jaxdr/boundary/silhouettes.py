@@ -74,9 +74,19 @@ class PathSegments:
 
     def ends(self, index: Int[Array, " C"]) -> SegmentEnds:
         """Both ends."""
-        apex = self.apex(index).position
         face, barycentric = self.table.target_face[index], self.table.target_barycentric[index]
-        infinite, direction = self.table.infinite[index], self.table.direction[index]
+        return self.ends_to(index, face, barycentric, self.table.infinite[index], self.table.direction[index])
+
+    def ends_to(
+        self,
+        index: Int[Array, " C"],
+        face: Int[Array, " C"],
+        barycentric: Float[Array, "C 3"],
+        infinite: Bool[Array, " C"],
+        direction: Float[Array, "C 3"],
+    ) -> SegmentEnds:
+        """The near ends, and other material points (directions where `infinite`) for far ends."""
+        apex = self.apex(index).position
         corners = self.packed.vertices[self.packed.faces[face]]
         normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         on_face = (corners * barycentric[..., None]).sum(1)

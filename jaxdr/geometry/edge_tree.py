@@ -1,11 +1,12 @@
 """Bounding tree over edges for silhouette queries: boxes, and cones of the normals of the faces at the edges.
 
 Seen from a point, a node whose normals all face it, or all face away, holds no silhouette and is skipped however close
-it is: the cost of a query grows with the logarithm of the tessellation. The tree is complete and binary over the edges
-in their given (spatial) order, in heap order from node 1, as plain arrays computed level by level: no handle, nothing
-cached.
+it is: the cost of a query grows with the logarithm of the tessellation. The tree is complete and binary, in heap order
+from node 1, as plain arrays computed level by level: no handle, nothing cached. Which edges share a node is decided
+once a topology (`spatial_order`), boxes and cones follow the vertices.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, norm, normalize
 
 LEAF = 4  # edges in a leaf
 
@@ -21,9 +22,20 @@ LEAF = 4  # edges in a leaf
 class EdgeTree(NamedTuple):
     """Nodes 1 to 2^k - 1 of the tree (row 0 is unused); the leaves are the last half, with `LEAF` edges each.
 
-    `axis` and `cosine` of the half-angle bound the face normals; -1 where they fill more than a half-space or an edge
+    `edge` are the edges of the leaves in turn, -1 where there is none. `axis` and `cosine` of the half-angle bound the face normals; -1 where they fill more than a half-space or an edge
     is a silhouette from everywhere. `radius` is the largest kernel radius of the edges; 0 where none counts.
     """
+
+    edge: Int[Array, " s"]
+    lower: Float[Array, "n 3"]
+    upper: Float[Array, "n 3"]
+    axis: Float[Array, "n 3"]
+    cosine: Float[Array, " n"]
+    radius: Float[Array, " n"]
+
+
+class _Nodes(NamedTuple):
+    """One level of the tree, or all of them."""
 
     lower: Float[Array, "n 3"]
     upper: Float[Array, "n 3"]
@@ -32,15 +44,44 @@ class EdgeTree(NamedTuple):
     radius: Float[Array, " n"]
 
 
+def leaf_count(edges: int) -> int:
+    """Leaves of a complete binary tree over so many edges."""
+    return 1 << max(0, int(np.ceil(np.log2(max(edges, 1) / LEAF))))
+
+
 def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """Order of points along a Morton curve, on the host."""
-    low, high = points.min(0), points.max(0)
-    cell = ((points - low) / np.maximum((high - low).max(), 1e-300) * 1023).astype(np.uint32)
-    code = np.zeros(len(points), np.uint32)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    """Order in which every node of the tree holds a cell of a kd-tree: halves along the longest side. On the host.
+
+    A third of the nodes that a Morton curve leaves a query to visit: its ranges are not compact.
+    """
+    count = len(points)
+    slots = leaf_count(count) * LEAF
+    order = np.arange(slots)
+    table = np.full((slots + 1, 3), np.inf, np.float32)  # padding is larger than everything and stays at the end
+    table[:count] = points
+    size = slots
+    while size > LEAF:
+        cells = table[order].reshape(-1, size, 3)
+        padding = np.isinf(cells)
+        extent = np.where(padding, -np.inf, cells).max(1) - np.where(padding, np.inf, cells).min(1)
+        axis = np.where(np.isfinite(extent), extent, -1.0).argmax(-1)
+        along = np.take_along_axis(cells, axis[:, None, None], 2)[..., 0]
+        halves = np.argpartition(along, size // 2, axis=1)
+        order = np.take_along_axis(order.reshape(-1, size), halves, 1).reshape(-1)
+        size //= 2
+    return order[order < count]
+
+
+def leaf_edges(counts: Sequence[int]) -> Int[np.ndarray, " s"]:
+    """Edges in the leaves, -1 for none, of a tree over several meshes with `counts` edges: each has a node of its own."""
+    first = np.cumsum([0, *counts])
+    sizes = [leaf_count(count) * LEAF for count in counts]
+    slots = np.full(leaf_count(sum(sizes)) * LEAF, -1, np.int32)
+    start = 0
+    for i in sorted(range(len(counts)), key=lambda i: -sizes[i]):  # the largest first: all of them are aligned
+        slots[start : start + counts[i]] = np.arange(first[i], first[i + 1])
+        start += sizes[i]
+    return slots
 
 
 def build_edge_tree(
@@ -49,32 +90,39 @@ def build_edge_tree(
     opposite: Int[Array, "E K"],
     interior: Bool[Array, " E"],
     radius: Float[Array, " E"],
+    counts: Sequence[int] | None = None,
 ) -> EdgeTree:
-    """The tree for the present vertices, detached. `opposite` are the third corners of the faces at each edge."""
+    """The tree for the present vertices, detached.
+
+    `opposite` are the third corners of the faces at each edge; `counts` the numbers of edges of the meshes, if there
+    are several.
+    """
     vertices = stop_gradient(vertices)
-    count = edges.shape[0]
-    leaves = 1 << max(0, int(np.ceil(np.log2(max(count, 1) / LEAF))))
+    slots = leaf_edges(counts or [edges.shape[0]])
+    leaves = len(slots) // LEAF
     p0, p1 = vertices[edges[:, 0]], vertices[edges[:, 1]]
     # Interior edges have two faces; the others are silhouettes from almost everywhere and get no cone.
-    n0 = normalize(jnp.cross(p1 - p0, vertices[opposite[:, 0]] - p0))
-    n1 = normalize(jnp.cross(p0 - p1, vertices[opposite[:, 1]] - p1))
+    n0, slack0 = _normal(p0, p1, vertices[opposite[:, 0]])
+    n1, slack1 = _normal(p1, p0, vertices[opposite[:, 1]])
     axis = normalize(n0 + n1)
-    cosine = jnp.where(interior & (dot(axis, axis) > 0), dot(axis, n0), -1.0)
-    counts = radius > 0
+    angle = jnp.arccos(jnp.clip(dot(axis, n0), -1.0, 1.0)) + jnp.maximum(slack0, slack1)
+    bounded = interior & (dot(axis, axis) > 0) & (angle < 0.5 * jnp.pi)
+    cosine = jnp.where(bounded, jnp.cos(angle), -1.0)
+    included = radius > 0
     inf = jnp.asarray(jnp.inf, vertices.dtype)
-    level = EdgeTree(
-        lower=jnp.where(counts[:, None], jnp.minimum(p0, p1), inf),
-        upper=jnp.where(counts[:, None], jnp.maximum(p0, p1), -inf),
+    level = _Nodes(
+        lower=jnp.where(included[:, None], jnp.minimum(p0, p1), inf),
+        upper=jnp.where(included[:, None], jnp.maximum(p0, p1), -inf),
         axis=axis,
-        cosine=jnp.where(counts, cosine, 1.0),
+        cosine=jnp.where(included, cosine, 1.0),
         radius=radius,
     )
-    padding = leaves * LEAF - count
-    fill = (jnp.inf, -jnp.inf, 0.0, 1.0, 0.0)
-    level = EdgeTree(
+    empty = _Nodes(*(jnp.asarray(value, vertices.dtype) for value in (jnp.inf, -jnp.inf, 0.0, 1.0, 0.0)))
+    used = slots >= 0
+    level = _Nodes(
         *(
-            jnp.concatenate([table, jnp.full((padding, *table.shape[1:]), value, table.dtype)])
-            for table, value in zip(level, fill, strict=True)
+            jnp.where(used.reshape(-1, *[1] * (table.ndim - 1)), table[np.maximum(slots, 0)], value)
+            for table, value in zip(level, empty, strict=True)
         )
     )
     levels = []
@@ -84,13 +132,23 @@ def build_edge_tree(
     while level.radius.shape[0] > 1:
         level = _parents(level)
         levels.append(level)
-    unused = EdgeTree(*(table[:1] for table in level))
-    return EdgeTree(*(jnp.concatenate(tables) for tables in zip(unused, *reversed(levels), strict=True)))
+    unused = _Nodes(*(table[:1] for table in level))
+    nodes = (jnp.concatenate(tables) for tables in zip(unused, *reversed(levels), strict=True))
+    return EdgeTree(jnp.asarray(slots), *nodes)
 
 
-def _parents(children: EdgeTree) -> EdgeTree:
+def _normal(p0, p1, p2):
+    """(unit normals of faces, angle by which rounding of float32 coordinates may turn them: large for slivers)."""
+    side0, side1 = p1 - p0, p2 - p0
+    normal2 = jnp.cross(side0, side1)
+    area, longest = norm(normal2), norm(side0) + norm(side1)
+    rounding = 4 * float(np.finfo(np.float32).eps) * jnp.maximum(jnp.abs(p0).max(-1), jnp.abs(p2).max(-1))
+    return normalize(normal2), jnp.where(area > 0, rounding * longest / jnp.where(area > 0, area, 1.0), jnp.pi)
+
+
+def _parents(children: _Nodes) -> _Nodes:
     """Union of each pair of nodes."""
-    a, b = EdgeTree(*(t[0::2] for t in children)), EdgeTree(*(t[1::2] for t in children))
+    a, b = _Nodes(*(t[0::2] for t in children)), _Nodes(*(t[1::2] for t in children))
     empty_a, empty_b = a.radius <= 0, b.radius <= 0
     axis_a = jnp.where(empty_a[:, None], b.axis, a.axis)
     axis_b = jnp.where(empty_b[:, None], a.axis, b.axis)
@@ -103,7 +161,7 @@ def _parents(children: EdgeTree) -> EdgeTree:
 
     angle = jnp.maximum(widened(axis_a, a, empty_a), widened(axis_b, b, empty_b))
     unbounded = (dot(axis, axis) == 0) | (angle >= 0.5 * jnp.pi)
-    return EdgeTree(
+    return _Nodes(
         lower=jnp.minimum(a.lower, b.lower),
         upper=jnp.maximum(a.upper, b.upper),
         axis=axis,

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry import jax_queries
+from jaxdr.geometry import jax_queries, jax_sector
 from jaxdr.geometry.edge_tree import EdgeTree
 
 IMPLEMENTATIONS = ("warp", "jax")
@@ -44,6 +44,20 @@ class Candidates(NamedTuple):
     segment: Int[Array, " C"]
     element: Int[Array, " C"]
     count: Int[Array, ""]
+    weight: Float[Array, ""]
+
+
+class Crossings(NamedTuple):
+    """Compacted (chord, edge) pairs with the fraction of the way `along` the edge; unused slots have `chord` -1.
+
+    `weight` as in `Candidates`. `counts`: all crossings found, chords whose layers could not be counted consistently,
+    chords of too many crossings (`jax`: crossings left out), nodes of the tree visited, rays cast.
+    """
+
+    chord: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    counts: Int[Array, "5"]
     weight: Float[Array, ""]
 
 
@@ -221,3 +235,58 @@ def point_candidates(
             *_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed)
         )
     )
+
+
+# Groups of faces that a chord looks past, beside those of `face_group` (0, 1, ...).
+NO_GROUP, UNBOUNDED = -1, -2
+
+
+def sector_crossings(
+    tree: EdgeTree,
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    edges: Int[Array, "E 2"],
+    edge_faces: Int[Array, "E K"],
+    rank: Float[Array, " E"],
+    face_group: Int[Array, " F"],
+    apex: Float[Array, "N 3"],
+    first: Float[Array, "N 3"],
+    last: Float[Array, "N 3"],
+    centre: Float[Array, " N"],
+    needed: Float[Array, " N"],
+    group: Int[Array, " N"],
+    seed: Int[Array, ""],
+    least_layer: int,
+    capacity: int,
+    implementation: str = "warp",
+) -> Crossings:
+    """Where silhouettes, seen from `apex`, cross chords from `first` to `last` and bound what is visible of them.
+
+    All edges that cut the planar sector (apex, chord) are found; with quantitative invisibility (Appel 1967) the layers
+    of surface in front of the chord are counted from its point at the share `centre`, which should be a random one, in
+    both directions; a crossing counts where the number of layers changes between zero and more. For that surfaces may
+    be open or closed, several at an edge, nested or interpenetrating: what they hide of a chord is the union of their
+    shadows. Nothing but the faces of its `group` may pierce the chord itself; if something does, that is no edge and
+    missing, and crossings between it and the centre may be judged wrongly.
+
+    - `rank` of an edge: 0 for edges that are left out, up to `least_layer` for those that only hide others, above
+      for those that count. `needed` of a chord: the rank from which on edges count for it, 0 to leave it out. Where
+      `needed` is larger than `least_layer` lower edges are not even looked at, and a ray past each edge decides.
+    - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
+      for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
+      ones being told by rays that stop short of the edge.
+
+    `tree` is `build_edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which
+    rounding may cause, are resolved by rays past each edge.
+    """
+    query = _sequential(lambda *args: _sector_query(implementation, args, least_layer, capacity))
+    arrays = (*tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group)
+    return Crossings(*query(*_discrete(*arrays, seed)))
+
+
+def _sector_query(implementation, args, least_layer, capacity):
+    nodes = len(EdgeTree._fields)
+    tree, rest = EdgeTree(*args[:nodes]), args[nodes:]
+    if implementation == "jax":
+        return tuple(jax_sector.sector_crossings(*rest, least_layer, capacity))
+    return tuple(_module(implementation).sector_crossings(tree, *rest, least_layer, capacity))

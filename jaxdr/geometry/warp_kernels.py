@@ -195,6 +195,24 @@ def near_silhouette(
 
 
 @wp.func
+def faces_all_alike(to_center: wp.vec3, size: float, axis: wp.vec3, cosine: float):
+    """Whether all faces at the edges of a node face the apex, or all face away: then it holds no silhouette.
+
+    The node spans the angle beta around its centre; all faces face alike when axis and view are more than alpha + beta
+    off a right angle, alpha the half-angle of the cone of their normals.
+    """
+    if cosine > 0.0:
+        away = wp.length(to_center)
+        if away > size:
+            sin_b = size / away
+            cos_b = wp.sqrt(1.0 - sin_b * sin_b)
+            sin_a = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
+            if cosine * cos_b - sin_a * sin_b > 0.0:
+                return wp.abs(wp.dot(axis, to_center)) > (sin_a * cos_b + cosine * sin_b) * away
+    return False
+
+
+@wp.func
 def may_hold_silhouettes(
     center: wp.vec3,
     extent: wp.vec3,
@@ -226,23 +244,13 @@ def may_hold_silhouettes(
     distance = wp.length(to_center - t * along)
     if distance - size > wp.max(radius * fraction, wp.min(radius, widest * fraction)):
         return False
-    if cosine > 0.0:
-        away = wp.length(to_center)
-        if away > size:
-            # The node spans the angle beta around its centre: all faces face alike when axis and view are more than
-            # alpha + beta off a right angle.
-            sin_b = size / away
-            cos_b = wp.sqrt(1.0 - sin_b * sin_b)
-            sin_a = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
-            if cosine * cos_b - sin_a * sin_b > 0.0:
-                if wp.abs(wp.dot(axis, to_center)) > (sin_a * cos_b + cosine * sin_b) * away:
-                    return False
-    return True
+    return not faces_all_alike(to_center, size, axis, cosine)
 
 
 @wp.kernel
 def edge_candidates(
     start: int,
+    leaf_edge: wp.array(dtype=int),
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
     axis: wp.array(dtype=wp.vec3),
@@ -302,8 +310,8 @@ def edge_candidates(
             if inside:
                 first = (node - leaves) * LEAF
                 for k in range(LEAF):
-                    e = first + k
-                    if e < edges.shape[0]:
+                    e = leaf_edge[first + k]
+                    if e >= 0:
                         p0 = vertices[edges[e][0]]
                         p1 = vertices[edges[e][1]]
                         r = radius[e] * scale[i]

@@ -4,31 +4,17 @@ The callables below receive the geometry with every call and look its BVH up by 
 query is a pure function of its arguments. They do host work and therefore run outside CUDA graphs.
 """
 
-import os
-import warnings
-from concurrent.futures import ThreadPoolExecutor, wait
-
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
-from warp import JaxCallableGraphMode, jax_callable
 
 from jaxdr.geometry import warp_kernels as kernels
+from jaxdr.geometry import warp_sector_kernels as sector_kernels
 from jaxdr.geometry.bvh_cache import BVHCache
-
-THREADS = os.cpu_count() or 1
-# Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
-SLICE = 8192
+from jaxdr.geometry.warp_launch import Call, compact, launch, on_host
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
-
-_pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
-
-
-def _host(array: wp.array) -> np.ndarray:
-    """The array on the host: a view on CPU, a copy from CUDA."""
-    return array.numpy()
 
 
 def _face_boxes(moving, topology):
@@ -120,25 +106,6 @@ def _cache(kind: str, device) -> BVHCache:
     return _caches[key]
 
 
-def _launch(kernel, count: int, leading: list, rest: list, device) -> None:
-    """Run `kernel(*leading, start, *rest)` over `count` rays: in slices on a thread pool on CPU, whole on CUDA."""
-    if count == 0:
-        return
-    if not device.is_cpu:
-        wp.launch(kernel, dim=count, inputs=[*leading, 0, *rest], device=device, record_tape=False)
-        return
-    wp.load_module(kernel.module, device=device)
-
-    def run(start):
-        size = min(SLICE, count - start)
-        wp.launch(kernel, dim=size, inputs=[*leading, start, *rest], device=device, record_tape=False)
-
-    jobs = [_pool.submit(run, start) for start in range(0, count, SLICE)]
-    wait(jobs)
-    for job in jobs:
-        job.result()
-
-
 def _closest_hit(
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -150,9 +117,9 @@ def _closest_hit(
 ):
     cache = _cache("mesh", vertices.device)
     with cache.lock:
-        mesh = cache.find([_host(vertices)], [_host(faces)])
+        mesh = cache.find([on_host(vertices)], [on_host(faces)])
         arrays = [origin, direction, t_max, face, t]
-        _launch(kernels.closest_hit, origin.shape[0], [mesh.id], arrays, vertices.device)
+        launch(kernels.closest_hit, origin.shape[0], [mesh.id], arrays, vertices.device)
 
 
 def _occluded(
@@ -165,8 +132,8 @@ def _occluded(
 ):
     cache = _cache("mesh", vertices.device)
     with cache.lock:
-        mesh = cache.find([_host(vertices)], [_host(faces)])
-        _launch(kernels.occluded, origin.shape[0], [mesh.id], [origin, direction, t_max, result], vertices.device)
+        mesh = cache.find([on_host(vertices)], [on_host(faces)])
+        launch(kernels.occluded, origin.shape[0], [mesh.id], [origin, direction, t_max, result], vertices.device)
 
 
 def _all_hits(
@@ -183,63 +150,13 @@ def _all_hits(
     t.fill_(kernels.MISS)
     cache = _cache("faces", vertices.device)
     with cache.lock:
-        bvh = cache.find([_host(vertices)], [_host(faces)])
+        bvh = cache.find([on_host(vertices)], [on_host(faces)])
         arrays = [vertices, faces, origin, direction, t_max, face, t, count]
-        _launch(kernels.all_hits, origin.shape[0], [bvh.id], arrays, vertices.device)
-
-
-def _compact(kernel, leading, rest, total, seed, segment, element, count, weight, device):
-    """Run a candidate kernel over `total` segments and gather its pairs; when they overflow, thin them without bias.
-
-    The thinning probability depends on the number of pairs alone, not on which of them survive, so weighting the
-    survivors by its inverse is unbiased; eight standard deviations of slack keep them within the capacity.
-    """
-    capacity, probability = segment.shape[0], 1.0
-    kept, every = _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device)
-    if kept > capacity:
-        probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
-        warnings.warn(
-            f"jaxdr: {every} (segment, edge) pairs of {total} segments exceed the capacity of {capacity}; "
-            f"thinned without bias to {probability:.0%}. A smaller kernel radius or a larger capacity avoids it.",
-            stacklevel=2,
-        )
-        kept, _ = _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device)
-        if kept > capacity:
-            raise RuntimeError(f"jaxdr: thinning {every} pairs left {kept}, more than the capacity of {capacity}")
-    count.assign(np.array([every], np.int32))
-    weight.assign(np.array([1.0 / probability], np.float32))
-
-
-def _run_candidates(kernel, leading, rest, total, seed, probability, segment, element, device):
-    """Fill `segment` and `element` with pairs; returns how many were kept and how many there are."""
-    capacity = segment.shape[0]
-    segment.fill_(-1)
-    element.zero_()
-    if not device.is_cpu:
-        found = wp.zeros(2, dtype=int, device=device)
-        inputs = [*leading, 0, *rest, seed, probability, segment, element, found]
-        wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
-        return tuple(int(n) for n in found.numpy())
-    wp.load_module(kernel.module, device=device)
-
-    def run(start):
-        size = min(SLICE, total - start)
-        out = [wp.empty(capacity, dtype=int, device=device) for _ in range(2)]
-        found = wp.zeros(2, dtype=int, device=device)
-        inputs = [*leading, start, *rest, seed, probability, *out, found]
-        wp.launch(kernel, dim=size, inputs=inputs, device=device, record_tape=False)
-        kept, every = (int(n) for n in found.numpy())
-        return [a.numpy()[: min(kept, capacity)] for a in out], kept, every
-
-    # Each slice fills its own list and the lists are joined in order: the result does not depend on timing.
-    parts = list(_pool.map(run, range(0, total, SLICE)))
-    for target, index in ((segment, 0), (element, 1)):
-        joined = np.concatenate([part[0][index] for part in parts])[:capacity]
-        target.numpy()[: len(joined)] = joined
-    return sum(part[1] for part in parts), sum(part[2] for part in parts)
+        launch(kernels.all_hits, origin.shape[0], [bvh.id], arrays, vertices.device)
 
 
 def _edge_candidates(
+    leaf_edge: wp.array(dtype=int),
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
     axis: wp.array(dtype=wp.vec3),
@@ -260,10 +177,14 @@ def _edge_candidates(
     count: wp.array(dtype=int),
     weight: wp.array(dtype=float),
 ):
-    seed, both_sides = (int(option) for option in _host(options))
-    tree = [lower, upper, axis, cosine, node_radius]
+    seed, both_sides = (int(option) for option in on_host(options))
+    tree = [leaf_edge, lower, upper, axis, cosine, node_radius]
     rest = [*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, both_sides]
-    _compact(kernels.edge_candidates, [], rest, apex.shape[0], seed, segment, edge, count, weight, vertices.device)
+    found, inverse = compact(
+        kernels.edge_candidates, [], rest, apex.shape[0], seed, [segment, edge], 2, vertices.device
+    )
+    count.assign(found[1:2].astype(np.int32))
+    weight.assign(np.array([inverse], np.float32))
 
 
 def _point_candidates(
@@ -286,34 +207,61 @@ def _point_candidates(
 ):
     cache = _cache("points", vertices.device)
     with cache.lock:
-        bvh = cache.find([_host(point), _host(radius)], [])
-        seed, both_sides = (int(option) for option in _host(options))
+        bvh = cache.find([on_host(point), on_host(radius)], [])
+        seed, both_sides = (int(option) for option in on_host(options))
         rest = [vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, both_sides]
         total, device = apex.shape[0], vertices.device
-        _compact(kernels.point_candidates, [bvh.id], rest, total, seed, segment, element, count, weight, device)
+        found, inverse = compact(kernels.point_candidates, [bvh.id], rest, total, seed, [segment, element], 2, device)
+    count.assign(found[1:2].astype(np.int32))
+    weight.assign(np.array([inverse], np.float32))
 
 
-class _Call:
-    """A `jax_callable` whose lowered form does not depend on how often it was traced before.
+def _sector_crossings(
+    leaf_edge: wp.array(dtype=int),
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+    axis: wp.array(dtype=wp.vec3),
+    cosine: wp.array(dtype=float),
+    node_rank: wp.array(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    edges: wp.array(dtype=wp.vec2i),
+    edge_faces: wp.array2d(dtype=int),
+    rank: wp.array(dtype=float),
+    face_group: wp.array(dtype=int),
+    apex: wp.array(dtype=wp.vec3),
+    first: wp.array(dtype=wp.vec3),
+    last: wp.array(dtype=wp.vec3),
+    centre: wp.array(dtype=float),
+    needed: wp.array(dtype=float),
+    group: wp.array(dtype=int),
+    options: wp.array(dtype=int),
+    segment: wp.array(dtype=int),
+    edge: wp.array(dtype=int),
+    along: wp.array(dtype=float),
+    counts: wp.array(dtype=int),
+    weight: wp.array(dtype=float),
+):
+    cache, device = _cache("faces", vertices.device), vertices.device
+    with cache.lock:
+        bvh = cache.find([on_host(vertices)], [on_host(faces)])
+        seed, least_layer = (int(option) for option in on_host(options))
+        rest = [
+            leaf_edge, lower, upper, axis, cosine, node_rank, vertices, faces, edges, edge_faces, rank, face_group,
+            apex, first, last, centre, needed, group, float(least_layer),
+        ]  # fmt: skip
+        lists, total = [segment, edge, along], apex.shape[0]
+        found, inverse = compact(sector_kernels.sector_crossings, [bvh.id], rest, total, seed, lists, 6, device)
+    counts.assign(found[1:].astype(np.int32))
+    weight.assign(np.array([inverse], np.float32))
 
-    Warp numbers the traced calls and writes the number into the program, which would defeat JAX's compilation cache.
-    The number only tells static arguments apart, and these callables have none.
-    """
 
-    def __init__(self, function, num_outputs):
-        function.__module__ = kernels.__name__  # Warp loads the module of the function: let it be the kernels' own
-        self.call = jax_callable(function, num_outputs=num_outputs, graph_mode=JaxCallableGraphMode.NONE)
-
-    def __call__(self, *args, output_dims):
-        self.call.call_id = 0
-        return self.call(*args, output_dims=output_dims)
-
-
-_closest_hit_call = _Call(_closest_hit, 2)
-_occluded_call = _Call(_occluded, 1)
-_all_hits_call = _Call(_all_hits, 3)
-_edge_candidates_call = _Call(_edge_candidates, 4)
-_point_candidates_call = _Call(_point_candidates, 4)
+_closest_hit_call = Call(_closest_hit, 2, kernels)
+_occluded_call = Call(_occluded, 1, kernels)
+_all_hits_call = Call(_all_hits, 3, kernels)
+_edge_candidates_call = Call(_edge_candidates, 4, kernels)
+_point_candidates_call = Call(_point_candidates, 4, kernels)
+_sector_crossings_call = Call(_sector_crossings, 5, sector_kernels)
 
 
 def closest_hit(vertices, faces, origin, direction, t_max):
@@ -380,3 +328,16 @@ def point_candidates(
     )
     segment, element, count, weight = _point_candidates_call(*args, output_dims=dims)
     return segment, element, count[0], weight[0]
+
+
+def sector_crossings(
+    tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group, seed,
+    least_layer, capacity,
+):  # fmt: skip
+    """(segment [C], edge [C], along [C], counts [5], weight): see `queries.sector_crossings`."""
+    dims = {"segment": capacity, "edge": capacity, "along": capacity, "counts": 5, "weight": 1}
+    table = (*tree, vertices, faces, edges, edge_faces, rank, face_group)
+    options = jnp.stack([seed, jnp.int32(least_layer)])
+    call = _sector_crossings_call
+    *lists, counts, weight = call(*table, apex, first, last, centre, needed, group, options, output_dims=dims)
+    return *lists, counts, weight[0]

@@ -45,7 +45,7 @@ class BSDFGroup(eqx.Module):
 class PackedScene(eqx.Module):
     """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
 
-    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`.
+    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`; it has `edge_counts[i]` edges.
     """
 
     vertices: Float[Array, "V 3"]
@@ -55,6 +55,7 @@ class PackedScene(eqx.Module):
     bsdfs: tuple[BSDFGroup, ...]
     two_sided: Bool[Array, " S"]
     first_face: tuple[int, ...] = eqx.field(static=True)
+    edge_counts: tuple[int, ...] = eqx.field(static=True)
     closed: tuple[bool, ...] = eqx.field(static=True)
     smooth: tuple[bool, ...] = eqx.field(static=True)
     normals: Float[Array, "G 3"] | None
@@ -125,6 +126,7 @@ def pack(scene: Scene) -> PackedScene:
         bsdfs=_group(bsdfs),
         two_sided=jnp.asarray([isinstance(shape.bsdf, TwoSided) for shape in shapes]),
         first_face=tuple(int(f) for f in first_face),
+        edge_counts=tuple(m.edges.vertices.shape[0] for m in meshes),
         closed=tuple(m.closed for m in meshes),
         smooth=tuple(m.normal_faces is not None for m in meshes),
         normals=normals,

@@ -33,8 +33,8 @@ class Segments(NamedTuple):
     `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
     without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
     over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one. `lobe`, of BSDF-sampled segments, is the throughput to the apex
-    over the density of `direction` (solid angle), whatever lies there.
+    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples; `lobe`, of
+    BSDF-sampled segments, is that over the density of `direction` (solid angle), whatever lies there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -45,6 +45,7 @@ class Segments(NamedTuple):
     direction: Float[Array, "B N 3"]
     weight: Float[Array, "B N 3"]
     visible: Bool[Array, "B N"]
+    throughput: Float[Array, "B N 3"] | None = None
     lobe: Float[Array, "B N 3"] | None = None
 
 
@@ -270,6 +271,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         direction=sample.direction,
         weight=jnp.where(reachable[:, None], arriving, 0.0),
         visible=seen,
+        throughput=jnp.where(point.valid[:, None], throughput, 0.0),
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
 
@@ -277,7 +279,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
 def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
     """A vertex behind which paths end: emitter sampling alone."""
     light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
-    unused = jax.tree.map(jnp.zeros_like, direct)._replace(lobe=jnp.zeros_like(light))
+    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, lobe=jnp.zeros_like(light))
     return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
 
 

@@ -60,6 +60,10 @@ class Scatterer:
         local = self._combine([bsdf.sample(self.wi, u) for bsdf, _ in self.groups])
         return stop_gradient(self.to_world(local))
 
+    def lobe_width(self) -> Float[Array, " N"]:
+        """Angle (radians) over which the BSDFs change little around sampled directions, detached."""
+        return stop_gradient(self._combine([bsdf.lobe_width(self.wi) for bsdf, _ in self.groups]))
+
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""
         return self.to_local(w)[:, 2]

@@ -7,6 +7,7 @@ one row for every point when its methods are called (`Scene` gathers them by sha
 import abc
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 
@@ -24,6 +25,13 @@ class BSDF(eqx.Module):
     @abc.abstractmethod
     def sample(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
         """Unit direction `wo` drawn from `pdf`."""
+
+    def lobe_width(self, wi: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """Angle (radians) over which `eval` and `pdf` change little around a sampled direction; at most 1.
+
+        A matter of noise alone: how far from sampled directions line sampling looks for silhouettes.
+        """
+        return jnp.ones_like(wi[..., 0])
 
 
 class TwoSided(eqx.Module):

@@ -1,0 +1,87 @@
+"""Planar emitters: which emitting faces lie in one plane, and where lines in it run inside of them."""
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.silhouettes import affine_coordinates
+from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.packed import PackedScene
+
+# Emitters of no more faces than this are looked at as whole polygons, others face by face.
+FEW_FACES = 16
+
+
+def few_emitter_faces(packed: PackedScene) -> bool:
+    """Whether emitters are treated as polygons."""
+    return packed.has_area_emitters and packed.emitter_faces.shape[0] <= FEW_FACES
+
+
+def emitter_groups(packed: PackedScene) -> Int[Array, " F"]:
+    """A number for every emitting face, the same for faces of one shape in one plane; -1 for the others."""
+    count = packed.emitter_faces.shape[0]
+    group = jnp.arange(count)
+    if few_emitter_faces(packed):
+        corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+        sides = corners[:, 1] - corners[:, 0]
+        normal = normalize(jnp.cross(sides, corners[:, 2] - corners[:, 0]))
+        offset = corners[None] - corners[:, None, :1]  # [L, L, 3, 3]
+        height = jnp.abs(dot(offset, normal[:, None, None])).max(-1)
+        flat = (height <= 1e-4 * norm(sides)[:, None]) & (dot(normal[:, None], normal[None]) > 0)
+        shape = packed.face_shape[packed.emitter_faces]
+        same = flat & flat.T & (shape[:, None] == shape[None])
+        group = jnp.where(same, group[None], count).min(1)
+    return jnp.full(packed.faces.shape[0], -1, jnp.int32).at[packed.emitter_faces].set(group.astype(jnp.int32))
+
+
+def part_inside(
+    barycentric: Float[Array, "*n 3"], rate: Float[Array, "*n 3"], low: Float[Array, "*#n"], high: Float[Array, "*#n"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """(start, end): the part of a line's parameter range [low, high] that is inside triangles; start = end if none.
+
+    `barycentric` coordinates at the line's origin, and their `rate` along it.
+    """
+    root = -barycentric / jnp.where(rate == 0, 1.0, rate)
+    missed = ((rate == 0) & (barycentric < 0)).any(-1)
+    start = jnp.maximum(low, jnp.where(rate > 0, root, -jnp.inf).max(-1))
+    end = jnp.minimum(high, jnp.where(rate < 0, root, jnp.inf).min(-1))
+    missed = missed | (end <= start)
+    return jnp.where(missed, 0.0, start), jnp.where(missed, 0.0, end)
+
+
+def chord_inside(
+    packed: PackedScene,
+    group: Int[Array, " F"],
+    face: Int[Array, " N"],
+    point: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
+    """(first, last, length) of lines through points of emitting faces, inside the emitter's faces in that plane.
+
+    `first` < 0 < `last` are distances along unit `direction`, `length` is what lies inside in between; detached.
+    """
+    vertices = stop_gradient(packed.vertices)
+    if few_emitter_faces(packed):
+        triangles, same = packed.emitter_faces, group[packed.emitter_faces] == group[face][:, None]
+    else:
+        triangles, same = face[:, None], jnp.ones((face.shape[0], 1), bool)
+    corners = vertices[packed.faces[triangles]]  # [L, 3, 3] or [N, 1, 3, 3]
+    barycentric = affine_coordinates(corners, point[:, None])
+    rate = affine_coordinates(corners, corners[..., 0, :] + direction[:, None])
+    rate = rate - jnp.asarray([1.0, 0.0, 0.0], rate.dtype)
+    infinity = jnp.asarray(jnp.inf, rate.dtype)
+    start, end = part_inside(barycentric, rate, -infinity, infinity)
+    start, end = jnp.where(same, start, 0.0), jnp.where(same, end, 0.0)
+    return start.min(-1), end.max(-1), (end - start).sum(-1)
+
+
+def inside_emitter(
+    packed: PackedScene, group: Int[Array, " F"], face: Int[Array, " N"], point: Float[Array, "N 3"]
+) -> Bool[Array, " N"]:
+    """Whether points in the plane of emitting faces are on the emitter; always so where it is taken face by face."""
+    if not few_emitter_faces(packed):
+        return jnp.ones(face.shape[0], bool)
+    corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+    same = group[packed.emitter_faces] == group[face][:, None]
+    barycentric = affine_coordinates(corners, point[:, None])
+    return (same & (barycentric.min(-1) > -1e-6)).any(-1)

@@ -1,0 +1,113 @@
+"""Running Warp kernels from JAX: batches sliced over threads on CPU, whole on CUDA; lists of results of unknown length.
+
+Every kernel works on the slice that starts at its argument `start`, so that a CPU launch can be split over threads.
+"""
+
+import os
+import warnings
+from concurrent.futures import ThreadPoolExecutor, wait
+
+import numpy as np
+import warp as wp
+from warp import JaxCallableGraphMode, jax_callable
+
+THREADS = os.cpu_count() or 1
+# Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
+SLICE = 8192
+
+_pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
+
+
+def on_host(array: wp.array) -> np.ndarray:
+    """The array on the host: a view on CPU, a copy from CUDA."""
+    return array.numpy()
+
+
+def launch(kernel, count: int, leading: list, rest: list, device) -> None:
+    """Run `kernel(*leading, start, *rest)` over `count` rays."""
+    if count == 0:
+        return
+    if not device.is_cpu:
+        wp.launch(kernel, dim=count, inputs=[*leading, 0, *rest], device=device, record_tape=False)
+        return
+    wp.load_module(kernel.module, device=device)
+
+    def run(start):
+        size = min(SLICE, count - start)
+        wp.launch(kernel, dim=size, inputs=[*leading, start, *rest], device=device, record_tape=False)
+
+    jobs = [_pool.submit(run, start) for start in range(0, count, SLICE)]
+    wait(jobs)
+    for job in jobs:
+        job.result()
+
+
+def compact(kernel, leading: list, rest: list, total: int, seed: int, lists: list, counts: int, device):
+    """Run a kernel that appends rows to `lists` and thin the rows without bias if there are more than fit.
+
+    The kernel's arguments are `(*leading, start, *rest, seed, probability, *lists, found)`; it adds to `found`, an
+    array of `counts` whole numbers, how many rows it kept and how many there are, and whatever else it counts. The
+    first list holds row numbers; unused slots of it are -1. The thinning probability depends on the number of rows
+    alone, not on which of them survive, so weighting the survivors by its inverse is unbiased; eight standard
+    deviations of slack keep them within the capacity. Returns (found, 1 / probability).
+    """
+    capacity, probability = lists[0].shape[0], 1.0
+    found = _run(kernel, leading, rest, total, seed, probability, lists, counts, device)
+    if found[0] > capacity:
+        every = int(found[1])
+        probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
+        warnings.warn(
+            f"jaxdr: {every} silhouettes near {total} segments exceed the capacity of {capacity}; "
+            f"thinned without bias to {probability:.0%}. A larger capacity, or less reach, avoids it.",
+            stacklevel=2,
+        )
+        kept = _run(kernel, leading, rest, total, seed, probability, lists, counts, device)[0]
+        if kept > capacity:
+            raise RuntimeError(f"jaxdr: thinning {every} pairs left {kept}, more than the capacity of {capacity}")
+    return found, 1.0 / probability
+
+
+def _run(kernel, leading, rest, total, seed, probability, lists, counts, device) -> np.ndarray:
+    capacity = lists[0].shape[0]
+    lists[0].fill_(-1)
+    for table in lists[1:]:
+        table.zero_()
+    if not device.is_cpu:
+        found = wp.zeros(counts, dtype=int, device=device)
+        inputs = [*leading, 0, *rest, seed, probability, *lists, found]
+        wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
+        return found.numpy()
+    wp.load_module(kernel.module, device=device)
+
+    def run(start):
+        size = min(SLICE, total - start)
+        out = [wp.empty(capacity, dtype=table.dtype, device=device) for table in lists]
+        found = wp.zeros(counts, dtype=int, device=device)
+        inputs = [*leading, start, *rest, seed, probability, *out, found]
+        wp.launch(kernel, dim=size, inputs=inputs, device=device, record_tape=False)
+        kept = min(int(found.numpy()[0]), capacity)
+        return [a.numpy()[:kept] for a in out], found.numpy()
+
+    # Each slice fills its own list and the lists are joined in order: the result does not depend on timing.
+    parts = list(_pool.map(run, range(0, total, SLICE)))
+    for index, target in enumerate(lists):
+        joined = np.concatenate([part[0][index] for part in parts])[:capacity] if parts else np.zeros(0)
+        target.numpy()[: len(joined)] = joined
+    return sum((part[1] for part in parts), np.zeros(counts, np.int64))
+
+
+class Call:
+    """A `jax_callable` whose lowered form does not depend on how often it was traced before.
+
+    Warp numbers the traced calls and writes the number into the program, which would defeat JAX's compilation cache.
+    The number only tells static arguments apart, and these callables have none. `kernels` is the Python module of the
+    kernels that `function` launches.
+    """
+
+    def __init__(self, function, num_outputs: int, kernels):
+        function.__module__ = kernels.__name__  # Warp loads the module of the function: let it be the kernels' own
+        self.call = jax_callable(function, num_outputs=num_outputs, graph_mode=JaxCallableGraphMode.NONE)
+
+    def __call__(self, *args, output_dims):
+        self.call.call_id = 0
+        return self.call(*args, output_dims=output_dims)
