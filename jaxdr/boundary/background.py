@@ -67,14 +67,15 @@ def background_term(
     seen: SeenEdges,
     weight: Float[Array, "C 3"],
     valid: Bool[Array, " C"],
+    number: Int[Array, " C"],
     key: PRNGKeyArray,
     settings: PathSettings,
     emission: Emission | None = None,
-) -> Float[Array, "N 3"]:
-    """Sum over boundary points of weight x scattered background radiance x normal velocity, for each of N paths.
+) -> Float[Array, "C 3"]:
+    """Boundary points' weight x scattered background radiance x normal velocity: zero in value, right in derivative.
 
-    Zero in value, right in derivative. `weight`: throughput to the apex over the density of boundary points (length in
-    solid angle), without the BSDF. `emission` says which emitted radiance counts beside what is scattered.
+    `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
+    `number` and `key` choose the random numbers. `emission` says which emitted radiance counts beside what is scattered.
     """
     key_first, key_path = jax.random.split(key)
     background, clear = _background(packed, paths.apex(seen.segment), seen, valid, settings)
@@ -84,9 +85,11 @@ def background_term(
     bounces = settings.max_depth - 2
     radiance = jnp.zeros_like(weight)
     if bounces > 0:
-        u = lattice(key_first, 1, jnp.arange(valid.shape[0]), 4, weight.dtype)[0]
+        u = lattice(key_first, 1, number, 4, weight.dtype)[0]
         remaining = jnp.where(valid, bounces - seen.segment // paths.paths, 0)
-        radiance = gathered_radiance(detached, back, seen.towards, u, key_path, settings, bounces, remaining)
+        radiance = gathered_radiance(
+            detached, back, seen.towards, u, jax.random.fold_in(key_path, number[0]), settings, bounces, remaining
+        )
     if emission is not None:
         radiance = radiance + emission(back, seen.towards)
     weight = weight * paths.scatterer(seen.segment).eval(seen.towards) * radiance
@@ -101,8 +104,7 @@ def background_term(
     edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex)) / distance
     displacement = edge_moved - dot(pole, far - moving_apex) / far_distance
     displacement = displacement - stop_gradient(displacement)
-    value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
-    return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(seen.segment)].add(value)
+    return jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
 
 
 def _background(packed, point: SurfacePoint, seen: SeenEdges, valid, settings):

@@ -75,13 +75,20 @@ def chord_inside(
     return start.min(-1), end.max(-1), (end - start).sum(-1)
 
 
-def inside_emitter(
+def emitter_face_at(
     packed: PackedScene, group: Int[Array, " F"], face: Int[Array, " N"], point: Float[Array, "N 3"]
-) -> Bool[Array, " N"]:
-    """Whether points in the plane of emitting faces are on the emitter; always so where it is taken face by face."""
-    if not few_emitter_faces(packed):
-        return jnp.ones(face.shape[0], bool)
-    corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
-    same = group[packed.emitter_faces] == group[face][:, None]
-    barycentric = affine_coordinates(corners, point[:, None])
-    return (same & (barycentric.min(-1) > -1e-6)).any(-1)
+) -> tuple[Int[Array, " N"], Float[Array, "N 3"], Bool[Array, " N"]]:
+    """(face, barycentric coordinates, inside or not) of points in the planes of emitting faces `face`.
+
+    Other faces of the emitter are looked at where it is taken as a polygon.
+    """
+    vertices = stop_gradient(packed.vertices)
+    faces = face[:, None]
+    if few_emitter_faces(packed):
+        faces = jnp.broadcast_to(packed.emitter_faces, (face.shape[0], packed.emitter_faces.shape[0]))
+    barycentric = affine_coordinates(vertices[packed.faces[faces]], point[:, None])
+    depth = jnp.where(group[faces] == group[face][:, None], barycentric.min(-1), -jnp.inf)
+    best = depth.argmax(-1)[:, None]
+    chosen = jnp.take_along_axis(faces, best, 1)[:, 0]
+    inside = jnp.take_along_axis(depth, best, 1)[:, 0] > -1e-4
+    return chosen, jnp.take_along_axis(barycentric, best[..., None], 1)[:, 0], inside

@@ -11,9 +11,10 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.chords import Chords, LobeChords, emitter_chords, lobe_chords, lobe_weight
-from jaxdr.boundary.emitter_planes import emitter_groups, inside_emitter
-from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, never_silhouettes, project_edges
+from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
+from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, project_edges
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
 from jaxdr.geometry.vector import dot
@@ -26,6 +27,7 @@ from jaxdr.transport.shading import emitted
 
 # Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
 HIDES, BOUNDS, MOVES = 1, 2, 3
+WIDEST = 1.4  # half-length of geodesic chords, radians
 
 
 class Prepared(NamedTuple):
@@ -42,14 +44,21 @@ class Prepared(NamedTuple):
     count_layers: Bool[Array, ""]
 
 
-class _Crossings(NamedTuple):
-    """Crossings of chords: `chord`, `edge`, `along` it, whether the slot is used, and the thinning's weight."""
+class _Chosen(NamedTuple):
+    """M chords: the path vertices they start from (-1 for unused ones), and 1 / the expected number of chords there."""
 
+    vertex: Int[Array, " M"]
+    inverse: Float[Array, " M"]
+
+
+class _Crossings(NamedTuple):
+    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used."""
+
+    vertex: Int[Array, " C"]
     chord: Int[Array, " C"]
     edge: Int[Array, " C"]
     along: Float[Array, " C"]
     valid: Bool[Array, " C"]
-    weight: Float[Array, ""]
 
 
 class LineSampling(eqx.Module):
@@ -71,7 +80,7 @@ class LineSampling(eqx.Module):
     pilot: float = eqx.field(static=True, default=0.25)
     floor: float = eqx.field(static=True, default=0.2)
     reach: float = eqx.field(static=True, default=1.0)
-    capacity: float = eqx.field(static=True, default=1.0)
+    capacity: float = eqx.field(static=True, default=2.0)
 
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "capacity"):
@@ -110,116 +119,138 @@ class LineSampling(eqx.Module):
         paths = PathSegments(packed, primary, record.direct)
         key_emitters, key_lobes = jax.random.split(key)
         if packed.has_area_emitters:
-            total = total + self._emitter_term(packed, prepared, paths, key_emitters, settings)
+            lines = EmitterLines(packed, prepared, paths, settings)
+            carries = luminance(paths.table.throughput)
+            total = total + self._term(lines, paths, carries, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
-            total = total + self._lobe_term(packed, prepared, paths, key_lobes, settings)
+            lines = LobeLines(packed, prepared, paths, settings, self.reach)
+            carries = luminance(paths.table.throughput)
+            if packed.environment is None:  # nothing is gathered behind the last bounce
+                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
+            total = total + self._term(lines, paths, carries, key_lobes)
         return total
 
-    # Light of area emitters, by chords on them.
-
-    def _emitter_term(self, packed, prepared: Prepared, paths: PathSegments, key, settings):
-        carries = luminance(paths.table.throughput)
-
-        def crossings(segment, inverse, key, room):
-            return _emitter_crossings(packed, prepared, paths, segment, inverse, key, room, settings)
-
-        def score(found: _EmitterCrossings):
-            fraction = jnp.where(found.projection.fraction > 0, found.projection.fraction, 1.0)
-            return luminance(found.weight) / fraction
-
-        segment, inverse, key, room = self._allocated(packed, paths, carries, crossings, score, key)
-        found = crossings(segment, inverse, key, room)
-        displacement = found.projection.displacement
-        value = found.weight * (displacement - stop_gradient(displacement))[:, None]
-        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(found.segment)].add(value)
-
-    # Everything else, by chords in the directions that BSDFs choose.
-
-    def _lobe_term(self, packed, prepared: Prepared, paths: PathSegments, key, settings):
-        carries = luminance(paths.table.throughput)
-        if packed.environment is None:  # nothing is gathered behind the last bounce
-            carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
-
-        def crossings(segment, inverse, key, room):
-            return self._lobe_crossings(packed, prepared, paths, segment, inverse, key, room, settings)
-
-        def score(found: _LobeCrossings):
-            return luminance(found.weight) * found.lobe / found.seen.distance
-
-        key, key_path = jax.random.split(key)
-        segment, inverse, key, room = self._allocated(packed, paths, carries, crossings, score, key)
-        found = crossings(segment, inverse, key, room)
-
-        def emission(background: SurfacePoint, towards):
-            radiance = emitted(packed_detached, background, -towards)
-            # Of emitters on surfaces the chords on them take care.
-            return jnp.where(background.valid[:, None], 0.0, radiance)
-
-        packed_detached = jax.tree.map(stop_gradient, packed)
-        sky = emission if packed.environment is not None else None
-        return background_term(packed, paths, found.seen, found.weight, found.valid, key_path, settings, sky)
-
-    def _lobe_crossings(self, packed, prepared: Prepared, paths: PathSegments, segment, inverse, key, room, settings):
-        key_chord, key_seed = jax.random.split(key)
-        used, vertex = segment >= 0, jnp.maximum(segment, 0)
-        u = lattice(key_chord, 1, jnp.arange(segment.shape[0]), 3, packed.vertices.dtype)[0]
-        scatterer = paths.scatterer(vertex)
-        width = jnp.minimum(self.reach * scatterer.lobe_width(), 1.4)
-        lobes = lobe_chords(scatterer, width, u)
-        apex = leave(scatterer.point, lobes.centre)
-        chords = lobes.chords(apex, 2.0 * stop_gradient(packed.size()))
-        found = _search(packed, prepared, paths, vertex, apex, chords, used, key_seed, room, settings)
-        chosen = vertex[found.chord]
-        seen = seen_edges(packed, paths, chosen, found.edge, found.along, found.valid)
-        there = paths.scatterer(chosen)
-        lobes = LobeChords(*(table[found.chord] for table in lobes))
-        weight = inverse[found.chord] * found.weight * lobe_weight(there, lobes, seen.towards)
-        weight = jnp.where(found.valid, weight, 0.0)[:, None] * paths.table.throughput[chosen]
-        lobe = luminance(there.eval(seen.towards))
-        return _LobeCrossings(chosen, found.chord, seen, weight, lobe, found.valid)
-
-    def _allocated(self, packed, paths: PathSegments, carries, crossings, score, key):
-        """(path vertex of each chord or -1, 1 / its expected number of chords, key, room for crossings)."""
-        _, _, width, height = packed.camera.film.window
+    def _term(self, lines: "EmitterLines | LobeLines", paths: PathSegments, carries, key) -> Float[Array, "N 3"]:
+        """Boundary term of one kind of light; `carries` is the importance of every path vertex."""
+        _, _, width, height = paths.packed.camera.film.window
         pixels, samples = width * height, paths.paths // (width * height)
         layout = (paths.count // paths.paths, pixels, samples)
-        key_pilot, key_pilot_chords, key_main, key_chords = jax.random.split(key, 4)
+        key_pilot, key_pilot_chords, key_main, key_chords, key_values = jax.random.split(key, 5)
         chords = self.chords * paths.paths
         importance = carries.reshape(layout)
         if self.pilot > 0:
             count = self.pilot * chords
-            segment, inverse = allocate(shares(importance, count), capacity(round(count), pixels), key_pilot)
-            room = max(1024, round(self.capacity * count))
-            found = crossings(segment, jnp.ones_like(inverse), key_pilot_chords, room)
-            mark = score(found) / jnp.where(found.valid, carries[found.segment], 1.0)
-            per_chord = jnp.zeros(segment.shape[0], mark.dtype).at[found.chord].add(jnp.where(found.valid, mark, 0.0))
-            pixel = paths.path(jnp.maximum(segment, 0)) // samples
-            of_pixel = pixel_importance(per_chord, pixel, segment >= 0, (height, width), self.floor)
-            importance = importance * of_pixel[None, :, None]
-        importance = stop_gradient(importance)
-        segment, inverse = allocate(shares(importance, chords), capacity(round(chords), pixels), key_main)
-        return segment, inverse, key_chords, max(4096, round(self.capacity * chords))
+            chosen = _Chosen(*allocate(shares(importance, count), capacity(round(count), pixels), key_pilot))
+            drawn, found, thinned, used = lines.search(chosen, key_pilot_chords, self._room(count))
+
+            def scores(block: _Crossings, number):
+                score = lines.score(drawn, block) * (thinned / jnp.where(block.valid, carries[block.vertex], 1.0))
+                score = jnp.where(block.valid & (number < used), score, 0.0)
+                return jnp.zeros(chosen.vertex.shape[0], score.dtype).at[block.chord].add(score)
+
+            per_chord = sum_over_blocks(scores, found, used)
+            pixel = paths.path(jnp.maximum(chosen.vertex, 0)) // samples
+            of_pixel = pixel_importance(per_chord, pixel, chosen.vertex >= 0, (height, width), self.floor)
+            importance = stop_gradient(importance * of_pixel[None, :, None])
+        chosen = _Chosen(*allocate(shares(importance, chords), capacity(round(chords), pixels), key_main))
+        drawn, found, thinned, used = lines.search(chosen, key_chords, self._room(chords))
+
+        def values(block: _Crossings, number):
+            block = block._replace(valid=block.valid & (number < used))
+            value = lines.value(drawn, block, number, thinned * chosen.inverse[block.chord], key_values)
+            return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(block.vertex)].add(value)
+
+        return sum_over_blocks(values, found, used)
+
+    def _room(self, chords: float) -> int:
+        return max(1024, round(self.capacity * chords))
 
 
-class _EmitterCrossings(NamedTuple):
-    """Boundary points on emitters: `weight` is all but their normal velocity."""
+class EmitterLines:
+    """Chords on area emitters, for their light."""
 
-    segment: Int[Array, " C"]
-    chord: Int[Array, " C"]
-    projection: eqx.Module
-    weight: Float[Array, "C 3"]
-    valid: Bool[Array, " C"]
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
+
+    def search(self, chosen: _Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
+        point = jax.tree.map(stop_gradient, self.paths.apex(jnp.maximum(chosen.vertex, 0)))
+        chords, sample = emitter_chords(self.packed, self.prepared.group, point.position, u)
+        apex = leave(point, sample.point.position - point.position)
+        crossings = _search(self, chosen, apex, chords, key_seed, room)
+        return (chords, sample.point), *crossings
+
+    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot: luminance per motion of the edge."""
+        projection, weight = self._boundary(drawn, found)
+        return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+
+    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+        """Contributions times `weight`: zero in value, right in derivative."""
+        del number, key
+        projection, value = self._boundary(drawn, found)
+        moved = projection.displacement - stop_gradient(projection.displacement)
+        return value * (weight * moved)[:, None]
+
+    def _boundary(self, drawn, found: _Crossings):
+        """(the crossed edges projected onto the emitter, contributions without their normal velocity)."""
+        packed, paths, group = self.packed, self.paths, self.prepared.group
+        chords, centre = drawn
+        face = centre.face[found.chord]
+        on_plane = _projected(self, found, centre)
+        # The chord may have left the triangle its centre is in, whose vertices move otherwise.
+        face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
+        ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
+        projection = project_edges(packed, found.edge, ends, found.along)
+        in_front = dot(stop_gradient(ends.normal), stop_gradient(ends.apex) - projection.point) > 0
+        weight = paths.table.throughput[found.vertex] * chords.weight[found.chord]
+        weight = weight * paths.transfer(found.vertex, ends, projection.point)
+        return projection, jnp.where((found.valid & inside & in_front)[:, None], weight, 0.0)
 
 
-class _LobeCrossings(NamedTuple):
-    """Boundary points around path vertices: `weight` is all but BSDF (luminance: `lobe`), radiance and velocity."""
+class LobeLines:
+    """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters."""
 
-    segment: Int[Array, " C"]
-    chord: Int[Array, " C"]
-    seen: NamedTuple
-    weight: Float[Array, "C 3"]
-    lobe: Float[Array, " C"]
-    valid: Bool[Array, " C"]
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
+        self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
+
+    def search(self, chosen: _Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        width = jnp.minimum(self.reach * scatterer.lobe_width(), WIDEST)
+        lobes = lobe_chords(scatterer, width, u)
+        apex = scatterer.leave(lobes.centre)
+        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
+        return lobes, *_search(self, chosen, apex, chords, key_seed, room)
+
+    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
+        seen, scatterer, weight = self._boundary(drawn, found)
+        return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
+
+    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+        """Contributions times `weight`: zero in value, right in derivative."""
+        seen, _, value = self._boundary(drawn, found)
+        sky = self._environment if self.packed.environment is not None else None
+        value = value * weight[:, None]
+        return background_term(self.packed, self.paths, seen, value, found.valid, number, key, self.settings, sky)
+
+    def _boundary(self, drawn: LobeChords, found: _Crossings):
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        lobes = LobeChords(*(table[found.chord] for table in drawn))
+        weight = jnp.where(found.valid, lobe_weight(scatterer, lobes, seen.towards), 0.0)
+        return seen, scatterer, self.paths.table.throughput[found.vertex] * weight[:, None]
+
+    def _environment(self, background: SurfacePoint, towards):
+        """Emission of what is no surface: of emitters on surfaces the chords on them take care."""
+        radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
+        return jnp.where(background.valid[:, None], 0.0, radiance)
 
 
 def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -227,53 +258,37 @@ def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)
 
 
-def _emitter_crossings(
-    packed, prepared: Prepared, paths: PathSegments, segment, inverse, key, room, settings
-) -> _EmitterCrossings:
-    key_chord, key_seed = jax.random.split(key)
-    used, vertex = segment >= 0, jnp.maximum(segment, 0)
-    u = lattice(key_chord, 1, jnp.arange(segment.shape[0]), 3, packed.vertices.dtype)[0]
-    point = jax.tree.map(stop_gradient, paths.apex(vertex))
-    chords, sample = emitter_chords(packed, prepared.group, point.position, u)
-    towards = sample.point.position - point.position
-    apex = leave(point, towards)
-    found = _search(packed, prepared, paths, vertex, apex, chords, used, key_seed, room, settings)
-    chosen, face = vertex[found.chord], sample.point.face[found.chord]
-    infinite = jnp.zeros_like(found.valid)
-    ends: SegmentEnds = paths.ends_to(
-        chosen, face, sample.point.barycentric[found.chord], infinite, sample.direction[found.chord]
-    )
-    projection = project_edges(packed, found.edge, ends, found.along)
-    valid = found.valid & inside_emitter(packed, prepared.group, face, projection.point)
-    valid = valid & (dot(stop_gradient(ends.normal), stop_gradient(ends.apex) - projection.point) > 0)
-    weight = paths.table.throughput[chosen] * chords.weight[found.chord] * paths.transfer(chosen, ends, projection.point)
-    weight = weight * (inverse[found.chord] * found.weight)[:, None]
-    return _EmitterCrossings(chosen, found.chord, projection, jnp.where(valid[:, None], weight, 0.0), valid)
+def _projected(lines: EmitterLines, found: _Crossings, target: SurfacePoint) -> Float[Array, "C 3"]:
+    """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
+    apex = stop_gradient(lines.paths.apex(found.vertex).position)
+    target, normal = stop_gradient(target.position)[found.chord], stop_gradient(target.normal)[found.chord]
+    ends = stop_gradient(lines.packed.vertices)[lines.packed.edges.vertices[found.edge]]
+    offset = ends[:, 0] + found.along[:, None] * (ends[:, 1] - ends[:, 0]) - apex
+    slope = dot(normal, offset)
+    return apex + offset * (dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))[:, None]
 
 
-def _search(
-    packed, prepared: Prepared, paths: PathSegments, vertex, apex, chords: Chords, used, key, room, settings
-) -> _Crossings:
-    """Crossings of chords with the silhouettes seen from path vertices."""
+def _search(lines: "EmitterLines | LobeLines", chosen: _Chosen, apex, chords: Chords, key, room: int):
+    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number)."""
+    packed, prepared, edges = lines.packed, lines.prepared, lines.packed.edges
+    vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
     bounded = chords.group != queries.UNBOUNDED
-    shape = packed.face_shape
-    end_moves = prepared.moving[shape[paths.table.apex_face[vertex]]]
-    # The plane of a chord on an emitter belongs to a face that may move as well; a background point may be anything.
+    # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
     moves = jnp.zeros(packed.faces.shape[0], jnp.int32)
     moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
         prepared.moving[shape].astype(jnp.int32), mode="drop"
     )
+    end_moves = prepared.moving[shape[lines.paths.table.apex_face[vertex]]]
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    needed = jnp.where(used & (chords.weight != 0).any(-1), needed, 0)
-    edges = packed.edges
+    needed = jnp.where((chosen.vertex >= 0) & (chords.weight != 0).any(-1), needed, 0)
     found = queries.sector_crossings(
         prepared.tree, packed.vertices, packed.faces, edges.vertices, edges.faces, prepared.rank, prepared.group,
         apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, settings.rays,
+        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
     )  # fmt: skip
     valid = found.chord >= 0
-    return _Crossings(
-        jnp.where(valid, found.chord, 0), found.edge, found.along.astype(apex.dtype), valid, found.weight
-    )
+    chord = jnp.where(valid, found.chord, 0)
+    crossings = _Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
+    return crossings, found.weight.astype(apex.dtype), valid.sum()

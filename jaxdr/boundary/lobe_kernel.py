@@ -17,6 +17,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
@@ -52,21 +53,24 @@ def lobe_term(
         origin, origin + reach * direction, direction, scale, jnp.full_like(scale, WIDEST * reach), seed,
         capacity=capacity, both_sides=True, implementation=settings.rays,
     )  # fmt: skip
-    valid = pairs.segment >= 0
-    segment = jnp.where(valid, pairs.segment, 0)
-    centre = direction[segment]
+    used = pairs.segment >= 0
 
-    # The point of the silhouette nearest to the sampled direction.
-    vertices = stop_gradient(packed.vertices)[packed.edges.vertices[pairs.element]]
-    apex = origin[segment]
-    s0, s1 = vertices[:, 0] - apex, vertices[:, 1] - apex
-    along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
-    seen = seen_edges(packed, paths, segment, pairs.element, along, valid)
+    def values(block, number):
+        segment, edge, valid = block
+        valid = valid & (number < used.sum())
+        centre = direction[segment]
+        # The point of the silhouette nearest to the sampled direction.
+        vertices = stop_gradient(packed.vertices)[packed.edges.vertices[edge]]
+        s0, s1 = vertices[:, 0] - origin[segment], vertices[:, 1] - origin[segment]
+        along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
+        seen = seen_edges(packed, paths, segment, edge, along, valid)
+        limit = jnp.minimum(radius[edge] * scale[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
+        kernel, above = _kernel(paths.scatterer(segment), centre, seen.towards, seen.pole, limit)
+        weight = importance[segment] * (kernel * pairs.weight)[:, None]
+        value = background_term(packed, paths, seen, weight, valid & above, number, key_path, settings)
+        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
-    limit = jnp.minimum(radius[pairs.element] * scale[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
-    kernel, above = _kernel(paths.scatterer(segment), centre, seen.towards, seen.pole, limit)
-    weight = importance[segment] * (kernel * pairs.weight)[:, None]
-    return background_term(packed, paths, seen, weight, valid & above, key_path, settings)
+    return sum_over_blocks(values, (jnp.where(used, pairs.segment, 0), pairs.element, used), used.sum())
 
 
 def _kernel(scatterer, centre, boundary, pole, limit):

@@ -22,20 +22,18 @@ LEAF = 4  # edges in a leaf
 class EdgeTree(NamedTuple):
     """Nodes 1 to 2^k - 1 of the tree (row 0 is unused); the leaves are the last half, with `LEAF` edges each.
 
-    `edge` are the edges of the leaves in turn, -1 where there is none. `axis` and `cosine` of the half-angle bound the face normals; -1 where they fill more than a half-space or an edge
-    is a silhouette from everywhere. `radius` is the largest kernel radius of the edges; 0 where none counts.
+    `edge` are the edges of the leaves in turn, -1 where there is none. A node is three rows of four numbers, beside
+    each other in memory: box centre and radius, box half extent and rank, axis and cosine of the half-angle of a cone
+    around the face normals; the cosine is -1 where they fill more than a half-space or an edge is a silhouette from
+    everywhere. The rank is the largest `radius` (or other importance) of the edges, 0 where none counts.
     """
 
     edge: Int[Array, " s"]
-    lower: Float[Array, "n 3"]
-    upper: Float[Array, "n 3"]
-    axis: Float[Array, "n 3"]
-    cosine: Float[Array, " n"]
-    radius: Float[Array, " n"]
+    node: Float[Array, "n 3 4"]
 
 
 class _Nodes(NamedTuple):
-    """One level of the tree, or all of them."""
+    """One level of the tree, or all of them: boxes, cones, and the largest radius."""
 
     lower: Float[Array, "n 3"]
     upper: Float[Array, "n 3"]
@@ -133,8 +131,19 @@ def build_edge_tree(
         level = _parents(level)
         levels.append(level)
     unused = _Nodes(*(table[:1] for table in level))
-    nodes = (jnp.concatenate(tables) for tables in zip(unused, *reversed(levels), strict=True))
-    return EdgeTree(jnp.asarray(slots), *nodes)
+    nodes = _Nodes(*(jnp.concatenate(tables) for tables in zip(unused, *reversed(levels), strict=True)))
+    return EdgeTree(jnp.asarray(slots), _rows(nodes))
+
+
+def _rows(nodes: _Nodes) -> Float[Array, "n 3 4"]:
+    empty = (nodes.radius <= 0)[:, None]
+    lower, upper = jnp.where(empty, 0.0, nodes.lower), jnp.where(empty, 0.0, nodes.upper)
+    center = 0.5 * (lower + upper)
+    extent = jnp.maximum(upper - center, center - lower)  # halves of the sum and of the difference round differently
+    first = jnp.concatenate([center, norm(extent)[:, None]], -1)
+    second = jnp.concatenate([extent, nodes.radius[:, None]], -1)
+    third = jnp.concatenate([nodes.axis, nodes.cosine[:, None]], -1)
+    return jnp.stack([first, second, third], 1)
 
 
 def _normal(p0, p1, p2):

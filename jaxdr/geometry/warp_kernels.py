@@ -198,23 +198,29 @@ def near_silhouette(
 def faces_all_alike(to_center: wp.vec3, size: float, axis: wp.vec3, cosine: float):
     """Whether all faces at the edges of a node face the apex, or all face away: then it holds no silhouette.
 
-    The node spans the angle beta around its centre; all faces face alike when axis and view are more than alpha + beta
-    off a right angle, alpha the half-angle of the cone of their normals.
+    The node, of radius `size`, spans the angle beta around its centre; all faces face alike when axis and view are more
+    than alpha + beta off a right angle, alpha the half-angle of the cone of their normals.
     """
-    if cosine > 0.0:
-        away = wp.length(to_center)
-        if away > size:
-            sin_b = size / away
-            cos_b = wp.sqrt(1.0 - sin_b * sin_b)
-            sin_a = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
-            if cosine * cos_b - sin_a * sin_b > 0.0:
-                return wp.abs(wp.dot(axis, to_center)) > (sin_a * cos_b + cosine * sin_b) * away
-    return False
+    clear2 = wp.dot(to_center, to_center) - size * size
+    if cosine <= 0.0 or clear2 <= 0.0:
+        return False
+    clear = wp.sqrt(clear2)  # distance x cos(beta); `size` is distance x sin(beta)
+    sine = wp.sqrt(wp.max(0.0, 1.0 - cosine * cosine))
+    if cosine * clear <= sine * size:
+        return False
+    return wp.abs(wp.dot(axis, to_center)) > sine * clear + cosine * size
+
+
+@wp.func
+def part(row: wp.vec4):
+    """The first three numbers."""
+    return wp.vec3(row[0], row[1], row[2])
 
 
 @wp.func
 def may_hold_silhouettes(
     center: wp.vec3,
+    size: float,
     extent: wp.vec3,
     axis: wp.vec3,
     cosine: float,
@@ -232,7 +238,6 @@ def may_hold_silhouettes(
     to_center = center - apex
     t = wp.dot(to_center, along)
     reach_t = wp.dot(extent, wp.vec3(wp.abs(along[0]), wp.abs(along[1]), wp.abs(along[2])))
-    size = wp.length(extent)
     far_reach = wp.max(radius, widest)
     fraction = float(1.0)
     if far_reach < length:
@@ -251,11 +256,7 @@ def may_hold_silhouettes(
 def edge_candidates(
     start: int,
     leaf_edge: wp.array(dtype=int),
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-    axis: wp.array(dtype=wp.vec3),
-    cosine: wp.array(dtype=float),
-    node_radius: wp.array(dtype=float),
+    table: wp.array2d(dtype=wp.vec4),
     vertices: wp.array(dtype=wp.vec3),
     edges: wp.array(dtype=wp.vec2i),
     opposite: wp.array2d(dtype=int),
@@ -287,18 +288,22 @@ def edge_candidates(
     height = wp.dot(n, b - a)
     length = wp.length(b - a)
     along = (b - a) / length
-    nodes = lower.shape[0]
+    nodes = table.shape[0]
     leaves = nodes // 2
     node = int(1)
     while node > 0:
         inside = bool(False)
-        if node_radius[node] > 0.0:
+        box = table[node, 1]
+        if box[3] > 0.0:
+            middle = table[node, 0]
+            cone = table[node, 2]
             inside = may_hold_silhouettes(
-                0.5 * (lower[node] + upper[node]),
-                0.5 * (upper[node] - lower[node]),
-                axis[node],
-                cosine[node],
-                node_radius[node] * scale[i],
+                part(middle),
+                middle[3],
+                part(box),
+                part(cone),
+                cone[3],
+                box[3] * scale[i],
                 a,
                 along,
                 length,

@@ -157,11 +157,7 @@ def _all_hits(
 
 def _edge_candidates(
     leaf_edge: wp.array(dtype=int),
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-    axis: wp.array(dtype=wp.vec3),
-    cosine: wp.array(dtype=float),
-    node_radius: wp.array(dtype=float),
+    table: wp.array2d(dtype=wp.vec4),
     vertices: wp.array(dtype=wp.vec3),
     edges: wp.array(dtype=wp.vec2i),
     opposite: wp.array2d(dtype=int),
@@ -178,8 +174,7 @@ def _edge_candidates(
     weight: wp.array(dtype=float),
 ):
     seed, both_sides = (int(option) for option in on_host(options))
-    tree = [leaf_edge, lower, upper, axis, cosine, node_radius]
-    rest = [*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, both_sides]
+    rest = [leaf_edge, table, vertices, edges, opposite, radius, apex, target, normal, scale, widest, both_sides]
     found, inverse = compact(
         kernels.edge_candidates, [], rest, apex.shape[0], seed, [segment, edge], 2, vertices.device
     )
@@ -218,11 +213,7 @@ def _point_candidates(
 
 def _sector_crossings(
     leaf_edge: wp.array(dtype=int),
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-    axis: wp.array(dtype=wp.vec3),
-    cosine: wp.array(dtype=float),
-    node_rank: wp.array(dtype=float),
+    table: wp.array2d(dtype=wp.vec4),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     edges: wp.array(dtype=wp.vec2i),
@@ -247,7 +238,7 @@ def _sector_crossings(
         bvh = cache.find([on_host(vertices)], [on_host(faces)])
         seed, least_layer = (int(option) for option in on_host(options))
         rest = [
-            leaf_edge, lower, upper, axis, cosine, node_rank, vertices, faces, edges, edge_faces, rank, face_group,
+            leaf_edge, table, vertices, faces, edges, edge_faces, rank, face_group,
             apex, first, last, centre, needed, group, float(least_layer),
         ]  # fmt: skip
         lists, total = [segment, edge, along], apex.shape[0]

@@ -9,7 +9,7 @@ folds within rounding.
 import warp as wp
 
 from jaxdr.geometry import edge_tree
-from jaxdr.geometry.warp_kernels import faces_all_alike, keeps
+from jaxdr.geometry.warp_kernels import faces_all_alike, keeps, part
 
 LEAF = wp.constant(edge_tree.LEAF)
 MOST = 32  # crossings of one chord that are sorted at once; more take another walk each
@@ -125,11 +125,7 @@ def sector_crossings(
     bvh: wp.uint64,
     start: int,
     leaf_edge: wp.array(dtype=int),
-    lower: wp.array(dtype=wp.vec3),
-    upper: wp.array(dtype=wp.vec3),
-    axis: wp.array(dtype=wp.vec3),
-    cosine: wp.array(dtype=float),
-    node_rank: wp.array(dtype=float),
+    table: wp.array2d(dtype=wp.vec4),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
     edges: wp.array(dtype=wp.vec2i),
@@ -183,7 +179,7 @@ def sector_crossings(
     area2 = wp.dot(normal, normal)
     magnitude = wp.max(wp.abs(a))
 
-    nodes = lower.shape[0]
+    nodes = table.shape[0]
     leaves = nodes // 2
     places = _Places()
     crossed = _Edges()
@@ -212,12 +208,14 @@ def sector_crossings(
         while node > 0:
             visited += 1
             inside = bool(False)
-            if node_rank[node] >= least:
-                center = 0.5 * (lower[node] + upper[node]) - a
-                extent = 0.5 * (upper[node] - lower[node])
+            box = table[node, 1]
+            if box[3] >= least:
+                ball = table[node, 0]
+                center = part(ball) - a
                 rounding = 1.0e-6 * (magnitude + wp.max(wp.abs(center)))
-                if may_cross(center, extent, plane, side0, side1, far, reach, rounding):
-                    inside = not faces_all_alike(center, wp.length(extent), axis[node], cosine[node])
+                if may_cross(center, part(box), plane, side0, side1, far, reach, rounding):
+                    cone = table[node, 2]
+                    inside = not faces_all_alike(center, ball[3], part(cone), cone[3])
             if inside and node < leaves:
                 node = 2 * node
             else:
