@@ -13,6 +13,7 @@ class Case:
     `batches`: pairs of images, 1024 samples per pixel each, that the reference averages.
     `smooth`: interpolated normals on the moving shape instead of flat shading.
     `directly_visible`: False when only a shadow of the shape is in view: Mitsuba can leave out two of its terms.
+    `max_depth`: longest path in segments. `light_scale`: size of the light, about its middle.
     """
 
     name: str
@@ -22,6 +23,8 @@ class Case:
     batches: int
     smooth: bool
     directly_visible: bool
+    max_depth: int = 2
+    light_scale: float = 1.0
 
 
 CASES = {
@@ -30,6 +33,7 @@ CASES = {
         Case("shadow_goathead", "shadow_goathead", "goathead", 0.02, 256, smooth=False, directly_visible=False),
         Case("direct_spot", "direct_spot", "spot", 0.001, 256, smooth=False, directly_visible=True),
         Case("direct_spot_smooth", "direct_spot", "spot", 0.001, 256, smooth=True, directly_visible=True),
+        Case("cornell_indirect", "cornell_indirect", "spot", 0.007, 512, smooth=False, directly_visible=True, max_depth=5),
     )
 }
 
@@ -40,6 +44,16 @@ def replaced_once(text, pattern, replacement, path):
     if count != 1:
         raise ValueError(f"{path}: {pattern!r} occurs {count} times, expected once")
     return text
+
+
+def resize(path, scale):
+    """Scale a mesh file about the middle of its bounding box."""
+    import trimesh
+
+    mesh = trimesh.load(path, process=False)
+    middle = mesh.bounds.mean(0)
+    mesh.vertices = middle + scale * (mesh.vertices - middle)
+    mesh.export(path)
 
 
 def write_scene(case, oracle, folder):
@@ -54,8 +68,10 @@ def write_scene(case, oracle, folder):
         pattern = rf'(id="{case.shape}">(?:(?!</shape>).)*?name="face_normals" value=)"true"'
         text = replaced_once(text, pattern, r'\1"false"', source)
     folder.mkdir(parents=True, exist_ok=True)
-    for mesh in source.glob("*.ply"):
+    for mesh in [*source.glob("*.ply"), *source.glob("*.obj")]:
         shutil.copyfile(mesh, folder / mesh.name)
+    if case.light_scale != 1.0:
+        resize(folder / "light.ply", case.light_scale)
     path = folder / "scene.xml"
     path.write_text(text)
     return path

@@ -17,7 +17,7 @@ def estimates(path, case, boundary, spp, offsets, seeds):
     name = f"{case.shape}.vertices"
     rest = scene.parameters()[name]
     direction = jnp.zeros_like(rest).at[:, 0].set(1)
-    integrator = jd.PathTracer(max_depth=2, boundary=getattr(jd, boundary)())
+    integrator = jd.PathTracer(max_depth=case.max_depth, boundary=getattr(jd, boundary)())
 
     @jax.jit
     def derivative(offset, key):

@@ -55,7 +55,7 @@ def reference(path, case, batches):
     evaluated at offsets spread over the same interval, and the step smears neither side of the comparison.
     """
     scene = MovingScene(path, case)
-    integrator = scene.mi.load_dict({"type": "path", "max_depth": 2, "rr_depth": 1000})
+    integrator = scene.mi.load_dict({"type": "path", "max_depth": case.max_depth, "rr_depth": 1000})
     total = square = 0.0
     for seed in tqdm(range(batches), desc=f"reference {case.name}", leave=False):
         ahead = scene.image(case.step, SPP_PER_BATCH, seed, integrator)
@@ -71,6 +71,8 @@ def estimates(path, case, guiding, spp, offsets, seeds):
     """Derivative images [offsets, seeds, H, W, 3], seconds of each call, seconds of the first (compiling) call."""
     scene = MovingScene(path, case)
     settings = {"type": "direct_projective", "guiding": guiding}
+    if case.max_depth > 2:
+        settings = {"type": "prb_projective", "guiding": guiding, "max_depth": case.max_depth, "rr_depth": 1000}
     if not case.directly_visible:
         settings |= {"sppc": 0, "sppp": 0}  # terms that are zero in this picture: leave Mitsuba its best time
     integrator = scene.mi.load_dict(settings)

@@ -1,4 +1,4 @@
-"""Error against time of derivative images: jaxdr and Mitsuba's direct_projective on the same scenes.
+"""Error against time of derivative images: jaxdr and Mitsuba's projective integrators on the same scenes.
 
     python -m experiments.equal_time.run --case shadow_goathead
 

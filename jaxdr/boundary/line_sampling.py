@@ -176,9 +176,10 @@ class EmitterLines:
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
-        point = jax.tree.map(stop_gradient, self.paths.apex(jnp.maximum(chosen.vertex, 0)))
-        chords, sample = emitter_chords(self.packed, self.prepared.group, point.position, u)
-        apex = leave(point, sample.point.position - point.position)
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        chords, sample = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
+        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
+        apex = leave(scatterer.point, scatterer.normal)
         crossings = _search(self, chosen, apex, chords, key_seed, room)
         return (chords, sample.point), *crossings
 
@@ -223,7 +224,7 @@ class LobeLines:
         scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
         width = jnp.minimum(self.reach * scatterer.lobe_width(), WIDEST)
         lobes = lobe_chords(scatterer, width, u)
-        apex = scatterer.leave(lobes.centre)
+        apex = leave(scatterer.point, scatterer.normal)
         chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
         return lobes, *_search(self, chosen, apex, chords, key_seed, room)
 

@@ -7,6 +7,8 @@ import warp as wp
 
 from jaxdr.geometry import edge_tree
 
+wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
+
 MISS = wp.constant(wp.float32(3.0e38))
 LEAF = wp.constant(edge_tree.LEAF)
 

@@ -11,6 +11,8 @@ import warp as wp
 from jaxdr.geometry import edge_tree
 from jaxdr.geometry.warp_kernels import faces_all_alike, keeps, part
 
+wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
+
 LEAF = wp.constant(edge_tree.LEAF)
 MOST = 32  # crossings of one chord that are sorted at once; more take another walk each
 # How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.

@@ -1,5 +1,7 @@
 """Kernel density: its radii and options, the projection behind it, and a shadow under a sky."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -183,26 +185,27 @@ def sky_radiance(corners):
     return 0.6 / np.pi * 2.0 * (np.pi - abs(hidden))
 
 
-@jax.jit
-def sky_estimate(key):
+@partial(jax.jit, static_argnames="boundary")
+def sky_estimate(key, boundary):
     start = UNDER_THE_SKY.parameters()["plate.vertices"]
 
     def radiance(vertices):
-        integrator = jd.PathTracer(max_depth=2, boundary=jd.KernelDensity(0.03))
+        integrator = jd.PathTracer(max_depth=2, boundary=boundary)
         moved = UNDER_THE_SKY.replace({"plate.vertices": vertices})
         return jd.render(moved, key, spp=64, integrator=integrator).mean()
 
     return jax.value_and_grad(radiance)(start)
 
 
-def test_shadow_under_a_sky():
+@pytest.mark.parametrize("boundary", [jd.KernelDensity(0.03), jd.LineSampling()], ids=["kernel density", "lines"])
+def test_shadow_under_a_sky(boundary):
     """Derivative with respect to every corner of the plate, against the closed form."""
     exact = np.zeros_like(PLATE)
     for index in np.ndindex(PLATE.shape):
         shift = np.zeros_like(PLATE)
         shift[index] = 1e-5
         exact[index] = (sky_radiance(PLATE + shift) - sky_radiance(PLATE - shift)) / 2e-5
-    rows = [jax.device_get(sky_estimate(key)) for key in jax.random.split(jax.random.key(2), 16)]
+    rows = [jax.device_get(sky_estimate(key, boundary)) for key in jax.random.split(jax.random.key(2), 16)]
     values, gradients = (np.stack([row[k] for row in rows]) for k in (0, 1))
     assert abs(values.mean() - sky_radiance(PLATE)) < 4 * values.std(ddof=1) / 4
     mean, error = gradients.mean(0), gradients.std(0, ddof=1) / 4

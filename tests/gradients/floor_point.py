@@ -70,21 +70,21 @@ def arrowhead(concave: float, hidden: float) -> jd.Mesh:
 BOX = prism([[-0.3, 0.5], [-0.25, 0.7], [0.2, 0.65], [0.15, 0.45]], half_length=0.5)
 
 
-def scene(blocker: jd.Mesh, floor_size=0.5) -> jd.Scene:
+def scene(blocker: jd.Mesh, floor_size=0.5, light=LIGHT) -> jd.Scene:
     """The floor (one triangle), the light, and the blocker between them."""
     floor = jd.Mesh(floor_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]]), [[0, 1, 2]])
     black = jd.Diffuse(0.0)
     return jd.Scene(
         shapes={
             "floor": jd.Shape(floor, jd.Diffuse(REFLECTANCE)),
-            "light": jd.Shape(jd.Mesh(LIGHT, [[0, 1, 2], [0, 2, 3]]), black, jd.AreaEmitter(RADIANCE)),
+            "light": jd.Shape(jd.Mesh(light, [[0, 1, 2], [0, 2, 3]]), black, jd.AreaEmitter(RADIANCE)),
             "blocker": jd.Shape(blocker, black),
         },
         camera=jd.Perspective(jd.look_at(CAMERA, POINT, UP), 0.01, jd.Film(FILM, FILM, jd.Box())),
     )
 
 
-def exact(blocker: jd.Mesh):
+def exact(blocker: jd.Mesh, light=LIGHT):
     """Radiance of the point and its derivatives by name, in closed form. Closed blockers must look convex from it."""
     vertices = np.asarray(blocker.vertices, float)
     if blocker.closed:
@@ -92,7 +92,7 @@ def exact(blocker: jd.Mesh):
     else:
         outlines = [face for face in np.asarray(blocker.faces) if np.all(vertices[face, 2] > 0)]
     pieces = [vertices[outline] for outline in outlines]
-    d_pieces, d_light, d_point = irradiance_derivatives(POINT, UP, LIGHT, pieces)
+    d_pieces, d_light, d_point = irradiance_derivatives(POINT, UP, light, pieces)
     d_blocker = np.zeros_like(vertices)
     for outline, d_piece in zip(outlines, d_pieces, strict=True):
         np.add.at(d_blocker, outline, d_piece)
@@ -100,7 +100,7 @@ def exact(blocker: jd.Mesh):
     slide = (CAMERA - POINT) / (CAMERA - POINT)[2]
     derivatives = {"blocker.vertices": d_blocker, "light.vertices": d_light, "floor.height": d_point @ slide}
     scale = REFLECTANCE / np.pi * RADIANCE
-    return scale * irradiance(POINT, UP, LIGHT, pieces), {k: scale * v for k, v in derivatives.items()}
+    return scale * irradiance(POINT, UP, light, pieces), {k: scale * v for k, v in derivatives.items()}
 
 
 def estimates(of: jd.Scene, boundary, keys: int = 8, spp: int = 128, sampling: str = "emitter"):
@@ -128,13 +128,13 @@ def mean_and_error(rows):
     return rows.mean(0), rows.std(0, ddof=1) / np.sqrt(len(rows))
 
 
-def check_derivatives(blocker: jd.Mesh, boundary, tolerance=0.005, floor_size=0.5, **settings):
+def check_derivatives(blocker: jd.Mesh, boundary, tolerance=0.005, floor_size=0.5, light=LIGHT, **settings):
     """Assert that the radiance and every derivative are the closed form, up to noise and the kernel's bias.
 
     Errors are relative to the largest entry of the derivative, or of the blocker's if that is larger.
     """
-    value, truth = exact(blocker)
-    radiance, rows = estimates(scene(blocker, floor_size=floor_size), boundary, **settings)
+    value, truth = exact(blocker, light)
+    radiance, rows = estimates(scene(blocker, floor_size=floor_size, light=light), boundary, **settings)
     mean, deviation = mean_and_error(radiance)
     assert abs(mean - value) < 0.002 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
     for name, true in truth.items():

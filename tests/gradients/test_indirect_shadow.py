@@ -68,6 +68,20 @@ def estimates(blocker, boundary, keys):
     return np.array([row[0] for row in rows], float), derivatives | {"floor.height": floor[..., 2].sum(-1)}
 
 
+def check_under_a_panel(blocker, boundary):
+    """Assert radiance and derivatives; errors are relative to the largest entry of the blocker's derivative."""
+    value, truth = exact(blocker)
+    radiance, rows = estimates(blocker, boundary, keys=8)
+    mean, deviation = mean_and_error(radiance)
+    assert abs(mean - value) < 0.003 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
+    scale = np.max(np.abs(truth["blocker.vertices"]))
+    for name, found in rows.items():
+        mean, deviation = (x / scale for x in mean_and_error(found))
+        assert np.max(deviation) < 0.03, f"{name}: too few samples, ± {np.max(deviation):.3f}"
+        wrong = np.abs(mean - truth[name] / scale) > 0.005 + 4 * deviation
+        assert not np.any(wrong), f"{name} is off:\n{mean}\n± {deviation}, exactly\n{truth[name] / scale}"
+
+
 @pytest.mark.parametrize(
     ("blocker", "radius"),
     [
@@ -77,16 +91,7 @@ def estimates(blocker, boundary, keys):
     ],
 )
 def test_derivatives_are_the_closed_form(blocker, radius):
-    """At any radius; errors are relative to the largest entry of the blocker's derivative."""
-    value, truth = exact(blocker)
+    """At any radius."""
     # The sheets' specks blow up their boxes, and with them a radius relative to those.
     size = 1.0 if blocker.closed else np.linalg.norm(np.ptp(np.asarray(blocker.vertices), axis=0))
-    radiance, rows = estimates(blocker, jd.KernelDensity(float(radius / size), capacity=2.0), keys=8)
-    mean, deviation = mean_and_error(radiance)
-    assert abs(mean - value) < 0.003 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
-    scale = np.max(np.abs(truth["blocker.vertices"]))
-    for name, found in rows.items():
-        mean, deviation = (x / scale for x in mean_and_error(found))
-        assert np.max(deviation) < 0.03, f"{name}: too few samples, ± {np.max(deviation):.3f}"
-        wrong = np.abs(mean - truth[name] / scale) > 0.005 + 4 * deviation
-        assert not np.any(wrong), f"{name} is off:\n{mean}\n± {deviation}, exactly\n{truth[name] / scale}"
+    check_under_a_panel(blocker, jd.KernelDensity(float(radius / size), capacity=2.0))

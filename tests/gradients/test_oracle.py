@@ -42,12 +42,13 @@ def compare(check, case, name, spp, keys, boundary="KernelDensity"):
     return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
 
 
+@pytest.mark.parametrize("boundary", ["KernelDensity", "LineSampling"])
 @pytest.mark.parametrize(
     ("case", "name"), [pytest.param(*c, marks=[pytest.mark.slow] if c[1] == "rotate_z" else []) for c in CASES]
 )
-def test_quick(check, case, name):
+def test_quick(check, case, name, boundary):
     spp, deviation = CASES[case, name]
-    row = compare(check, case, name, spp, keys=8)
+    row = compare(check, case, name, spp, keys=8, boundary=boundary)
     assert row["projection_error"] < deviation, "too few samples to tell"
     assert row["primal"] < check.PRIMAL_TOLERANCE
     assert abs(row["projection"] - 1) < check.PROJECTION_TOLERANCE + 3 * row["projection_error"]
@@ -67,6 +68,7 @@ def test_broken_on_purpose_fails(check, monkeypatch, broken):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("boundary", ["KernelDensity", "LineSampling"])
 @pytest.mark.parametrize(("case", "name"), CASES)
-def test_as_committed(check, case, name):
-    assert compare(check, case, name, spp=1024, keys=8)["passed"]
+def test_as_committed(check, case, name, boundary):
+    assert compare(check, case, name, spp=1024, keys=8, boundary=boundary)["passed"]

@@ -1,8 +1,11 @@
 """Interpolated normals against finite differences: what jumps at an edge is the light that faces themselves block."""
 
+from functools import cache, partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxdr as jd
 
@@ -17,6 +20,7 @@ SCENE = jd.Scene(
     camera=jd.Perspective(jd.look_at((0, -4, 0), (0, 0, 0), (0, 0, 1)), 18.0, jd.Film(SIZE, SIZE, jd.Box())),
 )
 INTEGRATOR = jd.PathTracer(max_depth=2, sampling="emitter")
+KEYS = jax.random.split(jax.random.key(3), 12)
 # A turn hardly changes the sum of the image: pixels count with different weights.
 WEIGHT = np.random.default_rng(4).uniform(size=(SIZE, SIZE, 1))
 
@@ -38,27 +42,35 @@ def difference(key, step):
     return (half(0.2 + step) - half(0.2 - step)) / (2 * step)
 
 
-@jax.jit
-def derivative(key):
+@partial(jax.jit, static_argnames="boundary")
+def derivative(key, boundary):
+    integrator = jd.PathTracer(max_depth=2, sampling="emitter", boundary=boundary)
+
     def terms(angle):
-        found = jd.derivative_terms(turned(angle), key, spp=64, integrator=INTEGRATOR)
+        found = jd.derivative_terms(turned(angle), key, spp=64, integrator=integrator)
         return jax.tree.map(lambda term: (WEIGHT * term).mean(), found)
 
     return jax.jvp(terms, (jnp.asarray(0.2),), (jnp.asarray(1.0),))[1]
 
 
-def test_terminator_of_a_coarse_ball():
+@cache
+def differences():
+    """Of independent keys."""
+    return np.array([float(difference(key, 0.01)) for key in KEYS])
+
+
+@pytest.mark.parametrize("boundary", [jd.KernelDensity(), jd.LineSampling()], ids=["kernel density", "lines"])
+def test_terminator_of_a_coarse_ball(boundary):
     """The faces' horizons turn with the ball: as creases in the picture, and across the lamp as boundaries.
 
     The terms nearly cancel. Errors are relative to the largest of them; 3 % are left to the step of the differences.
     """
-    keys = jax.random.split(jax.random.key(3), 12)
-    exact = np.array([float(difference(key, 0.01)) for key in keys])
-    rows = [jax.device_get(derivative(key)) for key in keys]
+    exact = differences()
+    rows = [jax.device_get(derivative(key, boundary)) for key in KEYS]
     found = np.array([sum(row.values()) for row in rows])
     terms = {name: np.mean([row[name] for row in rows]) for name in rows[0]}
     scale = max(map(abs, terms.values()))
-    error = np.hypot(exact.std(ddof=1), found.std(ddof=1)) / len(keys) ** 0.5
+    error = np.hypot(exact.std(ddof=1), found.std(ddof=1)) / len(KEYS) ** 0.5
     assert error < 0.02 * scale, (exact.mean(), found.mean(), error, terms)
     assert abs(found.mean() - exact.mean()) < 4 * error + 0.03 * scale, (exact.mean(), found.mean(), error, terms)
     assert min(abs(terms["creases"]), abs(terms["boundary"])) > 0.3 * scale, terms

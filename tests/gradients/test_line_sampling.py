@@ -1,0 +1,94 @@
+"""Line sampling against exact numbers: a floor point under a polygonal light, small or very large, or under a panel."""
+
+import numpy as np
+import pytest
+
+import jaxdr as jd
+from tests.gradients.floor_point import (
+    BOOMERANG,
+    BOX,
+    HALF_PLANE,
+    LIGHT,
+    QUADRANGLE,
+    arrowhead,
+    check_derivatives,
+    estimates,
+    exact,
+    mean_and_error,
+    scene,
+    sheet,
+)
+from tests.gradients.test_indirect_shadow import check_under_a_panel
+
+LINES = jd.LineSampling()
+# A light that the blocker's shadow just fits in, and one above the camera that covers most of the sky.
+LIGHTS = {"small": LIGHT * [0.7, 0.7, 1.0], "very large": LIGHT * [20.0, 20.0, 2.5]}
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        pytest.param(HALF_PLANE, id="half plane"),
+        pytest.param(QUADRANGLE, id="quadrangle", marks=pytest.mark.slow),
+        pytest.param(BOOMERANG, id="boomerang"),
+    ],
+)
+def test_every_derivative_is_the_closed_form(corners):
+    """Blocker, light and floor move: apex, edge and receiver. No bias is allowed for."""
+    check_derivatives(sheet(corners, 0.1), LINES, tolerance=0.001, sampling="mis")
+
+
+def test_closed_blocker():
+    check_derivatives(BOX, LINES, tolerance=0.001)
+
+
+def test_hidden_and_concave_edges():
+    """What other parts of the blocker hide does not count, however near it is."""
+    check_derivatives(arrowhead(concave=0.02, hidden=0.02), LINES, tolerance=0.002)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", LIGHTS)
+def test_no_bias_floor(size):
+    """The error falls as 1/√N down to 1e-4 of the derivative, and nothing else is left."""
+    blocker, lamp = sheet(QUADRANGLE, 0.1), LIGHTS[size]
+    truth = exact(blocker, lamp)[1]["blocker.vertices"]
+    scale = np.max(np.abs(truth))
+    errors = {}
+    for spp, keys in ((8, 16), (128, 16), (128, 400)):
+        rows = estimates(scene(blocker, light=lamp), LINES, keys, spp=spp)[1]["blocker.vertices"] / scale
+        mean, deviation = mean_and_error(rows)
+        assert np.all(np.abs(mean - truth / scale) < 4.5 * deviation + 3e-5), (size, spp, keys)
+        errors[spp, keys] = np.sqrt(np.mean(deviation**2)), np.sqrt(np.mean((mean - truth / scale) ** 2))
+    (few, _), (many, _), (most, left) = errors.values()
+    assert most < 1e-4 and left < 1e-4, errors
+    assert 2.5 < few / many < 8 and 3.5 < many / most < 7, errors
+
+
+@pytest.mark.parametrize("blocker", [pytest.param(sheet(QUADRANGLE, 0.1), id="quadrangle")])
+def test_light_from_a_surface(blocker):
+    """The same derivative where the light is a lit panel: geodesic chords, and paths from what they find behind."""
+    check_under_a_panel(blocker, LINES)
+
+
+@pytest.mark.slow
+def test_a_light_of_many_triangles():
+    """Chords stay within a triangle; the derivative is the same."""
+    n = 6
+    s = np.linspace(0, 1, n + 1)
+    a, b = np.meshgrid(s, s, indexing="ij")
+    points = LIGHT[0] + a.reshape(-1, 1) * (LIGHT[1] - LIGHT[0]) + b.reshape(-1, 1) * (LIGHT[3] - LIGHT[0])
+    i = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    v00, v10, v01, v11 = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, 1:].ravel()
+    mesh = jd.Mesh(points, np.concatenate([np.stack([v00, v10, v11], 1), np.stack([v00, v11, v01], 1)]))
+    blocker = sheet(QUADRANGLE, 0.1)
+    of = scene(blocker)
+    of = jd.Scene(
+        shapes=dict(of.shapes) | {"light": jd.Shape(mesh, of.shapes["light"].bsdf, of.shapes["light"].emitter)},
+        camera=of.camera,
+    )
+    truth = exact(blocker)[1]["blocker.vertices"]
+    scale = np.max(np.abs(truth))
+    mean, deviation = mean_and_error(estimates(of, LINES)[1]["blocker.vertices"] / scale)
+    assert np.max(deviation) < 0.01
+    assert np.all(np.abs(mean - truth / scale) < 4.5 * deviation + 0.001)
