@@ -33,7 +33,9 @@ CASES = {
         Case("shadow_goathead", "shadow_goathead", "goathead", 0.02, 256, smooth=False, directly_visible=False),
         Case("direct_spot", "direct_spot", "spot", 0.001, 256, smooth=False, directly_visible=True),
         Case("direct_spot_smooth", "direct_spot", "spot", 0.001, 256, smooth=True, directly_visible=True),
-        Case("cornell_indirect", "cornell_indirect", "spot", 0.007, 512, smooth=False, directly_visible=True, max_depth=5),
+        Case(
+            "cornell_indirect", "cornell_indirect", "spot", 0.007, 512, smooth=False, directly_visible=True, max_depth=5
+        ),
     )
 }
 

@@ -22,7 +22,7 @@ METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none", (16, 64, 256, 1024), 8),
     "Mitsuba, octree": (mitsuba_peer.estimates, "octree", (16, 64, 256, 1024), 4),
     "jaxdr, KernelDensity": (jaxdr_side.estimates, "KernelDensity", (4, 16, 64, 256), 8),
-    "jaxdr, LineSampling": (jaxdr_side.estimates, "LineSampling", (4, 16, 64, 256, 1024), 8),
+    "jaxdr, LineSampling": (jaxdr_side.estimates, "LineSampling", (4, 16, 64, 256), 8),
 }
 COLUMNS = {
     "method": ("method", ""),

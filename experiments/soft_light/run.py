@@ -22,7 +22,7 @@ SAMPLES = {
     "jaxdr, LineSampling": (64,),
 }
 COLUMNS = {"light": ("light", ".3g")} | run.COLUMNS
-BATCHES = 96
+BATCHES = 64
 POSITIONS = 4
 
 
@@ -39,7 +39,10 @@ def measure(size, oracle, quick):
             row = errors.statistics(images, truth["image"], truth["noise_variance"])
             row |= {"method": method, "light": size, "spp": spp, "seconds": quantiles.median(seconds)}
             row |= {"first_call": first, "work": row["error"] ** 2 * row["seconds"]}
-            print(f"  light x {size:.3f}, {method}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s", flush=True)
+            print(
+                f"  light x {size:.3f}, {method}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s",
+                flush=True,
+            )
             yield row
 
 

@@ -86,7 +86,9 @@ def measure(level, boundary, quick):
     one, two = np.mean(rows[::2], 0), np.mean(rows[1::2], 0)
     means = found.mean(1)
     projections = np.array([np.mean(mean * reference) / np.mean(one * two) for mean in means])
-    noise = np.hypot(projections.std(ddof=1) / KEYS**0.5, np.sqrt(np.mean(spread * reference**2) / power**2 / reference.size))
+    noise = np.hypot(
+        projections.std(ddof=1) / KEYS**0.5, np.sqrt(np.mean(spread * reference**2) / power**2 / reference.size)
+    )
     time = statistics.median(seconds)
     return {
         "triangles": int(scene.shapes["ball"].mesh.faces.shape[0]),

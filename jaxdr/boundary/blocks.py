@@ -17,11 +17,11 @@ def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
     filled ones: leave them out by number. Differentiable in forward and reverse mode.
     """
     length = jax.tree.leaves(slots)[0].shape[0]
-    size = -(-length // BLOCKS)
+    size = length // BLOCKS + 1  # some padding in any case: the program is the same for all lengths
     padding = size * BLOCKS - length
 
     def blocks(table):
-        table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)]) if padding else table
+        table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
         return table.reshape(BLOCKS, size, *table.shape[1:])
 
     def part(block, index):

@@ -114,7 +114,9 @@ class KernelDensity(eqx.Module):
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
         edges = packed.edges
-        tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts)
+        tree = build_edge_tree(
+            packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts
+        )
         return Prepared(radius, tree)
 
     def estimate(

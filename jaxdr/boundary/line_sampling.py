@@ -94,7 +94,9 @@ class LineSampling(eqx.Module):
         edges, flags = packed.edges, jnp.asarray(moving)
         rank = jnp.where(flags[edges.shape], MOVES, BOUNDS)
         rank = jnp.where(never_silhouettes(packed), HIDES, rank).astype(packed.vertices.dtype)
-        tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts)
+        tree = build_edge_tree(
+            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts
+        )
         faces = np.diff(packed.first_face)
         still = faces[~np.asarray(moving)].sum()
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)
@@ -208,7 +210,8 @@ class EmitterLines:
         in_front = dot(stop_gradient(ends.normal), stop_gradient(ends.apex) - projection.point) > 0
         weight = paths.table.throughput[found.vertex] * chords.weight[found.chord]
         weight = weight * paths.transfer(found.vertex, ends, projection.point)
-        return projection, jnp.where((found.valid & inside & in_front)[:, None], weight, 0.0)
+        counts = found.valid & inside & in_front & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
+        return projection, jnp.where(counts[:, None], weight, 0.0)
 
 
 class LobeLines:
@@ -245,7 +248,8 @@ class LobeLines:
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)
         lobes = LobeChords(*(table[found.chord] for table in drawn))
-        weight = jnp.where(found.valid, lobe_weight(scatterer, lobes, seen.towards), 0.0)
+        counts = found.valid & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        weight = jnp.where(counts, lobe_weight(scatterer, lobes, seen.towards), 0.0)
         return seen, scatterer, self.paths.table.throughput[found.vertex] * weight[:, None]
 
     def _environment(self, background: SurfacePoint, towards):

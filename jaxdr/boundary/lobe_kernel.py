@@ -65,9 +65,11 @@ def lobe_term(
         along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
         seen = seen_edges(packed, paths, segment, edge, along, valid)
         limit = jnp.minimum(radius[edge] * scale[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
-        kernel, above = _kernel(paths.scatterer(segment), centre, seen.towards, seen.pole, limit)
+        scatterer = paths.scatterer(segment)
+        kernel, counts = _kernel(scatterer, centre, seen.towards, seen.pole, limit)
+        counts = valid & counts & scatterer.above_horizon(stop_gradient(seen.edge_point))
         weight = importance[segment] * (kernel * pairs.weight)[:, None]
-        value = background_term(packed, paths, seen, weight, valid & above, number, key_path, settings)
+        value = background_term(packed, paths, seen, weight, counts, number, key_path, settings)
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
     return sum_over_blocks(values, (jnp.where(used, pairs.segment, 0), pairs.element, used), used.sum())

@@ -14,6 +14,9 @@ from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 
 
+HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
+
+
 class Scatterer:
     """The BSDFs at N surface points for the directions `wi` towards the previous vertex (world space).
 
@@ -67,6 +70,15 @@ class Scatterer:
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""
         return self.to_local(w)[:, 2]
+
+    def above_horizon(self, position: Float[Array, "N 3"]) -> Bool[Array, " N"]:
+        """Whether positions are above the tangent planes by more than rounding.
+
+        Edges of the surface itself are not, and what rounding makes of their cosine, times the speed at which an edge
+        close by moves across the view, would be noise.
+        """
+        offset = position - stop_gradient(self.point.position)
+        return self.cosine(offset) * jnp.sign(self.wi[:, 2]) > HORIZON * self.point.scale
 
     def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
         """Origins of rays that leave the surface."""

@@ -31,7 +31,9 @@ def unwelded(mesh):
 SHAPES = {name: lambda name=name: make(name) for name in MESHES} | {
     "open": lambda: OPEN,
     "nested": lambda: joined(shapes.sphere(2), shapes.displaced_sphere(2, radius=0.5)),
-    "interpenetrating": lambda: joined(shapes.sphere(2), shapes.transformed(shapes.torus(), affine(0.5, (0.8, 0.0, 0)))),
+    "interpenetrating": lambda: joined(
+        shapes.sphere(2), shapes.transformed(shapes.torus(), affine(0.5, (0.8, 0.0, 0)))
+    ),
     "apart": lambda: joined(shapes.sphere(2), shapes.transformed(shapes.torus(), affine(0.3, (0.0, 0.0, 1.6)))),
     "three faces at an edge": lambda: jd.Mesh(
         [[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0.3, 0], [0, 1, 0.1]], [[0, 1, 2], [1, 0, 3], [0, 1, 4]]

@@ -68,7 +68,7 @@ def test_no_bias_floor(size):
 @pytest.mark.parametrize("blocker", [pytest.param(sheet(QUADRANGLE, 0.1), id="quadrangle")])
 def test_light_from_a_surface(blocker):
     """The same derivative where the light is a lit panel: geodesic chords, and paths from what they find behind."""
-    check_under_a_panel(blocker, LINES)
+    check_under_a_panel(blocker, jd.LineSampling(chords=0.25, capacity=4.0))
 
 
 @pytest.mark.slow
