@@ -14,9 +14,10 @@ from jaxdr.transport.primary import PrimarySamples
 
 @runtime_checkable
 class BoundaryEstimator(Protocol):
-    """Boundary term of the segments behind the first hit; see `KernelDensity`.
+    """Boundary term of the segments behind the first hit; see `KernelDensity`, `LineSampling`.
 
-    `prepare` runs once an image and is told which shapes move, or are seen by a camera that does; `estimate` for every chunk of its samples.
+    `prepare` runs once an image and is told which shapes move, or are seen by a camera that does; `estimate` for every
+    chunk of its samples.
     """
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Any: ...

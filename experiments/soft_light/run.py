@@ -2,7 +2,7 @@
 
     python -m experiments.soft_light.run
 
-The scene is `shadow_goathead` with its light scaled by 1/8 to 8. See `experiments/equal_time` for how errors are measured.
+The scene is `shadow_goathead` with its light scaled by 1/8 to 8; errors are measured as in `experiments/equal_time`.
 """
 
 import dataclasses

@@ -2,9 +2,9 @@
 
     python -m experiments.vertex_signal.run
 
-A ball of some 40,000 vertices is seen through its soft shadow alone; the loss is the squared difference from the shadow of a bumpy
-one. Signal is the squared length of the expected gradient (from pairs of independent gradients, so that noise adds nothing),
-noise the variance of one gradient, both summed over all vertices.
+A ball of some 40,000 vertices is seen through its soft shadow alone; the loss is the squared difference from the shadow
+of a bumpy one. Signal is the squared length of the expected gradient (from pairs of independent gradients, so that
+noise adds nothing), noise the variance of one gradient, both summed over all vertices.
 """
 
 import itertools

@@ -75,7 +75,7 @@ def background_term(
     """Boundary points' weight x scattered background radiance x normal velocity: zero in value, right in derivative.
 
     `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
-    `number` and `key` choose the random numbers. `emission` says which emitted radiance counts beside what is scattered.
+    `number` and `key` choose the random numbers. `emission` says which emitted radiance counts as well.
     """
     key_first, key_path = jax.random.split(key)
     background, clear = _background(packed, paths.apex(seen.segment), seen, valid, settings)

@@ -71,7 +71,7 @@ def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 
 
 def leaf_edges(counts: Sequence[int]) -> Int[np.ndarray, " s"]:
-    """Edges in the leaves, -1 for none, of a tree over several meshes with `counts` edges: each has a node of its own."""
+    """Edges in the leaves, -1 for none, of a tree over meshes with `counts` edges: each has a node of its own."""
     first = np.cumsum([0, *counts])
     sizes = [leaf_count(count) * LEAF for count in counts]
     slots = np.full(leaf_count(sum(sizes)) * LEAF, -1, np.int32)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.edge_tree import spatial_order
-from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
+from jaxdr.geometry.edges import BOUNDARY, INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import dot, normalize
 
 
@@ -90,6 +90,13 @@ class Mesh(eqx.Module):
         edges = build_edges(corners[kept])
         order = spatial_order(points[np.asarray(edges.vertices)].mean(1))
         self.edges = jax.tree.map(lambda table: table[order], edges)
+        split = _edges_on_one_another(points, edges)
+        if split:
+            warnings.warn(
+                f"Mesh: {split} open edges lie on others without sharing their vertices. Silhouettes are found at edges, "
+                "and there twice; let faces share vertices (load_mesh joins them by position)",
+                stacklevel=2,
+            )
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
     def with_vertices(self, vertices: Float[Array | np.ndarray, "V 3"]) -> "Mesh":
@@ -160,6 +167,16 @@ def _group_normals(
     angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
     weighted = (angles[..., None] * normals).reshape(-1, 3)
     return normalize(jax.ops.segment_sum(weighted, normal_faces.reshape(-1), group_count))
+
+
+def _edges_on_one_another(points, edges) -> int:
+    """How many edges of one face have both ends where another such edge has them."""
+    ends = points[np.asarray(edges.vertices)[np.asarray(edges.kind) == BOUNDARY]]
+    if not len(ends):
+        return 0
+    first_is_less = (ends[:, 0] < ends[:, 1])[np.arange(len(ends)), (ends[:, 0] != ends[:, 1]).argmax(1)]
+    ends = np.where(first_is_less[:, None, None], ends, ends[:, ::-1]).reshape(-1, 6)
+    return len(ends) - len(np.unique(ends, axis=0))
 
 
 def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:

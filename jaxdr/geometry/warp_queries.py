@@ -4,6 +4,8 @@ The callables below receive the geometry with every call and look its BVH up by 
 query is a pure function of its arguments. They do host work and therefore run outside CUDA graphs.
 """
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
@@ -243,6 +245,12 @@ def _sector_crossings(
         ]  # fmt: skip
         lists, total = [segment, edge, along], apex.shape[0]
         found, inverse = compact(sector_kernels.sector_crossings, [bvh.id], rest, total, seed, lists, 6, device)
+    if found[2] > 1e-3 * found[5]:
+        warnings.warn(
+            f"jaxdr: before {found[2]} of {total} chords layers of surface could not be counted (a surface that pierces "
+            "an emitter, or rounding); rays past each edge decided there",
+            stacklevel=2,
+        )
     counts.assign(found[1:].astype(np.int32))
     weight.assign(np.array([inverse], np.float32))
 

@@ -13,7 +13,6 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 
-
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
 
 

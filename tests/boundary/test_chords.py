@@ -7,20 +7,20 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.boundary.chords import LobeChords, emitter_chords, lobe_chords, lobe_weight
-from jaxdr.boundary.emitter_planes import emitter_groups, emitter_face_at
+from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import build_edge_tree
 from jaxdr.geometry.shapes import displaced_sphere, sphere
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.shading import Scatterer
-from tests.gradients.floor_point import LIGHT, POINT, QUADRANGLE, RADIANCE, scene, sheet
+from tests.gradients.floor_point import LIGHT, QUADRANGLE, RADIANCE, scene, sheet
 
 CHORDS = 200_000
 
 
 def crossings(packed, apex, chords, implementation="warp"):
-    """Every visible silhouette crossing of chords from one apex: (chord, edge, fraction along the edge), on the host."""
+    """Every visible silhouette crossing of chords: (chord, edge, fraction along the edge), on the host."""
     edges, count = packed.edges, chords.first.shape[0]
     rank = jnp.ones(edges.vertices.shape[0])
     tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, rank)
@@ -66,7 +66,7 @@ def test_length_of_a_shadow_on_a_light(triangles):
     light = jd.Shape(light_of(triangles), jd.Diffuse(0.0), jd.AreaEmitter(RADIANCE))
     packed = pack(jd.Scene(shapes=dict(of.shapes) | {"light": light}, camera=of.camera))
     group = emitter_groups(packed)
-    apex = jnp.broadcast_to(jnp.asarray(POINT + [0, 0, 1e-6], jnp.float32), (CHORDS, 3))
+    apex = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1e-6]), (CHORDS, 3))
     u = jax.random.uniform(jax.random.key(0), (CHORDS, 3))
     chords, sample = emitter_chords(packed, group, apex, u)
     chord, edge, along = crossings(packed, apex, chords)
@@ -96,10 +96,8 @@ def test_length_of_a_silhouette_in_directions(width):
     packed = pack(jd.Scene({"blocker": jd.Shape(blocker), "floor": jd.Shape(floor)}, camera, jd.ConstantEnvironment(1)))
     count = CHORDS
     barycentric = np.linalg.solve(np.vstack([np.asarray(floor.vertices).T[:2], np.ones(3)]), [0, 0, 1])
-    point = material_point(
-        packed, jnp.full(count, packed.first_face[1]), jnp.broadcast_to(jnp.asarray(barycentric, jnp.float32), (count, 3)),
-        jnp.ones(count, bool),
-    )  # fmt: skip
+    barycentric = jnp.broadcast_to(jnp.asarray(barycentric, jnp.float32), (count, 3))
+    point = material_point(packed, jnp.full(count, packed.first_face[1]), barycentric, jnp.ones(count, bool))
     scatterer = Scatterer(packed, point, jnp.broadcast_to(jnp.asarray([0.6, 0.0, 0.8]), (count, 3)))
     lobes = lobe_chords(scatterer, jnp.full(count, width), jax.random.uniform(jax.random.key(1), (count, 3)))
     apex = scatterer.leave(lobes.centre)

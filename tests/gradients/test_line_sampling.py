@@ -28,7 +28,7 @@ LIGHTS = {"small": LIGHT * [0.7, 0.7, 1.0], "very large": LIGHT * [20.0, 20.0, 2
 @pytest.mark.parametrize(
     "corners",
     [
-        pytest.param(HALF_PLANE, id="half plane"),
+        pytest.param(HALF_PLANE, id="half plane", marks=pytest.mark.slow),
         pytest.param(QUADRANGLE, id="quadrangle", marks=pytest.mark.slow),
         pytest.param(BOOMERANG, id="boomerang"),
     ],
@@ -65,10 +65,10 @@ def test_no_bias_floor(size):
     assert 2.5 < few / many < 8 and 3.5 < many / most < 7, errors
 
 
-@pytest.mark.parametrize("blocker", [pytest.param(sheet(QUADRANGLE, 0.1), id="quadrangle")])
-def test_light_from_a_surface(blocker):
+@pytest.mark.slow
+def test_light_from_a_surface():
     """The same derivative where the light is a lit panel: geodesic chords, and paths from what they find behind."""
-    check_under_a_panel(blocker, jd.LineSampling(chords=0.25, capacity=4.0))
+    check_under_a_panel(sheet(QUADRANGLE, 0.1), jd.LineSampling(chords=0.25, capacity=4.0))
 
 
 @pytest.mark.slow

@@ -42,10 +42,15 @@ def compare(check, case, name, spp, keys, boundary="KernelDensity"):
     return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
 
 
-@pytest.mark.parametrize("boundary", ["KernelDensity", "LineSampling"])
-@pytest.mark.parametrize(
-    ("case", "name"), [pytest.param(*c, marks=[pytest.mark.slow] if c[1] == "rotate_z" else []) for c in CASES]
-)
+def quick_cases():
+    """Every case with both estimators; what takes long only with -m slow."""
+    for case, name in CASES:
+        for boundary in ("KernelDensity", "LineSampling"):
+            slow = name == "rotate_z" or (case == "cornell_indirect" and boundary == "LineSampling")
+            yield pytest.param(case, name, boundary, marks=[pytest.mark.slow] if slow else [])
+
+
+@pytest.mark.parametrize(("case", "name", "boundary"), quick_cases())
 def test_quick(check, case, name, boundary):
     spp, deviation = CASES[case, name]
     row = compare(check, case, name, spp, keys=8, boundary=boundary)
