@@ -16,23 +16,40 @@ def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
     Blocks behind them are not computed (under `vmap` they are, for nothing). Slots from `used` on may hold copies of
     filled ones: leave them out by number. Differentiable in forward and reverse mode.
     """
+    part, zeros, blocks = _split(function, slots, used)
+
+    def body(total, block):
+        return jax.tree.map(jnp.add, total, part(block)), None
+
+    return jax.lax.scan(body, zeros, blocks)[0]
+
+
+def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any, used: Int[Array, ""]) -> Any:
+    """The same for a function with a result for every slot: zeros in the blocks that are not computed."""
+    length = jax.tree.leaves(slots)[0].shape[0]
+    part, _, blocks = _split(function, slots, used)
+    stacked = jax.lax.scan(lambda _, block: (None, part(block)), None, blocks)[1]
+    return jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:])[:length], stacked)
+
+
+def _split(function, slots, used):
+    """(function of a block that is zero behind `used`, zeros like its result, the blocks with their numbers)."""
     length = jax.tree.leaves(slots)[0].shape[0]
     size = length // BLOCKS + 1  # some padding in any case: the program is the same for all lengths
     padding = size * BLOCKS - length
 
-    def blocks(table):
+    def split(table):
         table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
         return table.reshape(BLOCKS, size, *table.shape[1:])
 
-    def part(block, index):
+    def whole(block, index):
         return function(block, index * size + jnp.arange(size))
 
-    shapes = jax.eval_shape(part, jax.tree.map(lambda t: t[:size], slots), jnp.int32(0))
+    shapes = jax.eval_shape(whole, jax.tree.map(lambda t: t[:size], slots), jnp.int32(0))
     zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
-    def body(total, step):
-        index, block = step
-        added = jax.lax.cond(index * size < used, part, lambda *_: zeros, block, index)
-        return jax.tree.map(jnp.add, total, added), None
+    def part(numbered):
+        index, block = numbered
+        return jax.lax.cond(index * size < used, whole, lambda *_: zeros, block, index)
 
-    return jax.lax.scan(body, zeros, (jnp.arange(BLOCKS, dtype=jnp.int32), jax.tree.map(blocks, slots)))[0]
+    return part, zeros, (jnp.arange(BLOCKS, dtype=jnp.int32), jax.tree.map(split, slots))

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.background import background_term, seen_edges
-from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.chords import Chords, LobeChords, emitter_chords, lobe_chords, lobe_weight
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, project_edges
@@ -28,6 +28,7 @@ from jaxdr.transport.shading import emitted
 # Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
 HIDES, BOUNDS, MOVES = 1, 2, 3
 WIDEST = 1.4  # half-length of geodesic chords, radians
+ROW = 64  # crossings among which some are kept are rounded together
 
 
 class Prepared(NamedTuple):
@@ -72,6 +73,7 @@ class LineSampling(eqx.Module):
     - `pilot`: pilot chords per chord; 0 spreads chords by throughput alone.
     - `floor`: importance that every pixel keeps, relative to the mean over pixels.
     - `reach`: half-length of geodesic chords, relative to the lobe's width (`BSDF.lobe_width`); at most 1.4 radians.
+    - `backgrounds`: paths traced from what lies behind silhouettes, per path sample.
     - `capacity`: room for crossings, as a share of the number of chords. What exceeds it is thinned at random without
       bias, with a warning.
     """
@@ -80,10 +82,11 @@ class LineSampling(eqx.Module):
     pilot: float = eqx.field(static=True, default=0.25)
     floor: float = eqx.field(static=True, default=0.2)
     reach: float = eqx.field(static=True, default=1.0)
-    capacity: float = eqx.field(static=True, default=2.0)
+    backgrounds: float = eqx.field(static=True, default=1.0)
+    capacity: float = eqx.field(static=True, default=4.0)
 
     def __check_init__(self):
-        for name in ("chords", "floor", "reach", "capacity"):
+        for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"LineSampling: {name} must be positive, got {getattr(self, name)}")
         if not self.pilot >= 0:
@@ -156,13 +159,40 @@ class LineSampling(eqx.Module):
             importance = stop_gradient(importance * of_pixel[None, :, None])
         chosen = _Chosen(*allocate(shares(importance, chords), capacity(round(chords), pixels), key_main))
         drawn, found, thinned, used = lines.search(chosen, key_chords, self._room(chords))
+        found = found._replace(valid=found.valid & (jnp.arange(found.valid.shape[0]) < used))
+        weight = thinned * chosen.inverse[found.chord]
+        if lines.traces_paths:
+            key_kept, key_values = jax.random.split(key_values)
+            found, weight, used = self._kept(lines, drawn, found, weight, used, key_kept)
 
-        def values(block: _Crossings, number):
+        def values(block, number):
+            block, weight = block
             block = block._replace(valid=block.valid & (number < used))
-            value = lines.value(drawn, block, number, thinned * chosen.inverse[block.chord], key_values)
+            value = lines.value(drawn, block, number, weight, key_values)
             return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(block.vertex)].add(value)
 
-        return sum_over_blocks(values, found, used)
+        return sum_over_blocks(values, (found, weight), used)
+
+    def _kept(self, lines: "LobeLines", drawn, found: _Crossings, weight, used, key):
+        """Crossings drawn in proportion to what they should contribute, their weights, and their number.
+
+        The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.
+        """
+        rows = -(-found.chord.shape[0] // ROW)
+        room = rows * ROW
+
+        def scores(block, number):
+            block, weight = block
+            return jnp.where(block.valid & (number < used), lines.score(drawn, block) * weight, 0.0)
+
+        score = stop_gradient(map_over_blocks(scores, (found, weight), used))
+        score = score + jnp.where(score > 0, self.floor * score.sum() / jnp.maximum((score > 0).sum(), 1), 0.0)
+        count = self.backgrounds * lines.paths.paths
+        expected = shares(jnp.pad(score, (0, room - score.shape[0])).reshape(1, rows, ROW), count)
+        slot, inverse = allocate(expected, capacity(round(count), rows), key)
+        kept = jax.tree.map(lambda table: table[jnp.maximum(slot, 0)], found)
+        kept = kept._replace(valid=kept.valid & (slot >= 0))
+        return kept, weight[jnp.maximum(slot, 0)] * inverse, (slot >= 0).sum()
 
     def _room(self, chords: float) -> int:
         return max(1024, round(self.capacity * chords))
@@ -170,6 +200,8 @@ class LineSampling(eqx.Module):
 
 class EmitterLines:
     """Chords on area emitters, for their light."""
+
+    traces_paths = False
 
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
         self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
@@ -216,6 +248,8 @@ class EmitterLines:
 
 class LobeLines:
     """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters."""
+
+    traces_paths = True
 
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach

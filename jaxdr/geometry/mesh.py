@@ -93,7 +93,7 @@ class Mesh(eqx.Module):
         split = _edges_on_one_another(points, edges)
         if split:
             warnings.warn(
-                f"Mesh: {split} open edges lie on others without sharing their vertices. Silhouettes are found at edges, "
+                f"Mesh: {split} open edges lie on others without sharing vertices. Silhouettes are found at edges, "
                 "and there twice; let faces share vertices (load_mesh joins them by position)",
                 stacklevel=2,
             )
