@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp
 
-from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary import ESTIMATORS
 from jaxdr.images import check_image_path, has_openexr, save_png, signed_picture, write_image
 from jaxdr.integrator import PathTracer
 from jaxdr.optimize.config import read_config
@@ -26,7 +26,6 @@ from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
-BOUNDARIES = {"KernelDensity": KernelDensity, "none": lambda: None}
 SAMPLES, MAX_DEPTH = 64, 3
 
 
@@ -67,7 +66,7 @@ def _gradient(options) -> int:
         check_image_path(output)
     scene = _load_scene(options)
     name, value, tangent = motion(scene, options.wrt)
-    tracer = PathTracer(max_depth=options.max_depth, boundary=BOUNDARIES[options.boundary]())
+    tracer = PathTracer(max_depth=options.max_depth, boundary=ESTIMATORS[options.boundary]())
 
     @jax.jit
     def derivative(key):
@@ -190,7 +189,7 @@ def _parser() -> argparse.ArgumentParser:
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)
-            command.add_argument("--boundary", choices=BOUNDARIES, default="KernelDensity", help="boundary estimator")
+            command.add_argument("--boundary", choices=ESTIMATORS, default="KernelDensity", help="boundary estimator")
             command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
         files = "image file" if name == "render" else "file, or name without suffix for picture and values"
         command.add_argument("-o", "--output", required=True, metavar="FILE", help=files)

@@ -17,7 +17,7 @@ STUDY = "soft_light"
 SIZES = (1 / 8, 1 / 3, 1.0, 3.0, 8.0)
 SAMPLES = {
     "Mitsuba, unguided": (256,),
-    "Mitsuba, octree": (64, 256),
+    "Mitsuba, octree": (256,),
     "jaxdr, KernelDensity": (64,),
     "jaxdr, LineSampling": (64,),
 }

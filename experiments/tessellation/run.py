@@ -14,10 +14,10 @@ from tqdm import tqdm
 from experiments import common
 
 STUDY = "tessellation"
-LEVELS = (3, 4, 5, 6, 7, 8)
+LEVELS = (3, 5, 7, 8)
 SPP, KEYS = 16, 12
 STEP = 0.02
-REFERENCE_SPP, REFERENCE_KEYS = 256, 16
+REFERENCE_SPP, REFERENCE_KEYS = 256, 12
 COLUMNS = {
     "triangles": ("triangles", ",d"),
     "estimator": ("estimator", ""),

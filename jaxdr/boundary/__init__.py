@@ -1,1 +1,14 @@
 """Boundary estimators: derivatives of what is seen, where visibility changes. Adding one: a file, and a line here."""
+
+from collections.abc import Callable
+from typing import Any
+
+from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary.line_sampling import LineSampling
+
+# By the names that configs and the command line use.
+ESTIMATORS: dict[str, Callable[..., Any]] = {
+    "KernelDensity": KernelDensity,
+    "LineSampling": LineSampling,
+    "none": lambda: None,  # interior term only
+}

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary import ESTIMATORS
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.integrator import BoundaryEstimator, PathTracer
+from jaxdr.integrator import PathTracer
 from jaxdr.optimize.strict_toml import build, read_toml
 
 Color = float | tuple[float, float, float]
@@ -23,10 +23,6 @@ TARGET_SHAPES: dict[str, Callable[..., Mesh]] = {
     "torus": shapes.torus,
     "trefoil_tube": shapes.trefoil_tube,
     "pawn": shapes.pawn,
-}
-BOUNDARY_ESTIMATORS: dict[str, Callable[..., BoundaryEstimator | None]] = {
-    "KernelDensity": KernelDensity,
-    "none": lambda: None,
 }
 
 
@@ -152,9 +148,9 @@ class Integrator:
 
     def build(self) -> PathTracer:
         """The integrator; ValueErrors start with the key that is wrong."""
-        _check_call("boundary", BOUNDARY_ESTIMATORS, self.boundary, self.boundary_options, "boundary_options")
+        _check_call("boundary", ESTIMATORS, self.boundary, self.boundary_options, "boundary_options")
         try:
-            boundary = BOUNDARY_ESTIMATORS[self.boundary](**self.boundary_options)
+            boundary = ESTIMATORS[self.boundary](**self.boundary_options)
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
         _require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
