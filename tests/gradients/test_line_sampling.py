@@ -1,5 +1,6 @@
 """Line sampling against exact numbers: a floor point under a polygonal light, small or very large, or under a panel."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -45,6 +46,17 @@ def test_closed_blocker():
 def test_hidden_and_concave_edges():
     """What other parts of the blocker hide does not count, however near it is."""
     check_derivatives(arrowhead(concave=0.02, hidden=0.02), LINES, tolerance=0.002)
+
+
+@pytest.mark.slow
+def test_float64():
+    with jax.enable_x64(True):
+        check_derivatives(sheet(QUADRANGLE, 0.1), LINES, tolerance=0.001)
+
+
+def test_plain_queries():
+    """Without Warp."""
+    check_derivatives(sheet(HALF_PLANE, 0.1), LINES, tolerance=0.002, rays="jax", spp=16)
 
 
 @pytest.mark.slow
