@@ -59,6 +59,8 @@ def chart(rows, path):
         sizes = sorted({row["light"] for row in mine})
         best = [min(row["work"] for row in mine if row["light"] == size) for size in sizes]
         panel.loglog(sizes, best, "o-", color=f"C{i}", label=method)
+    panel.set_xticks(sizes, [f"{size:.3g}" for size in sizes])
+    panel.minorticks_off()
     panel.set(xlabel="size of the light", ylabel="error² · seconds", title="soft shadow of goathead")
     panel.grid(True, which="major", alpha=0.3)
     panel.legend(fontsize=8)

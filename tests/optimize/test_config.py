@@ -84,7 +84,7 @@ def test_overrides(write, override, read):
         ("lights = []", r"lights: the scene is dark"),
         (
             '[integrator]\nboundary = "Kernel"',
-            r"integrator\.boundary: expected one of KernelDensity, none, got 'Kernel'",
+            r"integrator\.boundary: expected one of KernelDensity, LineSampling, none, got 'Kernel'",
         ),
         (
             "[integrator.boundary_options]\nradios = 1",
