@@ -149,8 +149,11 @@ def program(depth, sampling="mis", boundary=None, spp=4, chunk_size=1 << 16):
 
 @pytest.mark.parametrize("sampling, boundary", [("emitter", None), ("mis", jd.KernelDensity())])
 def test_program_does_not_grow_with_depth(sampling, boundary):
-    """Bounces run in a loop: once it turns more than once, the lowered gradient has the same length at any depth."""
-    assert program(5, sampling, boundary) == program(9, sampling, boundary)
+    """Bounces run in a loop: once it turns more than once, the lowered gradient is not longer at a larger depth.
+
+    It may be a few lines shorter: JAX lowers its helpers once for every shape, and shapes may coincide.
+    """
+    assert program(9, sampling, boundary) <= program(5, sampling, boundary)
 
 
 def test_program_does_not_grow_with_samples():
