@@ -54,6 +54,7 @@ def test_float64():
         check_derivatives(sheet(QUADRANGLE, 0.1), LINES, tolerance=0.001)
 
 
+@pytest.mark.slow
 def test_plain_queries():
     """Without Warp."""
     check_derivatives(sheet(HALF_PLANE, 0.1), LINES, tolerance=0.002, rays="jax", spp=16)
