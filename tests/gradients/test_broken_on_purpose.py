@@ -40,6 +40,8 @@ def test_stale_geometry(monkeypatch):
     fresh = queries._discrete
 
     def stale(vertices, *rest):
+        if vertices.ndim != 2:  # an edge tree: the rays that ask what is visible are stale enough
+            return fresh(vertices, *rest)
         blocker = (vertices[:, 2] > 0.3) & (vertices[:, 2] < 0.9)
         return fresh(vertices + jnp.where(blocker[:, None], jnp.asarray([0.08, 0.0, 0.0]), 0.0), *rest)
 
