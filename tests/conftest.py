@@ -1,10 +1,14 @@
 """Shapes and dtypes of every public signature are checked by beartype, in the tests only."""
 
+import signal
 from pathlib import Path
 
 from jaxtyping import install_import_hook
 
 import tests.type_checker  # noqa: F401  the hook names it in a string
+
+# A run in the background inherits SIGINT ignored; the tests of Ctrl-C are about a program in the foreground.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parents[1]
 

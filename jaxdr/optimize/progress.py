@@ -67,10 +67,11 @@ class Interruption:
 def deferred_interrupt() -> Iterator[Interruption]:
     """Inside the block the first Ctrl-C (SIGINT) only sets `requested`; a second one raises KeyboardInterrupt.
 
-    Outside the main thread, where Python delivers no signals, nothing changes.
+    Outside the main thread, where Python delivers no signals, and in a background job, which the shell started with
+    SIGINT ignored, nothing changes.
     """
     interruption = Interruption()
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         yield interruption
         return
 

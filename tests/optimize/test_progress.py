@@ -53,6 +53,17 @@ def test_first_ctrl_c_waits_second_stops(capsys):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_a_background_job_keeps_ignoring_ctrl_c():
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with deferred_interrupt() as interruption:
+            signal.raise_signal(signal.SIGINT)
+            assert not interruption.requested
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
 def test_other_threads_may_use_it():
     seen = []
 
