@@ -12,51 +12,95 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.emitter_planes import chord_inside
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.shading import EmitterSample, Scatterer, sample_emitter
+from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.shading import Scatterer, sample_emitting_surface
 
 
 class Chords(NamedTuple):
     """M chords, detached: from `first` to `last`, its centre at the share `centre` of the way.
 
-    `group` as in `queries.sector_crossings`. `weight` = (pi / 2) k / p, RGB, times the emitter's radiance for chords on
-    emitters; zero where a chord is of no use.
+    `group` as in `queries.sector_crossings`. `useful` ones may find something that counts.
     """
 
     first: Float[Array, "M 3"]
     last: Float[Array, "M 3"]
     centre: Float[Array, " M"]
     group: Int[Array, " M"]
-    weight: Float[Array, "M 3"]
+    useful: Bool[Array, " M"]
+
+    def plane(self, apex: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
+        """Unit normals of the sectors that the chords span with `apex`."""
+        across = jnp.cross(self.first - apex, self.last - apex)
+        return normalize(jnp.where(self.useful[:, None], across, 1.0))
+
+
+class EmitterChords(NamedTuple):
+    """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter."""
+
+    chords: Chords
+    centre: SurfacePoint
+    pdf: Float[Array, " M"]
+    length: Float[Array, " M"]
 
 
 def emitter_chords(
     packed: PackedScene, group: Int[Array, " F"], apex: Float[Array, "M 3"], u: Float[Array, "M 3"]
-) -> tuple[Chords, EmitterSample]:
+) -> EmitterChords:
     """Whole chords of emitters, in area measure: k = 1 / length, so that nothing depends on where the centre is."""
-    sample = sample_emitter(packed, u[:, :2])
-    point, normal = stop_gradient(sample.point.position), stop_gradient(sample.point.normal)
+    sample, pdf = sample_emitting_surface(packed, u[:, :2])
+    point, normal = stop_gradient(sample.position), stop_gradient(sample.normal)
     s, t = orthonormal_basis(normal)
     angle = math.pi * u[:, 2]
     direction = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
-    first, last, length = chord_inside(packed, group, sample.point.face, point, direction)
-    useful = (length > 0) & ~sample.infinite & (dot(apex - point, normal) > 0)
-    density = jnp.where(useful, sample.pdf * length, 1.0)
-    weight = stop_gradient(sample.radiance) * jnp.where(useful, 0.5 * math.pi / density, 0.0)[:, None]
+    first, last, length = chord_inside(packed, group, sample.face, point, direction)
+    useful = (length > 0) & (pdf > 0) & (dot(apex - point, normal) > 0)
     whole = jnp.where(useful, last - first, 1.0)
     chords = Chords(
         first=point + first[:, None] * direction,
         last=point + last[:, None] * direction,
         centre=-first / whole,
-        group=group[sample.point.face],
-        weight=weight,
+        group=group[sample.face],
+        useful=useful,
     )
-    return chords, sample
+    return EmitterChords(chords, sample, pdf, length)
+
+
+def emitter_weight(pdf: Float[Array, " M"], length: Float[Array, " M"]) -> Float[Array, " M"]:
+    """(pi / 2) k / p of whole chords of emitters; zero where there is none."""
+    density = pdf * length
+    return jnp.where(density > 0, 0.5 * math.pi / jnp.where(density > 0, density, 1.0), 0.0)
+
+
+def emitter_rate(
+    pdf: Float[Array, " M"],
+    length: Float[Array, " M"],
+    apex: Float[Array, "M 3"],
+    point: Float[Array, "M 3"],
+    normal: Float[Array, "M 3"],
+    plane: Float[Array, "M 3"],
+) -> Float[Array, " M"]:
+    """How often one whole chord of an emitter crosses a boundary curve at `point`, in the plane with normal `plane`.
+
+    Per length of the curve as the apex sees it and angle of the plane, times the sine between them (1 / radian^2).
+    On the emitter that is pdf x length / pi; lengths, areas and angles there are those on the sphere mapped by M, of
+    determinant d^2 / cos, which stretches the chord by m: |sin| dl dphi is det(M)^2 / m^3 times as much.
+    """
+    offset = point - apex
+    distance2 = dot(offset, offset)
+    distance2 = jnp.where(distance2 > 0, distance2, 1.0)
+    towards = offset / jnp.sqrt(distance2)[:, None]
+    slope = dot(normal, towards)
+    usable = slope != 0
+    slope = jnp.where(usable, slope, 1.0)
+    tilt = dot(normal, jnp.cross(plane, towards)) / slope
+    area = distance2 / slope
+    return jnp.where(usable, pdf * length / math.pi * area**2 / (distance2 * (1.0 + tilt**2)) ** 1.5, 0.0)
 
 
 class LobeChords(NamedTuple):
@@ -71,7 +115,7 @@ class LobeChords(NamedTuple):
     reach: Float[Array, " M"]
 
     def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene. They have no weight yet."""
+        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
         across = jnp.cross(self.plane, self.centre)
         cosine, sine = jnp.cos(self.reach)[:, None], jnp.sin(self.reach)[:, None]
         return Chords(
@@ -79,7 +123,7 @@ class LobeChords(NamedTuple):
             last=apex + far * (cosine * self.centre + sine * across),
             centre=jnp.full_like(self.pdf, 0.5),
             group=jnp.full(self.pdf.shape, UNBOUNDED),
-            weight=jnp.broadcast_to(jnp.where(self.pdf > 0, 1.0, 0.0)[:, None], self.centre.shape),
+            useful=self.pdf > 0,
         )
 
 
@@ -98,12 +142,35 @@ def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array,
     k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
     below which nothing is sampled. Its integral is over the arc of centres whose chords reach the boundary point.
     """
+    mass = _arc_mass(scatterer, chords.reach, chords.plane, boundary)
     height = scatterer.cosine(chords.centre)
-    side = jnp.sign(height)
-    along = normalize(jnp.cross(chords.plane, boundary))
-    a, b = side * scatterer.cosine(boundary), side * scatterer.cosine(along)
-    horizon = jnp.arctan2(b, a)  # a cos t + b sin t > 0 within 90 degrees of it
-    low, high = jnp.maximum(-chords.reach, horizon - 0.5 * jnp.pi), jnp.minimum(chords.reach, horizon + 0.5 * jnp.pi)
-    mass = a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
-    counts = (a > 0) & (high > low) & (mass > 0) & (chords.pdf > 0)
+    counts = (mass > 0) & (chords.pdf > 0) & (height * scatterer.cosine(boundary) > 0)
     return jnp.where(counts, 0.5 * math.pi * jnp.abs(height) / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+
+
+def lobe_rate(
+    scatterer: Scatterer, reach: Float[Array, " M"], plane: Float[Array, "M 3"], boundary: Float[Array, "M 3"]
+) -> Float[Array, " M"]:
+    """The same as `emitter_rate` for one geodesic chord, about.
+
+    Exact where the density of centres is proportional to the cosine; only weights that add up to one depend on it.
+    """
+    height = jnp.abs(scatterer.cosine(boundary))
+    mass = _arc_mass(scatterer, reach, plane, boundary)
+    usable = height > 0
+    return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
+
+
+def _arc_mass(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:
+    """Integral of the cosine over the arc of centres on one side of the horizon whose chords reach `boundary`.
+
+    `plane` contains `boundary`.
+    """
+    height = scatterer.cosine(boundary)
+    side = jnp.sign(height)
+    along = normalize(jnp.cross(plane, boundary))
+    a, b = jnp.abs(height), side * scatterer.cosine(along)
+    horizon = jnp.arctan2(b, a)  # a cos t + b sin t > 0 within 90 degrees of it
+    low, high = jnp.maximum(-reach, horizon - 0.5 * jnp.pi), jnp.minimum(reach, horizon + 0.5 * jnp.pi)
+    mass = a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
+    return jnp.where((a > 0) & (high > low), mass, 0.0)

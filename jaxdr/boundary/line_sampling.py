@@ -12,18 +12,28 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.background import background_term, seen_edges
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.chords import Chords, LobeChords, emitter_chords, lobe_chords, lobe_weight
-from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
+from jaxdr.boundary.chords import (
+    Chords,
+    EmitterChords,
+    LobeChords,
+    emitter_chords,
+    emitter_rate,
+    emitter_weight,
+    lobe_chords,
+    lobe_rate,
+    lobe_weight,
+)
+from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at, emitter_groups
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, project_edges
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import LUMINANCE, PackedScene
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.sampler import lattice
-from jaxdr.transport.shading import emitted
+from jaxdr.transport.shading import Scatterer, emitted, emitting_surface_pdf
 
 # Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
 HIDES, BOUNDS, MOVES = 1, 2, 3
@@ -62,11 +72,21 @@ class _Crossings(NamedTuple):
     valid: Bool[Array, " C"]
 
 
+class _Spread(NamedTuple):
+    """One kind of chords, how many are expected from every path vertex, and the share of crossings that is kept."""
+
+    lines: "EmitterLines | LobeLines"
+    expected: Float[Array, "B P n"]
+    kept: Float[Array, ""]
+    key: PRNGKeyArray
+
+
 class LineSampling(eqx.Module):
     """Boundary term of every segment behind the first hit, by line sampling; every field is static.
 
     Unbiased, and without a radius. Light of area emitters is found by chords on the emitters, all other light
-    (environment, indirect) by geodesic chords around BSDF-sampled directions.
+    (environment, indirect) by geodesic chords around BSDF-sampled directions. Where the integrator's sampling is "mis"
+    and there are both kinds, both find the light of area emitters.
 
     - `chords`: chords of each kind per path sample. They need not be as many as the paths: a pilot sends them to the
       pixels whose shadows they find, and to the path vertices that carry most.
@@ -123,26 +143,34 @@ class LineSampling(eqx.Module):
             return total
         paths = PathSegments(packed, primary, record.direct)
         key_emitters, key_lobes = jax.random.split(key)
+        carries = luminance(paths.table.throughput)
+        emitters = lobes = None
         if packed.has_area_emitters:
             lines = EmitterLines(packed, prepared, paths, settings)
-            carries = luminance(paths.table.throughput)
-            total = total + self._term(lines, paths, carries, key_emitters)
+            emitters = self._spread(lines, carries, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
-            lines = LobeLines(packed, prepared, paths, settings, self.reach)
-            carries = luminance(paths.table.throughput)
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
-            total = total + self._term(lines, paths, carries, key_lobes)
+            lines = LobeLines(packed, prepared, paths, settings, self.reach)
+            lobes = self._spread(lines, carries, key_lobes)
+        if emitters is not None and lobes is not None and settings.mis:
+            both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
+            emitters.lines.both = lobes.lines.both = both
+        for spread in (emitters, lobes):
+            if spread is not None:
+                total = total + self._term(spread)
         return total
 
-    def _term(self, lines: "EmitterLines | LobeLines", paths: PathSegments, carries, key) -> Float[Array, "N 3"]:
-        """Boundary term of one kind of light; `carries` is the importance of every path vertex."""
+    def _spread(self, lines: "EmitterLines | LobeLines", carries, key) -> _Spread:
+        """How many chords of one kind go where; `carries` is the importance of every path vertex."""
+        paths = lines.paths
         _, _, width, height = paths.packed.camera.film.window
         pixels, samples = width * height, paths.paths // (width * height)
         layout = (paths.count // paths.paths, pixels, samples)
-        key_pilot, key_pilot_chords, key_main, key_chords, key_values = jax.random.split(key, 5)
+        key_pilot, key_pilot_chords, key_rest = jax.random.split(key, 3)
         chords = self.chords * paths.paths
         importance = carries.reshape(layout)
+        kept = jnp.ones((), importance.dtype)
         if self.pilot > 0:
             count = self.pilot * chords
             chosen = _Chosen(*allocate(shares(importance, count), capacity(round(count), pixels), key_pilot))
@@ -157,7 +185,17 @@ class LineSampling(eqx.Module):
             pixel = paths.path(jnp.maximum(chosen.vertex, 0)) // samples
             of_pixel = pixel_importance(per_chord, pixel, chosen.vertex >= 0, (height, width), self.floor)
             importance = stop_gradient(importance * of_pixel[None, :, None])
-        chosen = _Chosen(*allocate(shares(importance, chords), capacity(round(chords), pixels), key_main))
+            if lines.traces_paths:
+                kept = jnp.minimum(kept, self.backgrounds * self.pilot * paths.paths / jnp.maximum(used * thinned, 1))
+        return _Spread(lines, shares(importance, chords), kept, key_rest)
+
+    def _term(self, spread: _Spread) -> Float[Array, "N 3"]:
+        """Boundary term of one kind of light."""
+        lines, paths = spread.lines, spread.lines.paths
+        key_main, key_chords, key_values = jax.random.split(spread.key, 3)
+        chords = self.chords * paths.paths
+        room = capacity(round(chords), spread.expected.shape[1])
+        chosen = _Chosen(*allocate(spread.expected, room, key_main))
         drawn, found, thinned, used = lines.search(chosen, key_chords, self._room(chords))
         found = found._replace(valid=found.valid & (jnp.arange(found.valid.shape[0]) < used))
         weight = thinned * chosen.inverse[found.chord]
@@ -198,6 +236,48 @@ class LineSampling(eqx.Module):
         return max(1024, round(self.capacity * chords))
 
 
+class Centres(NamedTuple):
+    """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
+
+    `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n].
+    """
+
+    packed: PackedScene
+    prepared: Prepared
+    paths: PathSegments
+    reach: float
+    emitters: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def share_of_emitters(
+        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
+    ) -> Float[Array, " C"]:
+        """Share of chords on emitters in finding boundary points of emitters, in planes with the normals `plane`.
+
+        `pdf` of their centres, per area, and their `length`.
+        """
+        scatterer = self.paths.scatterer(vertex)
+        position, normal = stop_gradient(point.position), stop_gradient(point.normal)
+        apex = scatterer.point.position
+        reach = lobe_reach(scatterer, self.reach)
+        one = emitter_rate(pdf, length, apex, position, normal, plane) * self.emitters.reshape(-1)[vertex]
+        two = lobe_rate(scatterer, reach, plane, normalize(position - apex)) * self.lobes.reshape(-1)[vertex]
+        either = one + two > 0
+        return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+
+    def share_of_lobes(
+        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint
+    ) -> Float[Array, " C"]:
+        """The rest: share of geodesic chords."""
+        normal = stop_gradient(point.normal)
+        along = jnp.cross(plane, normal)
+        meets = (dot(along, along) > 0) & point.valid
+        along = normalize(jnp.where(meets[:, None], along, 1.0))
+        _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
+        pdf = emitting_surface_pdf(self.packed, point)
+        return jnp.where(meets, 1.0 - self.share_of_emitters(vertex, plane, point, pdf, length), 0.0)
+
+
 class EmitterLines:
     """Chords on area emitters, for their light."""
 
@@ -205,77 +285,97 @@ class EmitterLines:
 
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
         self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
+        self.both: Centres | None = None
 
     def search(self, chosen: _Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
         scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
-        chords, sample = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
+        drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
         # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
         apex = leave(scatterer.point, scatterer.normal)
-        crossings = _search(self, chosen, apex, chords, key_seed, room)
-        return (chords, sample.point), *crossings
+        return drawn, *_search(self, chosen, apex, drawn.chords, key_seed, room)
 
-    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+    def score(self, drawn: EmitterChords, found: _Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: luminance per motion of the edge."""
-        projection, weight = self._boundary(drawn, found)
+        projection, weight, _ = self._boundary(drawn, found)
         return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
 
-    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+    def value(self, drawn: EmitterChords, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
         del number, key
-        projection, value = self._boundary(drawn, found)
+        projection, value, point = self._boundary(drawn, found)
+        if self.both is not None:
+            chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
+            plane = chords.plane(stop_gradient(self.paths.apex(found.vertex).position))
+            pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
+            weight = weight * self.both.share_of_emitters(found.vertex, plane, point, pdf, length)
         moved = projection.displacement - stop_gradient(projection.displacement)
         return value * (weight * moved)[:, None]
 
-    def _boundary(self, drawn, found: _Crossings):
-        """(the crossed edges projected onto the emitter, contributions without their normal velocity)."""
+    def _boundary(self, drawn: EmitterChords, found: _Crossings):
+        """(the crossed edges projected onto the emitter, contributions without their normal velocity, the points)."""
         packed, paths, group = self.packed, self.paths, self.prepared.group
-        chords, centre = drawn
-        face = centre.face[found.chord]
-        on_plane = _projected(self, found, centre)
+        face = drawn.centre.face[found.chord]
+        on_plane = _projected(self, found, drawn.centre)
         # The chord may have left the triangle its centre is in, whose vertices move otherwise.
         face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
         ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
         projection = project_edges(packed, found.edge, ends, found.along)
-        in_front = dot(stop_gradient(ends.normal), stop_gradient(ends.apex) - projection.point) > 0
-        weight = paths.table.throughput[found.vertex] * chords.weight[found.chord]
-        weight = weight * paths.transfer(found.vertex, ends, projection.point)
-        counts = found.valid & inside & in_front & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
-        return projection, jnp.where(counts[:, None], weight, 0.0)
+        point = jax.tree.map(stop_gradient, material_point(packed, face, barycentric, inside))
+        # The radiance there and not at the centre; none from behind.
+        radiance = stop_gradient(emitted(packed, point, stop_gradient(ends.apex) - projection.point))
+        value = paths.table.throughput[found.vertex] * radiance
+        value = value * emitter_weight(drawn.pdf, drawn.length)[found.chord][:, None]
+        value = value * paths.transfer(found.vertex, ends, projection.point)
+        counts = found.valid & inside & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
+        return projection, jnp.where(counts[:, None], value, 0.0), point
 
 
 class LobeLines:
-    """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters."""
+    """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
+
+    With `both`, for their share of the light from area emitters as well.
+    """
 
     traces_paths = True
 
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
+        self.both: Centres | None = None
 
     def search(self, chosen: _Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
         scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
-        width = jnp.minimum(self.reach * scatterer.lobe_width(), WIDEST)
-        lobes = lobe_chords(scatterer, width, u)
+        lobes = lobe_chords(scatterer, lobe_reach(scatterer, self.reach), u)
         apex = leave(scatterer.point, scatterer.normal)
         chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
         return lobes, *_search(self, chosen, apex, chords, key_seed, room)
 
-    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+    def score(self, drawn: LobeChords, found: _Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
 
-    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+    def value(self, drawn: LobeChords, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
         seen, _, value = self._boundary(drawn, found)
-        sky = self._environment if self.packed.environment is not None else None
         value = value * weight[:, None]
-        return background_term(self.packed, self.paths, seen, value, found.valid, number, key, self.settings, sky)
+        plane = drawn.plane[found.chord]
+
+        def emission(background: SurfacePoint, towards):
+            """Emission of what is no surface, and this technique's share of that of surfaces."""
+            radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
+            surfaces = 0.0 if self.both is None else self.both.share_of_lobes(found.vertex, plane, background)
+            return radiance * jnp.where(background.valid, surfaces, 1.0)[:, None]
+
+        glows = self.packed.environment is not None or self.both is not None
+        return background_term(
+            self.packed, self.paths, seen, value, found.valid, number, key, self.settings, emission if glows else None
+        )
 
     def _boundary(self, drawn: LobeChords, found: _Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""
@@ -286,10 +386,10 @@ class LobeLines:
         weight = jnp.where(counts, lobe_weight(scatterer, lobes, seen.towards), 0.0)
         return seen, scatterer, self.paths.table.throughput[found.vertex] * weight[:, None]
 
-    def _environment(self, background: SurfacePoint, towards):
-        """Emission of what is no surface: of emitters on surfaces the chords on them take care."""
-        radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
-        return jnp.where(background.valid[:, None], 0.0, radiance)
+
+def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
+    """Half-length of geodesic chords (radians), `reach` of the lobes' widths."""
+    return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
 def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -321,7 +421,7 @@ def _search(lines: "EmitterLines | LobeLines", chosen: _Chosen, apex, chords: Ch
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    needed = jnp.where((chosen.vertex >= 0) & (chords.weight != 0).any(-1), needed, 0)
+    needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
     found = queries.sector_crossings(
         prepared.tree, packed.vertices, packed.faces, edges.vertices, edges.faces, prepared.rank, prepared.group,
         apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,

@@ -164,15 +164,10 @@ def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample
     direction = jnp.zeros((n, 3), dtype)
     radiance, pdf = jnp.zeros((n, 3), dtype), jnp.ones(n, dtype)
     if packed.has_area_emitters:
-        cdf = packed.emitter_cdf()
-        index = jnp.clip(jnp.searchsorted(cdf, choice, side="right"), 0, cdf.shape[0] - 1)
-        before = jnp.where(index > 0, cdf[index - 1], 0.0)
-        probability = cdf[index] - before
-        remapped = jnp.clip((choice - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
-        barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
-        point = material_point(packed, packed.emitter_faces[index], barycentric, ~infinite)
+        point, per_area = sample_emitting_surface(packed, u)
+        point = point._replace(valid=~infinite)
         radiance = packed.radiance[packed.face_shape[point.face]]
-        pdf = (1 - p_environment) * probability / stop_gradient(point.area)
+        pdf = (1 - p_environment) * per_area
     else:
         nowhere = jnp.zeros(n, jnp.int32)
         point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
@@ -183,16 +178,33 @@ def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample
     return EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))
 
 
+def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
+    """(material points on area emitters, proportional to power, and their densities, per area, detached)."""
+    cdf = packed.emitter_cdf()
+    index = jnp.clip(jnp.searchsorted(cdf, u[:, 0], side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(index > 0, cdf[index - 1], 0.0)
+    probability = cdf[index] - before
+    remapped = jnp.clip((u[:, 0] - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
+    barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
+    point = material_point(packed, packed.emitter_faces[index], barycentric, jnp.ones(index.shape, bool))
+    return point, probability / stop_gradient(point.area)
+
+
+def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Array, " N"]:
+    """Density (per area, detached) with which `sample_emitting_surface` would choose points."""
+    cdf = packed.emitter_cdf()
+    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
+    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
+    return probability[point.face] / stop_gradient(point.area)
+
+
 def emitter_pdf(packed: PackedScene, point: SurfacePoint, distance2, cosine) -> Float[Array, " N"]:
     """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or the direction of a miss."""
     p_environment = environment_probability(packed)
     miss = p_environment / (4 * math.pi)
     if not packed.has_area_emitters:
         return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
-    cdf = packed.emitter_cdf()
-    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
-    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
-    per_area = (1 - p_environment) * probability[point.face] / stop_gradient(point.area)
+    per_area = (1 - p_environment) * emitting_surface_pdf(packed, point)
     return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
 
 

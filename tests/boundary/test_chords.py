@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.chords import LobeChords, emitter_chords, lobe_chords, lobe_weight
+from jaxdr.boundary.chords import (
+    LobeChords,
+    emitter_chords,
+    emitter_rate,
+    emitter_weight,
+    lobe_chords,
+    lobe_rate,
+    lobe_weight,
+)
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import build_edge_tree
@@ -25,7 +33,7 @@ def crossings(packed, apex, chords, implementation="warp"):
     rank = jnp.ones(edges.vertices.shape[0])
     tree = build_edge_tree(packed.vertices, edges.vertices, edges.opposite, edges.interior, rank)
     group = emitter_groups(packed) if packed.has_area_emitters else jnp.full(packed.faces.shape[0], -1)
-    useful = (chords.weight != 0).any(-1).astype(jnp.float32)
+    useful = chords.useful.astype(jnp.float32)
     found = queries.sector_crossings(
         tree, packed.vertices, packed.faces, edges.vertices, edges.faces, rank, group, apex, chords.first, chords.last,
         chords.centre, useful, chords.group, jnp.int32(1), 1, 4 * count, implementation,
@@ -68,16 +76,27 @@ def test_length_of_a_shadow_on_a_light(triangles):
     group = emitter_groups(packed)
     apex = jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1e-6]), (CHORDS, 3))
     u = jax.random.uniform(jax.random.key(0), (CHORDS, 3))
-    chords, sample = emitter_chords(packed, group, apex, u)
-    chord, edge, along = crossings(packed, apex, chords)
+    drawn = emitter_chords(packed, group, apex, u)
+    chord, edge, along = crossings(packed, apex, drawn.chords)
     point = boundary_points(packed, edge, along)
-    on_light = point * (LIGHT[0, 2] / point[:, 2:])
-    face = sample.point.face[chord]
-    _, barycentric, inside = emitter_face_at(packed, group, face, jnp.asarray(on_light, jnp.float32))
+    on_light = jnp.asarray(point * (LIGHT[0, 2] / point[:, 2:]), jnp.float32)
+    face, barycentric, inside = emitter_face_at(packed, group, drawn.centre.face[chord], on_light)
     assert np.mean(np.asarray(inside)) > 0.9999 and np.min(barycentric) > -1e-3
-    per_chord = np.bincount(chord, np.asarray(chords.weight)[chord, 0] / RADIANCE, minlength=CHORDS)
+    weight = np.asarray(emitter_weight(drawn.pdf, drawn.length))[chord]
     shadow = QUADRANGLE * (LIGHT[0, 2] / QUADRANGLE[:, 2:])
-    check(per_chord, np.linalg.norm(shadow - np.roll(shadow, 1, axis=0), axis=1).sum())
+    check(np.bincount(chord, weight, minlength=CHORDS), np.linalg.norm(shadow - np.roll(shadow, 1, 0), axis=1).sum())
+
+    # The rate counts crossings of the same curve as the apex sees it: all planes through a point of it add up to two.
+    plane = drawn.chords.plane(apex)[chord]
+    normal = material_point(packed, face, barycentric, inside).normal
+    rate = emitter_rate(drawn.pdf[chord], drawn.length[chord], apex[chord], on_light, normal, plane)
+    check(np.bincount(chord, 1.0 / np.asarray(rate), minlength=CHORDS), 2 * seen_length(QUADRANGLE))
+
+
+def seen_length(polygon):
+    """Length of a polygon's outline in directions from the origin."""
+    unit = polygon / np.linalg.norm(polygon, axis=1, keepdims=True)
+    return np.arccos((unit * np.roll(unit, 1, axis=0)).sum(1)).sum()
 
 
 class Narrow(jd.Diffuse):
@@ -109,10 +128,11 @@ def test_length_of_a_silhouette_in_directions(width):
     there = jax.tree.map(lambda x: x[chord] if x.ndim else x, point)
     scatterer = Scatterer(packed, there, jnp.broadcast_to(jnp.asarray([0.6, 0.0, 0.8]), (len(chord), 3)))
     lobes = LobeChords(*(x[chord] for x in lobes))
-    weight = lobe_weight(scatterer, lobes, jnp.asarray(towards, jnp.float32))
-    unit = QUADRANGLE / np.linalg.norm(QUADRANGLE, axis=1, keepdims=True)
-    length = np.arccos((unit * np.roll(unit, 1, axis=0)).sum(1)).sum()
-    check(np.bincount(chord, np.asarray(weight), minlength=count), length)
+    towards = jnp.asarray(towards, jnp.float32)
+    weight = lobe_weight(scatterer, lobes, towards)
+    check(np.bincount(chord, np.asarray(weight), minlength=count), seen_length(QUADRANGLE))
+    rate = lobe_rate(scatterer, lobes.reach, lobes.plane, towards)
+    check(np.bincount(chord, 1.0 / np.asarray(rate), minlength=count), 2 * seen_length(QUADRANGLE))
 
 
 def test_weights_of_wide_chords_are_bounded():
