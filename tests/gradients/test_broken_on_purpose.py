@@ -27,6 +27,7 @@ def test_hidden_silhouettes_counted():
         check_derivatives(blocker, NO_RAY)
 
 
+@pytest.mark.slow
 def test_concave_edges_counted():
     """So is a concave edge, by the paper's Eq. 18 alone. Here it is the only one of them within reach of the kernel."""
     blocker = arrowhead(concave=0.02, hidden=0.1)

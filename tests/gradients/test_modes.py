@@ -128,6 +128,7 @@ def test_derivative_leaves_the_image_alone_and_has_its_own_samples():
     np.testing.assert_allclose(tangents.mean(), values.mean(), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_float64():
     """Results are float64, near the float32 ones, and reverse mode is the transpose of forward mode to its rounding."""
     single = compiled(forward)(small_scene(), KEY)

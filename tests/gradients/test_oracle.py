@@ -46,7 +46,7 @@ def quick_cases():
     """Every case with both estimators; what takes long only with -m slow."""
     for case, name in CASES:
         for boundary in ("KernelDensity", "LineSampling"):
-            slow = name == "rotate_z" or (case == "cornell_indirect" and boundary == "LineSampling")
+            slow = name == "rotate_z" or case == "cornell_indirect"
             yield pytest.param(case, name, boundary, marks=[pytest.mark.slow] if slow else [])
 
 

@@ -67,6 +67,7 @@ def test_closed_blocker():
     check_derivatives(BOX, CLOSED)
 
 
+@pytest.mark.slow
 def test_points_have_the_same_limit():
     check_derivatives(sheet(HALF_PLANE, 0.1), POINTS, tolerance=0.015)
 
@@ -79,6 +80,7 @@ def test_default_has_no_bias_away_from_corners(radius):
     assert abs(bias) < 4 * deviation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("both_sides", "order"), [(True, 2), (False, 1)], ids=["both sides", "visible side"])
 def test_order_of_the_bias_of_the_plain_version(both_sides, order):
     """Paper, appendix A: the bias of a symmetric kernel is O(r²) away from corners.
@@ -94,6 +96,7 @@ def test_order_of_the_bias_of_the_plain_version(both_sides, order):
     assert abs(slope - order) < 0.4, (slope, results)
 
 
+@pytest.mark.slow
 def test_consistent_version_converges():
     """The paper's Fig. 8, small: the plain version's error falls with the mean radius of the iterations (Eq. 21)."""
     once, often = (jd.KernelDensity(RELATIVE_RADIUS, iterations=t, both_sides=False, **PLAIN) for t in (1, 16))
