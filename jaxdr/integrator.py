@@ -20,7 +20,7 @@ class BoundaryEstimator(Protocol):
     chunk of its samples.
     """
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Any: ...
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
 
     def estimate(
         self,

@@ -153,7 +153,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
         distribution = edge_distribution(packed, shapes, pilot_key)
-        prepared = integrator.boundary.prepare(packed, shapes)
+        prepared = integrator.boundary.prepare(packed, shapes, integrator.settings)
     key_film, key_chunks = jax.random.split(key)
 
     def chunk(packed, index):

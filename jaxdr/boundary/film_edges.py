@@ -261,7 +261,7 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     detached = jax.tree.map(stop_gradient, packed)
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
     one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
-    near = _near_field(detached, one) if form == "near" else None
+    near = (_near_field(detached, one), _near_field(detached, two)) if form == "near" else None
     jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
     return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
 

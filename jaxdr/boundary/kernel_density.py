@@ -24,7 +24,7 @@ from jaxdr.boundary.silhouettes import (
     project_edges,
 )
 from jaxdr.geometry import queries
-from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
+from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import leave
@@ -107,15 +107,15 @@ class KernelDensity(eqx.Module):
             radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
         return radii
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Prepared:
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges, once for a whole image."""
         del moving  # every edge may bound what moving surfaces see
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
         edges = packed.edges
-        tree = build_edge_tree(
-            packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts
+        tree = queries.edge_tree(
+            packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts, settings.rays
         )
         return Prepared(radius, tree)
 

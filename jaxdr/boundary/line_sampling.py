@@ -26,7 +26,7 @@ from jaxdr.boundary.chords import (
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at, emitter_groups
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, project_edges
 from jaxdr.geometry import queries
-from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
+from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import LUMINANCE, PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
@@ -112,13 +112,13 @@ class LineSampling(eqx.Module):
         if not self.pilot >= 0:
             raise ValueError(f"LineSampling: pilot must not be negative, got {self.pilot}")
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Prepared:
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
         """Ranks of the edges and the tree over them, once for a whole image. `moving`: which shapes can move."""
         edges, flags = packed.edges, jnp.asarray(moving)
         rank = jnp.where(flags[edges.shape], MOVES, BOUNDS)
         rank = jnp.where(never_silhouettes(packed), HIDES, rank).astype(packed.vertices.dtype)
-        tree = build_edge_tree(
-            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts
+        tree = queries.edge_tree(
+            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts, settings.rays
         )
         faces = np.diff(packed.first_face)
         still = faces[~np.asarray(moving)].sum()

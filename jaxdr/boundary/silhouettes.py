@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.interaction import SurfacePoint, material_point
-from jaxdr.transport.near_field import footprint2, near_share
+from jaxdr.transport.near_field import Footprint, footprint
 from jaxdr.transport.path import Segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
@@ -24,7 +24,7 @@ class SegmentEnds(eqx.Module):
     `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
     is large. `face` is the target's and `corners` are its vertices; `normal` is that of the plane at the target: its
     face, or at infinity the plane across the segment. `attached` is the apex as a material point where it has both
-    forms, `size2` the squared size of a pixel there, zero where it has one form.
+    forms, `footprint` that of a pixel there, of size zero where it has one form.
     """
 
     apex: Float[Array, "C 3"]
@@ -35,19 +35,19 @@ class SegmentEnds(eqx.Module):
     corners: Float[Array, "C 3 3"]
     infinite: Bool[Array, " C"]
     attached: Float[Array, "C 3"] | None = None
-    size2: Float[Array, " C"] | None = None
+    footprint: Footprint | None = None
 
     def apex_towards(self, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """The apex as it moves for light from `goal`."""
-        return _mixed(self.apex, self.attached, self.size2, goal)
+        return _mixed(self.apex, self.attached, self.footprint, goal)
 
 
-def _mixed(apex, attached, size2, goal):
+def _mixed(apex, attached, seen: Footprint | None, goal):
     """Both forms of the apex, mixed by the share that the near field has of light from `goal`."""
-    if attached is None:
+    if seen is None:
         return apex
     offset = goal - stop_gradient(apex)
-    share = near_share(size2, jnp.where(size2 > 0, dot(offset, offset), 1.0))[:, None]
+    share = seen.share(dot(offset, offset))[:, None]
     return (1 - share) * apex + share * attached
 
 
@@ -91,9 +91,9 @@ class PathSegments:
         normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         on_face = (corners * barycentric[..., None]).sum(1)
         far = infinite[:, None]
-        attached, size2 = self._attached(index, apex)
-        if size2 is not None:
-            size2 = jnp.where(infinite, 0.0, size2)
+        attached, seen = self._attached(index, apex)
+        if seen is not None:
+            seen = seen._replace(size2=jnp.where(infinite, 0.0, seen.size2))
         return SegmentEnds(
             apex=apex,
             apex_face=self.table.apex_face[index],
@@ -103,16 +103,18 @@ class PathSegments:
             corners=corners,
             infinite=infinite,
             attached=attached,
-            size2=size2,
+            footprint=seen,
         )
 
     def _attached(self, index, apex):
-        """(the apex as a material point, squared size of a pixel there or zero) where it has both forms."""
+        """(the apex as a material point, footprint of a pixel there or of nothing) where it has both forms."""
         if self.near is None:
             return None, None
-        on_ray = index < self.paths
-        attached = jnp.where(on_ray[:, None], self.near.point.position[self.path(index)], apex)
-        return attached, jnp.where(on_ray, stop_gradient(footprint2(self.packed.camera, apex)), 0.0)
+        on_ray, path = index < self.paths, self.path(index)
+        attached = jnp.where(on_ray[:, None], self.near.point.position[path], apex)
+        seen = footprint(self.packed.camera, apex, self.first.normal[path])
+        seen = jax.tree.map(stop_gradient, seen._replace(size2=jnp.where(on_ray, seen.size2, 0.0)))
+        return attached, seen
 
     def apex_towards(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """Near ends as they move for light from `goal`."""

@@ -5,7 +5,7 @@ inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vma
 becomes one larger batch of rays.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +14,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import jax_queries, jax_sector
-from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 
 IMPLEMENTATIONS = ("warp", "jax")
 
@@ -192,7 +192,7 @@ def edge_candidates(
     than the kernel radius away.
     That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
     than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
-    `tree` is `build_edge_tree` of the same vertices, edges and radii.
+    `tree` is `edge_tree` of the same vertices, edges and radii.
     """
     query = _sequential(lambda *args: _edge_query(implementation, args, capacity, both_sides))
     arrays = (*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed)
@@ -205,6 +205,25 @@ def _edge_query(implementation, args, capacity, both_sides):
     if implementation == "jax":  # every edge is tried: no tree
         return tuple(module.edge_candidates(*rest, capacity, both_sides))
     return tuple(module.edge_candidates(tree, *rest, capacity, both_sides))
+
+
+def edge_tree(
+    vertices: Float[Array, "V 3"],
+    edges: Int[Array, "E 2"],
+    opposite: Int[Array, "E K"],
+    interior: Bool[Array, " E"],
+    radius: Float[Array, " E"],
+    counts: Sequence[int] | None = None,
+    implementation: str = "warp",
+) -> EdgeTree:
+    """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
+    if implementation == "jax":
+        return build_edge_tree(vertices, edges, opposite, interior, radius, counts)
+    slots = leaf_edges(counts or [edges.shape[0]])
+    module = _module(implementation)
+    query = _sequential(lambda *args: (module.edge_tree(*args, slots),))
+    (node,) = query(*_discrete(vertices, edges, opposite, interior, radius))
+    return EdgeTree(jnp.asarray(slots), node.astype(vertices.dtype))
 
 
 def point_candidates(
@@ -276,7 +295,7 @@ def sector_crossings(
       for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
       ones being told by rays that stop short of the edge.
 
-    `tree` is `build_edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which
+    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which
     rounding may cause, are resolved by rays past each edge.
     """
     query = _sequential(lambda *args: _sector_query(implementation, args, least_layer, capacity))

@@ -12,99 +12,115 @@ import warp as wp
 
 from jaxdr.geometry import warp_kernels as kernels
 from jaxdr.geometry import warp_sector_kernels as sector_kernels
+from jaxdr.geometry import warp_tree_kernels as tree_kernels
 from jaxdr.geometry.bvh_cache import BVHCache
+from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.warp_launch import Call, compact, launch, on_host
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
 
 
-def _face_boxes(moving, topology):
-    """Bounds of the faces, grown by what rounding in a ray-box test amounts to."""
-    corners = moving[0][topology[0]]
-    margin = BOX_MARGIN * np.abs(moving[0]).max()
-    return corners.min(1) - margin, corners.max(1) + margin
+def _on(device, array, dtype) -> wp.array:
+    """A host array where kernels can read it: a view on CPU, a copy on CUDA."""
+    return wp.array(array, dtype=dtype, device=device, copy=not device.is_cpu)
 
 
-class _MeshBVH:
-    """A Warp mesh whose boxes are those of `_face_boxes`.
+class _FaceBVH:
+    """What structures over faces share: the faces on the device, and their boxes' margin."""
+
+    def __init__(self, topology, device):
+        self.device = device
+        self.count = len(topology[0])
+        self.faces = wp.array(topology[0], dtype=wp.vec3i, device=device)
+
+    def _launch(self, kernel, moving, *rest):
+        vertices = _on(self.device, moving[0], wp.vec3)
+        launch(kernel, self.count, [], [vertices, self.faces, *rest], self.device)
+
+    def _margin(self, moving) -> float:
+        return float(BOX_MARGIN * np.abs(moving[0]).max())
+
+    def _empty(self, count):
+        return wp.empty(count, dtype=wp.vec3, device=self.device)
+
+
+class _MeshBVH(_FaceBVH):
+    """A Warp mesh whose boxes have a margin.
 
     Warp computes boxes from the points it is built (refitted) with and faces from the points it has at a query. So it
     is built with corners pushed apart to the ends of their boxes, and gets the true corners afterwards.
     """
 
     def __init__(self, moving, topology, device):
-        self.topology = topology
-        points = wp.array(self._spread(moving), dtype=wp.vec3, device=device)
-        indices = wp.array(np.arange(topology[0].size), dtype=int, device=device)
-        self.mesh = wp.Mesh(points=points, indices=indices)
-        self.mesh.points.assign(self._corners(moving))
+        super().__init__(topology, device)
+        points = self._empty(3 * self.count)
+        self._spread(moving, points)
+        self.mesh = wp.Mesh(points=points, indices=wp.array(np.arange(3 * self.count), dtype=int, device=device))
+        self._launch(tree_kernels.face_corners, moving, self.mesh.points)
 
     @property
     def id(self):
         return self.mesh.id
 
     def refit(self, moving):
-        self.mesh.points.assign(self._spread(moving))
+        self._spread(moving, self.mesh.points)
         self.mesh.refit()
-        self.mesh.points.assign(self._corners(moving))
+        self._launch(tree_kernels.face_corners, moving, self.mesh.points)
 
-    def _corners(self, moving):
-        return moving[0][self.topology[0]].reshape(-1, 3)
-
-    def _spread(self, moving):
-        """Three points a face that span its box: the first holds the lower end, the last the upper one."""
-        lower, upper = _face_boxes(moving, self.topology)
-        return np.stack([lower, lower, upper], 1).reshape(-1, 3)
+    def _spread(self, moving, points):
+        self._launch(tree_kernels.corners_at_box_ends, moving, self._margin(moving), points)
 
 
-def _point_boxes(moving, topology):
-    radius = np.maximum(moving[1], 0.0)[:, None]
-    return moving[0] - radius, moving[0] + radius
+class _BoxBVH(_FaceBVH):
+    """A Warp BVH over the boxes of faces, for queries with intersection tests of their own."""
 
-
-class _BoxBVH:
-    """A Warp BVH over boxes that are computed from the arrays of a query."""
-
-    def __init__(self, boxes, moving, topology, device):
-        self.boxes, self.topology = boxes, topology
-        lower, upper = boxes(moving, topology)
-        self.bvh = wp.Bvh(*(wp.array(a.astype(np.float32), dtype=wp.vec3, device=device) for a in (lower, upper)))
+    def __init__(self, moving, topology, device):
+        super().__init__(topology, device)
+        lower, upper = self._empty(self.count), self._empty(self.count)
+        self._launch(tree_kernels.face_boxes, moving, self._margin(moving), lower, upper)
+        self.bvh = wp.Bvh(lower, upper)
 
     @property
     def id(self):
         return self.bvh.id
 
     def refit(self, moving):
-        lower, upper = self.boxes(moving, self.topology)
-        self.bvh.lowers.assign(lower.astype(np.float32))
-        self.bvh.uppers.assign(upper.astype(np.float32))
+        self._launch(tree_kernels.face_boxes, moving, self._margin(moving), self.bvh.lowers, self.bvh.uppers)
         self.bvh.refit()
 
 
-def _box_cache(boxes):
-    def cache(device):
-        return BVHCache(lambda m, t: _BoxBVH(boxes, m, t, device), lambda structure, m: structure.refit(m))
+class _PointBVH:
+    """A Warp BVH over boxes around points, [point, radius]."""
 
-    return cache
+    def __init__(self, moving, topology, device):
+        del topology
+        self.bvh = wp.Bvh(*(wp.array(a, dtype=wp.vec3, device=device) for a in self._boxes(moving)))
 
+    @property
+    def id(self):
+        return self.bvh.id
 
-def _mesh_cache(device):
-    return BVHCache(lambda m, t: _MeshBVH(m, t, device), lambda structure, m: structure.refit(m))
+    def refit(self, moving):
+        lower, upper = self._boxes(moving)
+        self.bvh.lowers.assign(lower)
+        self.bvh.uppers.assign(upper)
+        self.bvh.refit()
+
+    def _boxes(self, moving):
+        radius = np.maximum(moving[1], 0.0)[:, None]
+        return (moving[0] - radius).astype(np.float32), (moving[0] + radius).astype(np.float32)
 
 
 _caches: dict[tuple[str, str], BVHCache] = {}
-_MAKERS = {
-    "mesh": _mesh_cache,
-    "faces": _box_cache(_face_boxes),
-    "points": _box_cache(_point_boxes),
-}
+_STRUCTURES = {"mesh": _MeshBVH, "faces": _BoxBVH, "points": _PointBVH}
 
 
 def _cache(kind: str, device) -> BVHCache:
     key = (kind, str(device))
     if key not in _caches:
-        _caches[key] = _MAKERS[kind](device)
+        make = _STRUCTURES[kind]
+        _caches[key] = BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m))
     return _caches[key]
 
 
@@ -255,12 +271,33 @@ def _sector_crossings(
     weight.assign(np.array([inverse], np.float32))
 
 
+def _edge_tree(
+    slots: wp.array(dtype=int),
+    vertices: wp.array(dtype=wp.vec3),
+    edges: wp.array(dtype=wp.vec2i),
+    opposite: wp.array2d(dtype=int),
+    interior: wp.array(dtype=int),
+    radius: wp.array(dtype=float),
+    table: wp.array2d(dtype=wp.vec4),
+):
+    device, count = vertices.device, table.shape[0]
+    nodes = wp.empty(count, dtype=tree_kernels.Node, device=device)
+    first = count // 2
+    table.zero_()  # row 0 is no node
+    rest = [slots, vertices, edges, opposite, interior, radius, nodes, table]
+    launch(tree_kernels.tree_leaves, first, [], rest, device)
+    while first > 1:
+        first //= 2
+        launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
+
+
 _closest_hit_call = Call(_closest_hit, 2, kernels)
 _occluded_call = Call(_occluded, 1, kernels)
 _all_hits_call = Call(_all_hits, 3, kernels)
 _edge_candidates_call = Call(_edge_candidates, 4, kernels)
 _point_candidates_call = Call(_point_candidates, 4, kernels)
 _sector_crossings_call = Call(_sector_crossings, 5, sector_kernels)
+_edge_tree_call = Call(_edge_tree, 1, tree_kernels)
 
 
 def closest_hit(vertices, faces, origin, direction, t_max):
@@ -279,6 +316,14 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     n = origin.shape[0]
     dims = {"face": (n, capacity), "t": (n, capacity), "count": n}
     return _all_hits_call(vertices, faces, origin, direction, t_max, output_dims=dims)
+
+
+def edge_tree(vertices, edges, opposite, interior, radius, slots):
+    """Nodes of the tree over edges, [n, 3, 4]; see `edge_tree.build_edge_tree`."""
+    count = 2 * len(slots) // LEAF
+    slots, interior = jnp.asarray(slots), interior.astype(jnp.int32)
+    (table,) = _edge_tree_call(slots, vertices, edges, opposite, interior, radius, output_dims=(count, 3))
+    return table
 
 
 def edge_candidates(

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 class ReconstructionFilter(Protocol):
     """A separable density over film offsets: `radius` (pixels), `sample` and `pdf`.
 
-    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points.
+    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points; such filters
+    have a `stddev` (pixels).
     """
 
     @property

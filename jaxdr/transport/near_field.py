@@ -3,11 +3,12 @@
 With the camera ray fixed, the first hit slides over its surface, and everything behind it stays a material point. Where
 that comes close (in a fold of the surface, in contact), the geometric term changes by slide / distance: a derivative
 without finite variance. A material first hit moves along with what is near it, but needs the derivative of the pixel
-filter, which is noisy for all light. So light is split by the length of the second segment: a share
-s^2 / (s^2 + d^2), with s the size of a pixel at the first hit, is taken in material form, the rest with the ray fixed.
-The shares add up to one, each is a smooth function of the scene, and both forms estimate the same derivative, so the
-sum is unbiased; its terms are bounded by 1 / s. Only filters with a smooth derivative allow it, and only indirect light
-is worth it.
+filter, which is noisy for all light: one over the filter's width s at the first hit. A fixed ray's first hit slides
+1 / cosine times as far as the surface moves, so that its noise is 1 / (d cosine) for light from distance d. So light is
+split: a share s^2 / (s^2 + (d cosine)^2) is taken in material form, the rest with the ray fixed. The shares add up to
+one, each is a smooth function of the scene (but for a jump with the normal from face to face, which creases count), and
+both forms estimate the same derivative, so the sum is unbiased; its terms are bounded by 1 / s. Only filters with a
+smooth derivative allow it, and only indirect light is worth it.
 """
 
 from typing import NamedTuple
@@ -41,20 +42,30 @@ class NearField(NamedTuple):
         self, point: SurfacePoint, target: Float[Array, "N 3"], infinite: Bool[Array, " N"]
     ) -> Float[Array, " N"]:
         """Share of the light from `target` that is taken in material form, as seen from either form's `point`."""
-        size2 = footprint2(self.camera, point.position)
         offset = target - point.position
-        return jnp.where(infinite, 0.0, near_share(size2, jnp.where(infinite, 1.0, dot(offset, offset))))
+        distance2 = jnp.where(infinite, 1.0, dot(offset, offset))
+        return jnp.where(infinite, 0.0, footprint(self.camera, point.position, point.normal).share(distance2))
 
 
-def footprint2(camera: Perspective, position: Float[Array, "N 3"]) -> Float[Array, " N"]:
-    """Squared size of a pixel at points in the scene (across the ray)."""
+class Footprint(NamedTuple):
+    """What a pixel sees at points in the scene: `size2`, the squared standard deviation of the filter there (across the
+    ray), and `cosine2`, squared, between ray and normal."""
+
+    size2: Float[Array, " N"]
+    cosine2: Float[Array, " N"]
+
+    def share(self, distance2: Float[Array, " N"]) -> Float[Array, " N"]:
+        """s^2 / (s^2 + (d cosine)^2); zero where `size2` is."""
+        whole = self.size2 + self.cosine2 * distance2
+        return jnp.where(whole > 0, self.size2 / jnp.where(whole > 0, whole, 1.0), 0.0)
+
+
+def footprint(camera: Perspective, position: Float[Array, "N 3"], normal: Float[Array, "N 3"]) -> Footprint:
+    """Footprint of a pixel of a smooth filter, at points with the unit normals `normal`."""
     offset = position - camera.position
-    return dot(offset, offset) / camera.pixels_per_tangent**2
-
-
-def near_share(size2: Float[Array, " N"], distance2: Float[Array, " N"]) -> Float[Array, " N"]:
-    """s^2 / (s^2 + d^2)."""
-    return size2 / (size2 + distance2)
+    distance2 = dot(offset, offset)
+    size2 = distance2 * (camera.film.filter.stddev / camera.pixels_per_tangent) ** 2
+    return Footprint(size2, dot(normal, offset) ** 2 / jnp.where(distance2 > 0, distance2, 1.0))
 
 
 def film_importance(packed: PackedScene, point: SurfacePoint, centre: Float[Array, "N 2"]) -> Float[Array, " N"]:

@@ -136,24 +136,19 @@ def trace_jump(
     u: Float[Array, "N 4"],
     key: PRNGKeyArray,
     settings: PathSettings,
-    near: NearField | None = None,
+    near: tuple[NearField, NearField] | None = None,
 ) -> Float[Array, "N 3"]:
     """Radiance from points `one` less that from points `two` beside them, across a crease: one path for both.
 
-    With `near`, only the share that is not in material form.
+    With `near`, of the two sides, only the share that is not in material form.
     """
     radiance = emitted(packed, one, -direction) - emitted(packed, two, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
         return radiance
-    jump = ScatteringJump(Scatterer(packed, one, -direction), Scatterer(packed, two, -direction))
-    parts = _gather(packed, jump, bounces, u, key, settings, near)
-    light, emission = parts.light, parts.emission
-    if near is not None:
-        far_light, far_beyond = 1.0 - parts.near_light[0, :, None], 1.0 - parts.near_beyond[0, :, None]
-        light = jnp.concatenate([light[:1] * far_light, light[1:] * far_beyond])
-        emission = emission * far_beyond
-    return radiance + light.sum(0) + emission.sum(0)
+    jump = ScatteringJump(Scatterer(packed, one, -direction), Scatterer(packed, two, -direction), near)
+    parts = _gather(packed, jump, bounces, u, key, settings, None)
+    return radiance + parts.light.sum(0) + parts.emission.sum(0)
 
 
 def gathered_radiance(
@@ -226,7 +221,8 @@ def _transfer(scatterer, target: SurfacePoint, infinite, direction) -> _Transfer
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
     cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
     geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
-    return _Transfer(scatterer.eval(towards) * geometry[:, None], towards, distance2, cosine, geometry)
+    scattered = scatterer.eval_towards(towards, target.position, infinite)
+    return _Transfer(scattered * geometry[:, None], towards, distance2, cosine, geometry)
 
 
 def _both_forms(packed, near: NearField | None, fixed: _Transfer, scatterer, target: SurfacePoint, infinite, direction):

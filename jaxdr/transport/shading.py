@@ -12,6 +12,7 @@ from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
+from jaxdr.transport.near_field import NearField
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
 
@@ -52,6 +53,11 @@ class Scatterer:
         local = self.to_local(wo)
         return self._combine([bsdf.eval(self.wi, local) for bsdf, _ in self.groups])
 
+    def eval_towards(self, wo: Float[Array, "N 3"], target, infinite) -> Float[Array, "N 3"]:
+        """The same; how far the target is matters to a `ScatteringJump` alone."""
+        del target, infinite
+        return self.eval(wo)
+
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
         local = self.to_local(wo)
@@ -90,15 +96,22 @@ class ScatteringJump:
     Both sides receive the same light but for what their own faces block, so one direction serves both: the noise is
     that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'. Under
     interpolated normals a face blocks directions that its shading normal would let through: those do not count for it.
+    With `near`, first hits in material form on the two sides, the share of light in that form does not count either.
     """
 
-    def __init__(self, one: Scatterer, two: Scatterer):
-        self.one, self.two = one, two
+    def __init__(self, one: Scatterer, two: Scatterer, near: tuple[NearField, NearField] | None = None):
+        self.one, self.two, self.near = one, two, near
         self.point = one.point
 
-    def eval(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """Difference of f_s |cos| for world directions `wo`."""
-        return _unblocked(self.one, wo) - _unblocked(self.two, wo)
+    def eval_towards(
+        self, wo: Float[Array, "N 3"], target: Float[Array, "N 3"], infinite: Bool[Array, " N"]
+    ) -> Float[Array, "N 3"]:
+        """Difference of f_s |cos| for world directions `wo`, in which `target` is, or nothing where `infinite`."""
+        one, two = _unblocked(self.one, wo), _unblocked(self.two, wo)
+        if self.near is not None:
+            shares = [near.share(near.point, target, infinite)[:, None] for near in self.near]
+            one, two = (1.0 - shares[0]) * one, (1.0 - shares[1]) * two
+        return one - two
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""

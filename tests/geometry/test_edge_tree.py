@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry import shapes
-from jaxdr.geometry.edge_tree import LEAF, build_edge_tree, leaf_count, leaf_edges, spatial_order
+from jaxdr.geometry import queries, shapes
+from jaxdr.geometry.edge_tree import LEAF, leaf_count, leaf_edges, spatial_order
 from jaxdr.geometry.edges import INTERIOR
 
 
@@ -35,14 +35,15 @@ def test_every_mesh_has_a_node_of_its_own():
         assert where[0] % size == 0 and where[-1] - where[0] == count - 1
 
 
+@pytest.mark.parametrize("implementation", ["warp", "jax"])
 @pytest.mark.parametrize("scale, offset", [(1.0, 0.0), (1e-3, 0.0), (1.0, 1000.0)])
-def test_boxes_and_cones_bound_their_edges(scale, offset):
+def test_boxes_and_cones_bound_their_edges(scale, offset, implementation):
     mesh = shapes.displaced_sphere(2)
     vertices = np.asarray(mesh.vertices) * scale + np.float32(offset)
     edges, count = mesh.edges, len(mesh.edges.vertices)
     rank = jnp.asarray(np.random.default_rng(1).integers(0, 3, count), jnp.float32)
     topology = edges.vertices, edges.opposite, edges.kind == INTERIOR
-    tree = build_edge_tree(jnp.asarray(vertices), *topology, rank)
+    tree = queries.edge_tree(jnp.asarray(vertices), *topology, rank, implementation=implementation)
     slots, node = np.asarray(tree.edge), np.asarray(tree.node, float)
     faces, v = np.asarray(mesh.faces), vertices.astype(float)
     normal = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
@@ -63,3 +64,29 @@ def test_boxes_and_cones_bound_their_edges(scale, offset):
             assert len(inside) == 0 or highest >= np.asarray(rank)[inside].max()
             assert cosine <= 0 or np.all(around @ axis >= cosine)
             n //= 2
+
+
+def test_both_implementations_agree():
+    """Boxes and ranks to the bit, cones to rounding."""
+    meshes = [shapes.displaced_sphere(2), shapes.box((1.0, 2.0, 3.0)), shapes.plane(3.0)]
+    counts, first, tables = [], 0, []
+    for mesh in meshes:
+        e = mesh.edges
+        opposite = jnp.where(e.opposite >= 0, e.opposite + first, -1)
+        tables.append((mesh.vertices, e.vertices + first, opposite, e.kind == INTERIOR))
+        counts.append(len(e.vertices))
+        first += len(mesh.vertices)
+    width = max(table[2].shape[1] for table in tables)
+    padded = [jnp.pad(t[2], ((0, 0), (0, width - t[2].shape[1])), constant_values=-1) for t in tables]
+    vertices, edges, interior = (jnp.concatenate([t[k] for t in tables]) for k in (0, 1, 3))
+    rank = jnp.asarray(np.random.default_rng(2).integers(0, 3, sum(counts)), jnp.float32)
+    args = (vertices, edges, jnp.concatenate(padded), interior, rank, counts)
+    warp, plain = (queries.edge_tree(*args, implementation=name) for name in ("warp", "jax"))
+    np.testing.assert_array_equal(warp.edge, plain.edge)
+    node, expected = np.asarray(warp.node)[1:], np.asarray(plain.node)[1:]
+    np.testing.assert_array_equal(node[:, 1], expected[:, 1])
+    np.testing.assert_allclose(node[:, 0], expected[:, 0], rtol=1e-6, atol=1e-7)
+    used = expected[:, 1, 3] > 0
+    bounded = used & (expected[:, 2, 3] > -1)
+    assert bounded.sum() > 0.5 * used.sum()
+    np.testing.assert_allclose(node[bounded, 2, 3], expected[bounded, 2, 3], atol=1e-3)
