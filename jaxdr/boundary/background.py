@@ -78,7 +78,7 @@ def background_term(
     `number` and `key` choose the random numbers. `emission` says which emitted radiance counts as well.
     """
     key_first, key_path = jax.random.split(key)
-    background, clear = _background(packed, paths.apex(seen.segment), seen, valid, settings)
+    background, clear = background_point(packed, paths.apex(seen.segment), seen, valid, settings)
     valid = valid & clear
     detached = jax.tree.map(stop_gradient, packed)
     back = jax.tree.map(stop_gradient, background._replace(valid=background.valid & valid))
@@ -107,7 +107,9 @@ def background_term(
     return jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
 
 
-def _background(packed, point: SurfacePoint, seen: SeenEdges, valid, settings):
+def background_point(
+    packed: PackedScene, point: SurfacePoint, seen: SeenEdges, valid: Bool[Array, " C"], settings: PathSettings
+) -> tuple[SurfacePoint, Bool[Array, " C"]]:
     """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
     past = past_edge(seen.edge_point, seen.apex, seen.pole)
     start = leave(point, seen.towards)

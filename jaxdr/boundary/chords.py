@@ -15,7 +15,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxdr.boundary.emitter_planes import chord_inside
-from jaxdr.geometry.queries import UNBOUNDED
+from jaxdr.geometry.queries import UNBOUNDED, UNBOUNDED_FOLDS
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.shading import EmitterSample, Scatterer, sample_emitter
@@ -70,15 +70,18 @@ class LobeChords(NamedTuple):
     plane: Float[Array, "M 3"]
     reach: Float[Array, " M"]
 
-    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene. They have no weight yet."""
+    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""], folds: bool = False) -> Chords:
+        """Sectors without an end, for the search; `far` is a distance beyond the scene. They have no weight yet.
+
+        With `folds`, edges between faces are looked for as well as silhouettes.
+        """
         across = jnp.cross(self.plane, self.centre)
         cosine, sine = jnp.cos(self.reach)[:, None], jnp.sin(self.reach)[:, None]
         return Chords(
             first=apex + far * (cosine * self.centre - sine * across),
             last=apex + far * (cosine * self.centre + sine * across),
             centre=jnp.full_like(self.pdf, 0.5),
-            group=jnp.full(self.pdf.shape, UNBOUNDED),
+            group=jnp.full(self.pdf.shape, UNBOUNDED_FOLDS if folds else UNBOUNDED),
             weight=jnp.broadcast_to(jnp.where(self.pdf > 0, 1.0, 0.0)[:, None], self.centre.shape),
         )
 
@@ -92,11 +95,14 @@ def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array,
     return LobeChords(centre, scatterer.pdf(centre), plane, width)
 
 
-def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]) -> Float[Array, " M"]:
+def lobe_weight(
+    scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"], uniform: bool = False
+) -> Float[Array, " M"]:
     """(pi / 2) k / p for boundary points in unit directions `boundary`, crossed by the chords.
 
     k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
-    below which nothing is sampled. Its integral is over the arc of centres whose chords reach the boundary point.
+    below which nothing is sampled. Or `uniform` for narrow lobes, whose f / p has no such factor. Its integral is over
+    the arc of centres whose chords reach the boundary point.
     """
     height = scatterer.cosine(chords.centre)
     side = jnp.sign(height)
@@ -104,6 +110,9 @@ def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array,
     a, b = side * scatterer.cosine(boundary), side * scatterer.cosine(along)
     horizon = jnp.arctan2(b, a)  # a cos t + b sin t > 0 within 90 degrees of it
     low, high = jnp.maximum(-chords.reach, horizon - 0.5 * jnp.pi), jnp.minimum(chords.reach, horizon + 0.5 * jnp.pi)
-    mass = a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
+    if uniform:
+        kernel, mass = jnp.ones_like(height), high - low
+    else:
+        kernel, mass = jnp.abs(height), a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
     counts = (a > 0) & (high > low) & (mass > 0) & (chords.pdf > 0)
-    return jnp.where(counts, 0.5 * math.pi * jnp.abs(height) / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+    return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)

@@ -1,65 +1,43 @@
 """Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius (DESIGN 2b)."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
+from jaxdr.boundary.attached_lines import AttachedLines, folded_edges
 from jaxdr.boundary.background import background_term, seen_edges
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.chords import Chords, LobeChords, emitter_chords, lobe_chords, lobe_weight
+from jaxdr.boundary.chords import Chords, LobeChords, emitter_chords, lobe_weight
+from jaxdr.boundary.crossings import (
+    BOUNDS,
+    HIDES,
+    MOVES,
+    Chosen,
+    Crossings,
+    Prepared,
+    RankedEdges,
+    apex_moves,
+    draw_lobe_chords,
+    find_crossings,
+    luminance,
+)
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, project_edges
-from jaxdr.geometry import queries
-from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree
+from jaxdr.geometry.edge_tree import build_edge_tree
+from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import dot
-from jaxdr.scene.packed import LUMINANCE, PackedScene
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.sampler import lattice
-from jaxdr.transport.shading import emitted
+from jaxdr.transport.shading import emitted, emitter_pdf
 
-# Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
-HIDES, BOUNDS, MOVES = 1, 2, 3
-WIDEST = 1.4  # half-length of geodesic chords, radians
 ROW = 64  # crossings among which some are kept are rounded together
-
-
-class Prepared(NamedTuple):
-    """What all chunks of an image share.
-
-    `group` numbers the emitters' planes, `moving` tells which shapes move; `count_layers` (static in effect) says
-    whether all edges are looked at for segments that only moving ones can bound.
-    """
-
-    rank: Float[Array, " E"]
-    tree: EdgeTree
-    group: Int[Array, " F"]
-    moving: Bool[Array, " S"]
-    count_layers: Bool[Array, ""]
-
-
-class _Chosen(NamedTuple):
-    """M chords: the path vertices they start from (-1 for unused ones), and 1 / the expected number of chords there."""
-
-    vertex: Int[Array, " M"]
-    inverse: Float[Array, " M"]
-
-
-class _Crossings(NamedTuple):
-    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used."""
-
-    vertex: Int[Array, " C"]
-    chord: Int[Array, " C"]
-    edge: Int[Array, " C"]
-    along: Float[Array, " C"]
-    valid: Bool[Array, " C"]
 
 
 class LineSampling(eqx.Module):
@@ -76,6 +54,9 @@ class LineSampling(eqx.Module):
     - `backgrounds`: paths traced from what lies behind silhouettes, per path sample.
     - `capacity`: room for crossings, as a share of the number of chords. What exceeds it is thinned at random without
       bias, with a warning.
+    - `attached`: lobes narrower than this (radians, `BSDF.lobe_width`) hold their sampled directions fixed, as the
+      camera does its rays: less noise the narrower they are, and edges between faces have to be found in them, too.
+      0 for none. Which lobes are narrow should depend on the material alone.
     """
 
     chords: float = eqx.field(static=True, default=1.0)
@@ -84,13 +65,15 @@ class LineSampling(eqx.Module):
     reach: float = eqx.field(static=True, default=1.0)
     backgrounds: float = eqx.field(static=True, default=1.0)
     capacity: float = eqx.field(static=True, default=4.0)
+    attached: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"LineSampling: {name} must be positive, got {getattr(self, name)}")
-        if not self.pilot >= 0:
-            raise ValueError(f"LineSampling: pilot must not be negative, got {self.pilot}")
+        for name in ("pilot", "attached"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"LineSampling: {name} must not be negative, got {getattr(self, name)}")
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...]) -> Prepared:
         """Ranks of the edges and the tree over them, once for a whole image. `moving`: which shapes can move."""
@@ -105,7 +88,9 @@ class LineSampling(eqx.Module):
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)
         if packed.has_area_emitters:
             group = emitter_groups(packed)
-        return Prepared(rank, tree, group, flags, jnp.asarray(bool(still <= faces.sum() // 2)))
+        folds = folded_edges(packed, flags) if self.attached > 0 else None
+        count_layers = jnp.asarray(bool(still <= faces.sum() // 2))
+        return Prepared(RankedEdges(rank, tree), group, flags, count_layers, folds)
 
     def estimate(
         self,
@@ -121,7 +106,7 @@ class LineSampling(eqx.Module):
         total = jnp.zeros_like(record.radiance)
         if record.direct is None:
             return total
-        paths = PathSegments(packed, primary, record.direct)
+        paths = PathSegments(packed, primary, record.direct, record.vertices)
         key_emitters, key_lobes = jax.random.split(key)
         if packed.has_area_emitters:
             lines = EmitterLines(packed, prepared, paths, settings)
@@ -132,10 +117,18 @@ class LineSampling(eqx.Module):
             carries = luminance(paths.table.throughput)
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
+            if paths.vertices is not None:
+                carries = jnp.where(paths.vertices.narrow, 0.0, carries)
             total = total + self._term(lines, paths, carries, key_lobes)
+        if paths.vertices is not None:
+            lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
+            carries = jnp.where(paths.vertices.narrow, luminance(paths.table.throughput), 0.0)
+            total = total + self._term(lines, paths, carries, jax.random.fold_in(key, 2))
         return total
 
-    def _term(self, lines: "EmitterLines | LobeLines", paths: PathSegments, carries, key) -> Float[Array, "N 3"]:
+    def _term(
+        self, lines: "EmitterLines | LobeLines | AttachedLines", paths: PathSegments, carries, key
+    ) -> Float[Array, "N 3"]:
         """Boundary term of one kind of light; `carries` is the importance of every path vertex."""
         _, _, width, height = paths.packed.camera.film.window
         pixels, samples = width * height, paths.paths // (width * height)
@@ -145,10 +138,10 @@ class LineSampling(eqx.Module):
         importance = carries.reshape(layout)
         if self.pilot > 0:
             count = self.pilot * chords
-            chosen = _Chosen(*allocate(shares(importance, count), capacity(round(count), pixels), key_pilot))
+            chosen = Chosen(*allocate(shares(importance, count), capacity(round(count), pixels), key_pilot))
             drawn, found, thinned, used = lines.search(chosen, key_pilot_chords, self._room(count))
 
-            def scores(block: _Crossings, number):
+            def scores(block: Crossings, number):
                 score = lines.score(drawn, block) * (thinned / jnp.where(block.valid, carries[block.vertex], 1.0))
                 score = jnp.where(block.valid & (number < used), score, 0.0)
                 return jnp.zeros(chosen.vertex.shape[0], score.dtype).at[block.chord].add(score)
@@ -157,7 +150,7 @@ class LineSampling(eqx.Module):
             pixel = paths.path(jnp.maximum(chosen.vertex, 0)) // samples
             of_pixel = pixel_importance(per_chord, pixel, chosen.vertex >= 0, (height, width), self.floor)
             importance = stop_gradient(importance * of_pixel[None, :, None])
-        chosen = _Chosen(*allocate(shares(importance, chords), capacity(round(chords), pixels), key_main))
+        chosen = Chosen(*allocate(shares(importance, chords), capacity(round(chords), pixels), key_main))
         drawn, found, thinned, used = lines.search(chosen, key_chords, self._room(chords))
         found = found._replace(valid=found.valid & (jnp.arange(found.valid.shape[0]) < used))
         weight = thinned * chosen.inverse[found.chord]
@@ -173,7 +166,7 @@ class LineSampling(eqx.Module):
 
         return sum_over_blocks(values, (found, weight), used)
 
-    def _kept(self, lines: "LobeLines", drawn, found: _Crossings, weight, used, key):
+    def _kept(self, lines: "LobeLines | AttachedLines", drawn, found: Crossings, weight, used, key):
         """Crossings drawn in proportion to what they should contribute, their weights, and their number.
 
         The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.
@@ -206,7 +199,7 @@ class EmitterLines:
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
         self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
 
-    def search(self, chosen: _Chosen, key, room: int):
+    def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
@@ -217,19 +210,19 @@ class EmitterLines:
         crossings = _search(self, chosen, apex, chords, key_seed, room)
         return (chords, sample.point), *crossings
 
-    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+    def score(self, drawn, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: luminance per motion of the edge."""
         projection, weight = self._boundary(drawn, found)
         return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
 
-    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+    def value(self, drawn, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
         del number, key
         projection, value = self._boundary(drawn, found)
         moved = projection.displacement - stop_gradient(projection.displacement)
         return value * (weight * moved)[:, None]
 
-    def _boundary(self, drawn, found: _Crossings):
+    def _boundary(self, drawn, found: Crossings):
         """(the crossed edges projected onto the emitter, contributions without their normal velocity)."""
         packed, paths, group = self.packed, self.paths, self.prepared.group
         chords, centre = drawn
@@ -242,8 +235,24 @@ class EmitterLines:
         in_front = dot(stop_gradient(ends.normal), stop_gradient(ends.apex) - projection.point) > 0
         weight = paths.table.throughput[found.vertex] * chords.weight[found.chord]
         weight = weight * paths.transfer(found.vertex, ends, projection.point)
+        if paths.vertices is not None:
+            share = self._share(found.vertex, face, barycentric, projection.point)
+            weight = weight * jnp.where(paths.vertices.narrow[found.vertex], share, 1.0)[:, None]
         counts = found.valid & inside & in_front & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
         return projection, jnp.where(counts[:, None], weight, 0.0)
+
+    def _share(self, vertex, face, barycentric, goal):
+        """Share of the light from points of emitters that emitter samples account for, by the balance heuristic."""
+        scatterer = self.paths.scatterer(vertex)
+        detached = jax.tree.map(stop_gradient, self.packed)
+        point = material_point(detached, face, barycentric, jnp.ones(face.shape, bool))
+        offset = goal - scatterer.point.position
+        distance2 = dot(offset, offset)
+        distance2 = jnp.where(distance2 > 0, distance2, 1.0)
+        towards = offset / jnp.sqrt(distance2)[:, None]
+        density = emitter_pdf(detached, point, distance2, jnp.abs(dot(point.normal, towards)))
+        total = density + scatterer.pdf(towards)
+        return density / jnp.where(total > 0, total, 1.0)
 
 
 class LobeLines:
@@ -254,30 +263,26 @@ class LobeLines:
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
 
-    def search(self, chosen: _Chosen, key, room: int):
+    def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
-        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
-        width = jnp.minimum(self.reach * scatterer.lobe_width(), WIDEST)
-        lobes = lobe_chords(scatterer, width, u)
-        apex = leave(scatterer.point, scatterer.normal)
+        lobes, apex = draw_lobe_chords(self.packed, self.paths, chosen, self.reach, key_chord)
         chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
         return lobes, *_search(self, chosen, apex, chords, key_seed, room)
 
-    def score(self, drawn, found: _Crossings) -> Float[Array, " C"]:
+    def score(self, drawn, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
 
-    def value(self, drawn, found: _Crossings, number, weight, key) -> Float[Array, "C 3"]:
+    def value(self, drawn, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
         seen, _, value = self._boundary(drawn, found)
         sky = self._environment if self.packed.environment is not None else None
         value = value * weight[:, None]
         return background_term(self.packed, self.paths, seen, value, found.valid, number, key, self.settings, sky)
 
-    def _boundary(self, drawn: LobeChords, found: _Crossings):
+    def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)
@@ -292,12 +297,7 @@ class LobeLines:
         return jnp.where(background.valid[:, None], 0.0, radiance)
 
 
-def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """Of linear RGB."""
-    return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)
-
-
-def _projected(lines: EmitterLines, found: _Crossings, target: SurfacePoint) -> Float[Array, "C 3"]:
+def _projected(lines: EmitterLines, found: Crossings, target: SurfacePoint) -> Float[Array, "C 3"]:
     """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
     apex = stop_gradient(lines.paths.apex(found.vertex).position)
     target, normal = stop_gradient(target.position)[found.chord], stop_gradient(target.normal)[found.chord]
@@ -307,27 +307,19 @@ def _projected(lines: EmitterLines, found: _Crossings, target: SurfacePoint) -> 
     return apex + offset * (dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))[:, None]
 
 
-def _search(lines: "EmitterLines | LobeLines", chosen: _Chosen, apex, chords: Chords, key, room: int):
+def _search(lines: EmitterLines | LobeLines, chosen: Chosen, apex, chords: Chords, key, room: int):
     """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number)."""
-    packed, prepared, edges = lines.packed, lines.prepared, lines.packed.edges
+    packed, prepared = lines.packed, lines.prepared
     vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
-    bounded = chords.group != queries.UNBOUNDED
+    bounded = chords.group != UNBOUNDED
     # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
     moves = jnp.zeros(packed.faces.shape[0], jnp.int32)
     moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
         prepared.moving[shape].astype(jnp.int32), mode="drop"
     )
-    end_moves = prepared.moving[shape[lines.paths.table.apex_face[vertex]]]
+    end_moves = apex_moves(packed, prepared, lines.paths, vertex)
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    needed = jnp.where((chosen.vertex >= 0) & (chords.weight != 0).any(-1), needed, 0)
-    found = queries.sector_crossings(
-        prepared.tree, packed.vertices, packed.faces, edges.vertices, edges.faces, prepared.rank, prepared.group,
-        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
-    )  # fmt: skip
-    valid = found.chord >= 0
-    chord = jnp.where(valid, found.chord, 0)
-    crossings = _Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
-    return crossings, found.weight.astype(apex.dtype), valid.sum()
+    rays = lines.settings.rays
+    return find_crossings(packed, prepared.edges, prepared.group, chosen, needed, apex, chords, key, room, rays)

@@ -54,8 +54,12 @@ class Scatterer:
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
+        return stop_gradient(self.density(wo))
+
+    def density(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
+        """Density of `sample` (solid angle), differentiable."""
         local = self.to_local(wo)
-        return stop_gradient(self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups]))
+        return self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups])
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions drawn from `pdf`, detached."""
@@ -65,6 +69,13 @@ class Scatterer:
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""
         return stop_gradient(self._combine([bsdf.lobe_width(self.wi) for bsdf, _ in self.groups]))
+
+    def turn(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """World directions `wo`, in value, as they turn with the lobes: differentiable in the geometry alone."""
+        local = stop_gradient(self.to_local(wo))
+        fixed = stop_gradient([bsdf for bsdf, _ in self.groups])
+        turned = self.to_world(self._combine([bsdf.turn(self.wi, local) for bsdf in fixed]))
+        return stop_gradient(wo) + (turned - stop_gradient(turned))
 
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""
@@ -103,6 +114,18 @@ class ScatteringJump:
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
         return 0.5 * (self.one.pdf(wo) + self.two.pdf(wo))
+
+    def density(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
+        """Density of `sample` (solid angle), differentiable."""
+        return 0.5 * (self.one.density(wo) + self.two.density(wo))
+
+    def lobe_width(self) -> Float[Array, " N"]:
+        """The narrower lobe's, detached."""
+        return jnp.minimum(self.one.lobe_width(), self.two.lobe_width())
+
+    def turn(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """Two lobes don't turn together: the directions stay. A jump is used in value alone."""
+        return wo
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions from either side, detached."""

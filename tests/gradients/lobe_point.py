@@ -1,0 +1,152 @@
+"""One point of a plane with a narrow lobe, and its radiance in closed form: an integral over what the lobe sees.
+
+The film covers about a millimetre of the plane, so its mean is the radiance of the point. In the lobe there are an open
+roof of two quads, a lamp that may be far or near, and the sky; nothing there hides anything else.
+"""
+
+from functools import partial
+
+import jax
+import numpy as np
+
+import jaxdr as jd
+from tests.gradients.phong import Phong
+
+CAMERA = np.array([0.3, -3.0, 2.6])
+MIRROR = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+QUAD = ((0, 1, 2), (0, 2, 3))
+SLOPE = np.array([0.0, 1.0, 1.0]) / np.sqrt(2.0)  # about where the lobe points to
+ACROSS = np.array([0.0, -1.0, 1.0]) / np.sqrt(2.0)
+SIDE = np.array([1.0, 0.0, 0.0])
+# Two faces that fold at the ridge (corners 1 and 4), which is nearer to the mirror than the eaves.
+ROOF = np.array(
+    [
+        2.3 * SLOPE + a * SIDE + b * ACROSS - c * SLOPE
+        for b in (-0.45, 0.25)
+        for a, c in ((-0.5, 0.0), (-0.1, 0.3), (0.35, 0.0))
+    ]
+)
+ROOF_FACES = ((0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2))
+ASIDE = ROOF + 4.0 * SIDE  # out of the lobe
+# Far from the lobe, and lights the two sides differently; near, in the middle of the lobe.
+FAR_LAMP = np.array([14.0, -36.0, 8.0]) + 5 * np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
+NEAR_LAMP = np.array([0.9 * SLOPE + 0.1 * (a * SIDE + b * ACROSS) for a, b in ((-2, -1), (1, -1), (1, 1), (-2, 1))])
+
+# Tangents by name: (parameter, velocity).
+MOTIONS = {
+    "roof along x": ("roof.vertices", np.broadcast_to(SIDE, (6, 3))),
+    "roof up": ("roof.vertices", np.broadcast_to(ACROSS, (6, 3))),
+    "roof away": ("roof.vertices", np.broadcast_to(SLOPE, (6, 3))),
+    "ridge along x": ("roof.vertices", np.array([0, 1, 0, 0, 1, 0])[:, None] * SIDE),
+    "lamp along x": ("lamp.vertices", np.broadcast_to(SIDE, (4, 3))),
+    "lamp away": ("lamp.vertices", np.broadcast_to(SLOPE, (4, 3))),
+    "mirror up": ("mirror.vertices", np.broadcast_to([0.0, 0.0, 1.0], (4, 3))),
+    "mirror turns about x": ("mirror.vertices", np.cross([1.0, 0.0, 0.0], MIRROR)),
+    "mirror turns about y": ("mirror.vertices", np.cross([0.0, 1.0, 0.0], MIRROR)),
+    "camera along x": ("camera", SIDE),
+    "camera up": ("camera", np.array([0.0, 0.0, 1.0])),
+}
+
+
+def scene(width=0.15, roof=ROOF, lamp=FAR_LAMP, lamp_radiance=0.0, sky=0.0, reflectance=0.0, film=None) -> jd.Scene:
+    return jd.Scene(
+        shapes={
+            "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), Phong(width, 0.8)),
+            "roof": jd.Shape(jd.Mesh(roof, ROOF_FACES), jd.TwoSided(jd.Diffuse(reflectance))),
+            "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), jd.AreaEmitter(lamp_radiance)),
+        },
+        camera=jd.Perspective(jd.look_at(CAMERA, np.zeros(3), [0, 0, 1]), 0.01, film or jd.Film(16, 16, jd.Box())),
+        environment=jd.ConstantEnvironment(sky),
+    )
+
+
+def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float) -> float:
+    """Radiance of the point; `values`: vertices of the shapes and the camera's position."""
+    mirror = values["mirror.vertices"]
+    normal = _unit(np.cross(mirror[1] - mirror[0], mirror[2] - mirror[0]))
+    direction = -_unit(CAMERA)
+    position = values["camera"]
+    point = position + (mirror[0] - position) @ normal / (direction @ normal) * direction
+    lobe = direction - 2 * (direction @ normal) * normal
+    lamp = values["lamp.vertices"]
+    total = sky
+    for face in ROOF_FACES:
+        corners = values["roof.vertices"][list(face)]
+        total += _seen(corners, point, lobe, width, lambda x, n: _lit(x, n, lamp, lamp_radiance, reflectance) - sky)
+    for face in QUAD:
+        total += _seen(lamp[list(face)], point, lobe, width, lambda x, n: lamp_radiance - sky)
+    return 0.8 * total
+
+
+def _unit(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def _triangle(corners, order=24):
+    """Quadrature on a triangle: (points [n, 3], weights [n], unit normals [n, 3])."""
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
+    a, b = (t.ravel() for t in np.meshgrid(nodes, nodes, indexing="ij"))
+    along, across = corners[1] - corners[0], corners[2] - corners[0]
+    points = corners[0] + a[:, None] * along + (b * (1 - a))[:, None] * across
+    normal = np.cross(along, across)
+    weights = (weights[:, None] * weights).ravel() * (1 - a) * np.linalg.norm(normal)
+    return points, weights, np.broadcast_to(_unit(normal), points.shape)
+
+
+def _seen(corners, point, lobe, width, emission):
+    """Integral of the lobe times radiance over the directions of a triangle."""
+    x, weights, normal = _triangle(corners)
+    squared = ((x - point) ** 2).sum(-1)
+    towards = _unit(x - point)
+    exponent = width**-2
+    pdf = (exponent + 1) / (2 * np.pi) * np.maximum(towards @ lobe, 0) ** exponent
+    facing = -normal[0] * np.sign(normal[0] @ towards[0])
+    return np.sum(weights * pdf * np.abs(towards @ facing) / squared * emission(x, facing))
+
+
+def _lit(x, normal, lamp, lamp_radiance, reflectance):
+    """Radiance that diffuse points scatter under the lamp."""
+    on_lamp, weights, across = map(np.concatenate, zip(*(_triangle(lamp[list(f)], 4) for f in QUAD), strict=True))
+    offset = on_lamp - x[:, None]
+    towards = _unit(offset)
+    transfer = np.maximum(-(towards * across).sum(-1), 0) * np.maximum(towards @ normal, 0) / (offset**2).sum(-1)
+    return reflectance / np.pi * lamp_radiance * (transfer @ weights)
+
+
+def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[str, float]]:
+    """Radiance and its derivatives by motion: central differences of the integral, in double precision."""
+    light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0} | light
+    values = {"mirror.vertices": MIRROR, "roof.vertices": roof, "lamp.vertices": lamp, "camera": CAMERA}
+
+    def at(name, amount):
+        parameter, velocity = MOTIONS[name]
+        return radiance(values | {parameter: values[parameter] + amount * velocity}, width, **light)
+
+    step = 1e-5
+    return radiance(values, width, **light), {m: (at(m, step) - at(m, -step)) / (2 * step) for m in MOTIONS}
+
+
+@partial(jax.jit, static_argnames=("attached", "spp", "depth"))
+def _estimate(of: jd.Scene, key, attached: float, spp: int, depth: int):
+    values = {
+        name: of.parameters()[name] for name in (*{p for p, _ in MOTIONS.values()} - {"camera"}, "camera.to_world")
+    }
+
+    def mean(values):
+        integrator = jd.PathTracer(max_depth=depth, boundary=jd.LineSampling(attached=attached))
+        return jd.render(of.replace(values), key, spp=spp, integrator=integrator).mean()
+
+    return jax.value_and_grad(mean)(values)
+
+
+def estimates(of: jd.Scene, attached: float, keys: int = 8, spp: int = 16, depth: int = 3, first: int = 0):
+    """Radiance [keys] and its derivatives {motion: [keys]} for independent keys."""
+    radiance, derivatives = [], {name: [] for name in MOTIONS}
+    for key in jax.random.split(jax.random.key(first), keys):
+        value, gradient = jax.device_get(_estimate(of, key, attached, spp, depth))
+        gradient["camera"] = gradient["camera.to_world"][:3, 3]
+        radiance.append(value)
+        for name, (parameter, velocity) in MOTIONS.items():
+            derivatives[name].append(np.sum(gradient[parameter].astype(float) * velocity))
+    return np.array(radiance), {name: np.array(rows) for name, rows in derivatives.items()}
