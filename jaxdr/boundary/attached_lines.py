@@ -13,7 +13,7 @@ points, which `EmitterLines` deals with, and for the environment fixed direction
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.background import SeenEdges, background_point, seen_edges
 from jaxdr.boundary.chords import LobeChords, lobe_weight
@@ -33,7 +33,7 @@ from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
 from jaxdr.geometry.edge_tree import build_edge_tree
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import emitted, emitter_pdf
@@ -108,7 +108,7 @@ class AttachedLines:
         open_side, clear = background_point(self.detached, self._apex(found), seen, found.valid, self.settings)
         clear = jnp.where(at_crease, clear | self._finds_edge(found, seen, open_side), clear)
         valid = found.valid & clear
-        open_side = jax.tree.map(lambda a, b: _where(at_crease, a, b), far, open_side)
+        open_side = either(at_crease, far, open_side)
         sides = jax.tree.map(lambda *x: jnp.stack(x), open_side, near)
 
         share = self._shares(seen, sides)[..., None]
@@ -205,8 +205,3 @@ class AttachedLines:
         edge = jnp.where(seen.own, horizon, dot(pole, offset) / seen.distance)
         lobe = dot(pole, self.paths.moving_scatterer(found.vertex).turn(seen.towards))
         return edge - stop_gradient(edge), lobe - stop_gradient(lobe)
-
-
-def _where(condition: Bool[Array, " C"], one: Int[Array, "..."], two: Int[Array, "..."]) -> Int[Array, "..."]:
-    """Row by row."""
-    return jnp.where(condition.reshape(-1, *[1] * (one.ndim - 1)), one, two)

@@ -18,6 +18,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import (
     SurfacePoint,
     detached_barycentric,
+    either,
     intersect,
     leave,
     material_point,
@@ -346,7 +347,7 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         vertices = Vertices(point.position, point.shading_normal, narrow & point.valid)
         direction = jnp.where(narrow[:, None], scatterer.turn(sampled), sampled)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
-        following = _either(narrow & hit, sliding._replace(barycentric=barycentric), following)
+        following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
         in_angle = in_angle | narrow
 
     # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
@@ -383,8 +384,3 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     following = following._replace(valid=hit & (throughput != 0).any(-1))
     added = _Bounce(light, emission, near_light, near_beyond, direct, scattered, vertices)
     return (following, -towards, throughput), added
-
-
-def _either(condition, one: SurfacePoint, two: SurfacePoint) -> SurfacePoint:
-    """Row by row."""
-    return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), one, two)

@@ -10,8 +10,10 @@ import jax
 import numpy as np
 
 import jaxdr as jd
+from tests.gradients.floor_point import mean_and_error
 from tests.gradients.phong import Phong
 
+REFLECTANCE = 0.8
 CAMERA = np.array([0.3, -3.0, 2.6])
 MIRROR = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 QUAD = ((0, 1, 2), (0, 2, 3))
@@ -32,6 +34,14 @@ ASIDE = ROOF + 4.0 * SIDE  # out of the lobe
 FAR_LAMP = np.array([14.0, -36.0, 8.0]) + 5 * np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
 NEAR_LAMP = np.array([0.9 * SLOPE + 0.1 * (a * SIDE + b * ACROSS) for a, b in ((-2, -1), (1, -1), (1, 1), (-2, 1))])
 
+
+def _to_world(translation):
+    """A camera matrix's derivative."""
+    derivative = np.zeros((4, 4))
+    derivative[:3, 3] = translation
+    return derivative
+
+
 # Tangents by name: (parameter, velocity).
 MOTIONS = {
     "roof along x": ("roof.vertices", np.broadcast_to(SIDE, (6, 3))),
@@ -43,29 +53,42 @@ MOTIONS = {
     "mirror up": ("mirror.vertices", np.broadcast_to([0.0, 0.0, 1.0], (4, 3))),
     "mirror turns about x": ("mirror.vertices", np.cross([1.0, 0.0, 0.0], MIRROR)),
     "mirror turns about y": ("mirror.vertices", np.cross([0.0, 1.0, 0.0], MIRROR)),
-    "camera along x": ("camera", SIDE),
-    "camera up": ("camera", np.array([0.0, 0.0, 1.0])),
+    "camera along x": ("camera.to_world", _to_world(SIDE)),
+    "camera up": ("camera.to_world", _to_world([0.0, 0.0, 1.0])),
+}
+
+NAMES = ("roof.vertices", "lamp.vertices", "mirror.vertices", "camera.to_world")
+
+# What lights the point: the sky behind the roof, the roof in the light of a far lamp, the lamp itself.
+CASES = {
+    "sky": {"sky": 1.0},
+    "roof": {"lamp_radiance": 20.0, "reflectance": 0.7},
+    "lamp": {"roof": ASIDE, "lamp": NEAR_LAMP, "lamp_radiance": 1.0},
 }
 
 
-def scene(width=0.15, roof=ROOF, lamp=FAR_LAMP, lamp_radiance=0.0, sky=0.0, reflectance=0.0, film=None) -> jd.Scene:
+def scene(
+    roof=ROOF, lamp=FAR_LAMP, width=0.15, lamp_radiance=0.0, sky=0.0, reflectance=0.0, bsdf=Phong, alone=False
+) -> jd.Scene:
+    """The scene; `alone` leaves out the sky or the emitter where they are dark, for a smaller program."""
+    glow = jd.AreaEmitter(lamp_radiance) if lamp_radiance or not alone else None
     return jd.Scene(
         shapes={
-            "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), Phong(width, 0.8)),
+            "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), bsdf(width, REFLECTANCE)),
             "roof": jd.Shape(jd.Mesh(roof, ROOF_FACES), jd.TwoSided(jd.Diffuse(reflectance))),
-            "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), jd.AreaEmitter(lamp_radiance)),
+            "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), glow),
         },
-        camera=jd.Perspective(jd.look_at(CAMERA, np.zeros(3), [0, 0, 1]), 0.01, film or jd.Film(16, 16, jd.Box())),
-        environment=jd.ConstantEnvironment(sky),
+        camera=jd.Perspective(jd.look_at(CAMERA, np.zeros(3), [0, 0, 1]), 0.01, jd.Film(16, 16, jd.Box())),
+        environment=jd.ConstantEnvironment(sky) if sky or not alone else None,
     )
 
 
 def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float) -> float:
-    """Radiance of the point; `values`: vertices of the shapes and the camera's position."""
+    """Radiance of the point; `values`: vertices of the shapes, motion of the camera."""
     mirror = values["mirror.vertices"]
     normal = _unit(np.cross(mirror[1] - mirror[0], mirror[2] - mirror[0]))
     direction = -_unit(CAMERA)
-    position = values["camera"]
+    position = CAMERA + values["camera.to_world"][:3, 3]
     point = position + (mirror[0] - position) @ normal / (direction @ normal) * direction
     lobe = direction - 2 * (direction @ normal) * normal
     lamp = values["lamp.vertices"]
@@ -75,7 +98,7 @@ def radiance(values: dict, width: float, lamp_radiance: float, sky: float, refle
         total += _seen(corners, point, lobe, width, lambda x, n: _lit(x, n, lamp, lamp_radiance, reflectance) - sky)
     for face in QUAD:
         total += _seen(lamp[list(face)], point, lobe, width, lambda x, n: lamp_radiance - sky)
-    return 0.8 * total
+    return REFLECTANCE * total
 
 
 def _unit(v):
@@ -117,7 +140,12 @@ def _lit(x, normal, lamp, lamp_radiance, reflectance):
 def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[str, float]]:
     """Radiance and its derivatives by motion: central differences of the integral, in double precision."""
     light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0} | light
-    values = {"mirror.vertices": MIRROR, "roof.vertices": roof, "lamp.vertices": lamp, "camera": CAMERA}
+    values = {
+        "mirror.vertices": MIRROR,
+        "roof.vertices": roof,
+        "lamp.vertices": lamp,
+        "camera.to_world": np.zeros((4, 4)),
+    }
 
     def at(name, amount):
         parameter, velocity = MOTIONS[name]
@@ -127,26 +155,36 @@ def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[st
     return radiance(values, width, **light), {m: (at(m, step) - at(m, -step)) / (2 * step) for m in MOTIONS}
 
 
-@partial(jax.jit, static_argnames=("attached", "spp", "depth"))
-def _estimate(of: jd.Scene, key, attached: float, spp: int, depth: int):
-    values = {
-        name: of.parameters()[name] for name in (*{p for p, _ in MOTIONS.values()} - {"camera"}, "camera.to_world")
-    }
+@partial(jax.jit, static_argnames=("boundary", "spp", "depth"))
+def _estimate(of: jd.Scene, key, boundary, spp: int, depth: int):
+    values = {name: of.parameters()[name] for name in NAMES}
 
     def mean(values):
-        integrator = jd.PathTracer(max_depth=depth, boundary=jd.LineSampling(attached=attached))
-        return jd.render(of.replace(values), key, spp=spp, integrator=integrator).mean()
+        return jd.render(of.replace(values), key, spp=spp, integrator=jd.PathTracer(depth, boundary)).mean()
 
     return jax.value_and_grad(mean)(values)
 
 
-def estimates(of: jd.Scene, attached: float, keys: int = 8, spp: int = 16, depth: int = 3, first: int = 0):
+def estimates(of: jd.Scene, boundary, keys: int = 8, spp: int = 16, depth: int = 2):
     """Radiance [keys] and its derivatives {motion: [keys]} for independent keys."""
     radiance, derivatives = [], {name: [] for name in MOTIONS}
-    for key in jax.random.split(jax.random.key(first), keys):
-        value, gradient = jax.device_get(_estimate(of, key, attached, spp, depth))
-        gradient["camera"] = gradient["camera.to_world"][:3, 3]
+    for key in jax.random.split(jax.random.key(0), keys):
+        value, gradient = jax.device_get(_estimate(of, key, boundary, spp, depth))
         radiance.append(value)
         for name, (parameter, velocity) in MOTIONS.items():
             derivatives[name].append(np.sum(gradient[parameter].astype(float) * velocity))
-    return np.array(radiance), {name: np.array(rows) for name, rows in derivatives.items()}
+    return np.array(radiance, float), {name: np.array(rows) for name, rows in derivatives.items()}
+
+
+def check(case: str, boundary, alone: bool = False, tolerance: float = 0.005, bsdf=Phong, **settings):
+    """Assert that the radiance and every derivative are the closed form; errors relative to the largest derivative."""
+    value, truth = exact(**CASES[case])
+    found, rows = estimates(scene(**CASES[case], bsdf=bsdf, alone=alone), boundary, **settings)
+    mean, deviation = mean_and_error(found)
+    assert abs(mean - value) < 0.002 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
+    scale = max(abs(d) for d in truth.values())
+    for name, exactly in truth.items():
+        mean, deviation = mean_and_error(rows[name])
+        assert deviation < 0.02 * scale, f"{name}: too few samples, {mean} ± {deviation}"
+        off = f"{name} is off: {mean:.5f} ± {deviation:.5f}, exactly {exactly:.5f}"
+        assert abs(mean - exactly) < tolerance * scale + 4 * deviation, off
