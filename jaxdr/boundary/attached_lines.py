@@ -39,6 +39,7 @@ from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import emitted, emitter_pdf
 
 FLAT = 1e-6  # radians: faces that fold by less continue each other
+TOUCHING = 50.0  # how much further than from the edge in the image a ray beside it may end on an oblique surface
 SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is left to expect a jump from
 
 
@@ -106,7 +107,9 @@ class AttachedLines:
         seen, value = self._boundary(drawn, found)
         near, far, at_crease = self._faces(found, seen)
         open_side, clear = background_point(self.detached, self._apex(found), seen, found.valid, self.settings)
-        clear = jnp.where(at_crease, clear | self._finds_edge(found, seen, open_side), clear)
+        reached, shared = self._meets(found, seen, open_side, at_crease)
+        clear = clear | reached
+        value = value * jnp.where(shared, 0.5, 1.0)[:, None]
         valid = found.valid & clear
         open_side = either(at_crease, far, open_side)
         sides = jax.tree.map(lambda *x: jnp.stack(x), open_side, near)
@@ -160,12 +163,23 @@ class AttachedLines:
         far = in_front(-1.0)
         return in_front(1.0), far, far.valid
 
-    def _finds_edge(self, found: Crossings, seen: SeenEdges, hit: SurfacePoint) -> Bool[Array, " C"]:
-        """Whether a ray beside a crease ends at one of its faces, or as near as where an oblique face would be."""
-        neighbours = self.packed.edges.faces[found.edge]
-        beside = BESIDE * jnp.maximum(jnp.abs(stop_gradient(seen.edge_point)).max(-1), jnp.abs(seen.apex).max(-1))
+    def _meets(self, found: Crossings, seen: SeenEdges, hit: SurfacePoint, at_crease):
+        """(whether rays beside edges reach them, whether they meet a border that another edge stands for as well).
+
+        A surface that touches the edge hides nothing: a corner between shapes is a crease of the image. Where it ends
+        there too, both edges are there, and each counts by half.
+        """
+        edge_point = stop_gradient(seen.edge_point)
+        beside = BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(seen.apex).max(-1))
+        slack = TOUCHING * beside
         depth = dot(hit.position - seen.apex, seen.towards)
-        return (neighbours == hit.face[:, None]).any(-1) | (depth > seen.distance - 50 * beside)
+        neighbours = (self.packed.edges.faces[found.edge] == hit.face[:, None]).any(-1)
+        reached = hit.valid & ((depth > seen.distance - slack) | (at_crease & neighbours))
+        corners = self.detached.vertices[self.packed.faces[hit.face]]
+        longest = norm(corners - jnp.roll(corners, 1, axis=1)).max(-1)
+        on_border = hit.barycentric.min(-1) * 2.0 * hit.area < slack * longest
+        shared = hit.valid & ~at_crease & (jnp.abs(depth - seen.distance) < slack) & on_border
+        return reached, shared
 
     def _shares(self, seen: SeenEdges, sides: SurfacePoint) -> Float[Array, "2 C"]:
         """Share of the emitted light that the lobe's own samples account for, by the balance heuristic."""

@@ -341,17 +341,20 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     face = jnp.where(hit, face, 0)
     barycentric = detached_barycentric(packed, origin, sampled, face)
     following = material_point(packed, face, barycentric, hit)
-    narrow, vertices, direction, in_angle = _narrow(scatterer, settings), None, sampled, ~hit
+    narrow, vertices, direction = _narrow(scatterer, settings), None, sampled
     if narrow is not None:
         # The direction turns with the lobe, in solid angle: no G, no J (that of a rotation is one).
         vertices = Vertices(point.position, point.shading_normal, narrow & point.valid)
         direction = jnp.where(narrow[:, None], scatterer.turn(sampled), sampled)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
         following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
-        in_angle = in_angle | narrow
 
     # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
-    fixed = _transfer(scatterer, following, in_angle, direction)
+    transfer = _transfer(scatterer, following, ~hit, direction)
+    fixed, in_angle = transfer, ~hit
+    if narrow is not None:
+        in_angle = in_angle | narrow
+        fixed = _transfer(scatterer, following, in_angle, direction)
     forms = _both_forms(packed, near, fixed, scatterer, following, in_angle, direction, in_angle)
     value, towards, near_beyond = forms
     density = pdf * stop_gradient(fixed.geometry)
@@ -362,12 +365,10 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
 
     emission = jnp.zeros_like(throughput)
     if settings.mis:
+        found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
         if narrow is None:
-            found = emitter_pdf(packed, following, fixed.distance2, jnp.abs(fixed.cosine))
             weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
         else:
-            there = _transfer(scatterer, following, ~hit, direction)
-            found = emitter_pdf(packed, following, there.distance2, jnp.abs(there.cosine))
             weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]
     scattered = Segments(
@@ -377,7 +378,7 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         target_barycentric=barycentric,
         infinite=active & ~hit,
         direction=sampled,
-        weight=jnp.where(hit[:, None], stop_gradient(fixed.value), 0.0),
+        weight=jnp.where(hit[:, None], stop_gradient(transfer.value), 0.0),
         visible=hit,
         lobe=jnp.where(active[:, None], incoming / jnp.where(active, pdf, 1.0)[:, None], 0.0),
     )

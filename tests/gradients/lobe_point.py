@@ -29,6 +29,7 @@ ROOF = np.array(
     ]
 )
 ROOF_FACES = ((0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2))
+APART_FACES = ((0, 2, 3), (0, 3, 1), (4, 6, 7), (4, 7, 5))  # the two sides as sheets of four corners each
 ASIDE = ROOF + 4.0 * SIDE  # out of the lobe
 # Far from the lobe, and lights the two sides differently; near, in the middle of the lobe.
 FAR_LAMP = np.array([14.0, -36.0, 8.0]) + 5 * np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
@@ -42,21 +43,24 @@ def _to_world(translation):
     return derivative
 
 
-# Tangents by name: (parameter, velocity).
-MOTIONS = {
-    "roof along x": ("roof.vertices", np.broadcast_to(SIDE, (6, 3))),
-    "roof up": ("roof.vertices", np.broadcast_to(ACROSS, (6, 3))),
-    "roof away": ("roof.vertices", np.broadcast_to(SLOPE, (6, 3))),
-    "ridge along x": ("roof.vertices", np.array([0, 1, 0, 0, 1, 0])[:, None] * SIDE),
-    "lamp along x": ("lamp.vertices", np.broadcast_to(SIDE, (4, 3))),
-    "lamp away": ("lamp.vertices", np.broadcast_to(SLOPE, (4, 3))),
-    "mirror up": ("mirror.vertices", np.broadcast_to([0.0, 0.0, 1.0], (4, 3))),
-    "mirror turns about x": ("mirror.vertices", np.cross([1.0, 0.0, 0.0], MIRROR)),
-    "mirror turns about y": ("mirror.vertices", np.cross([0.0, 1.0, 0.0], MIRROR)),
-    "camera along x": ("camera.to_world", _to_world(SIDE)),
-    "camera up": ("camera.to_world", _to_world([0.0, 0.0, 1.0])),
-}
+def _along(direction):
+    return lambda vertices: np.broadcast_to(direction, vertices.shape)
 
+
+# Velocities by name: the parameter, and a function of its value.
+MOTIONS = {
+    "roof along x": ("roof.vertices", _along(SIDE)),
+    "roof up": ("roof.vertices", _along(ACROSS)),
+    "roof away": ("roof.vertices", _along(SLOPE)),
+    "roof widens": ("roof.vertices", lambda vertices: vertices * SIDE),
+    "lamp along x": ("lamp.vertices", _along(SIDE)),
+    "lamp away": ("lamp.vertices", _along(SLOPE)),
+    "mirror up": ("mirror.vertices", _along(np.array([0.0, 0.0, 1.0]))),
+    "mirror turns about x": ("mirror.vertices", lambda vertices: np.cross([1.0, 0.0, 0.0], vertices)),
+    "mirror turns about y": ("mirror.vertices", lambda vertices: np.cross([0.0, 1.0, 0.0], vertices)),
+    "camera along x": ("camera.to_world", lambda _: _to_world(SIDE)),
+    "camera up": ("camera.to_world", lambda _: _to_world([0.0, 0.0, 1.0])),
+}
 NAMES = ("roof.vertices", "lamp.vertices", "mirror.vertices", "camera.to_world")
 
 # What lights the point: the sky behind the roof, the roof in the light of a far lamp, the lamp itself.
@@ -68,14 +72,22 @@ CASES = {
 
 
 def scene(
-    roof=ROOF, lamp=FAR_LAMP, width=0.15, lamp_radiance=0.0, sky=0.0, reflectance=0.0, bsdf=Phong, alone=False
+    roof=ROOF,
+    lamp=FAR_LAMP,
+    width=0.15,
+    lamp_radiance=0.0,
+    sky=0.0,
+    reflectance=0.0,
+    roof_faces=ROOF_FACES,
+    bsdf=Phong,
+    alone=False,
 ) -> jd.Scene:
     """The scene; `alone` leaves out the sky or the emitter where they are dark, for a smaller program."""
     glow = jd.AreaEmitter(lamp_radiance) if lamp_radiance or not alone else None
     return jd.Scene(
         shapes={
             "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), bsdf(width, REFLECTANCE)),
-            "roof": jd.Shape(jd.Mesh(roof, ROOF_FACES), jd.TwoSided(jd.Diffuse(reflectance))),
+            "roof": jd.Shape(jd.Mesh(roof, roof_faces), jd.TwoSided(jd.Diffuse(reflectance))),
             "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), glow),
         },
         camera=jd.Perspective(jd.look_at(CAMERA, np.zeros(3), [0, 0, 1]), 0.01, jd.Film(16, 16, jd.Box())),
@@ -83,7 +95,7 @@ def scene(
     )
 
 
-def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float) -> float:
+def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float, faces) -> float:
     """Radiance of the point; `values`: vertices of the shapes, motion of the camera."""
     mirror = values["mirror.vertices"]
     normal = _unit(np.cross(mirror[1] - mirror[0], mirror[2] - mirror[0]))
@@ -93,7 +105,7 @@ def radiance(values: dict, width: float, lamp_radiance: float, sky: float, refle
     lobe = direction - 2 * (direction @ normal) * normal
     lamp = values["lamp.vertices"]
     total = sky
-    for face in ROOF_FACES:
+    for face in faces:
         corners = values["roof.vertices"][list(face)]
         total += _seen(corners, point, lobe, width, lambda x, n: _lit(x, n, lamp, lamp_radiance, reflectance) - sky)
     for face in QUAD:
@@ -137,9 +149,9 @@ def _lit(x, normal, lamp, lamp_radiance, reflectance):
     return reflectance / np.pi * lamp_radiance * (transfer @ weights)
 
 
-def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[str, float]]:
+def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, roof_faces=ROOF_FACES, **light) -> tuple[float, dict[str, float]]:
     """Radiance and its derivatives by motion: central differences of the integral, in double precision."""
-    light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0} | light
+    light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0, "faces": roof_faces} | light
     values = {
         "mirror.vertices": MIRROR,
         "roof.vertices": roof,
@@ -149,7 +161,7 @@ def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[st
 
     def at(name, amount):
         parameter, velocity = MOTIONS[name]
-        return radiance(values | {parameter: values[parameter] + amount * velocity}, width, **light)
+        return radiance(values | {parameter: values[parameter] + amount * velocity(values[parameter])}, width, **light)
 
     step = 1e-5
     return radiance(values, width, **light), {m: (at(m, step) - at(m, -step)) / (2 * step) for m in MOTIONS}
@@ -172,14 +184,25 @@ def estimates(of: jd.Scene, boundary, keys: int = 8, spp: int = 16, depth: int =
         value, gradient = jax.device_get(_estimate(of, key, boundary, spp, depth))
         radiance.append(value)
         for name, (parameter, velocity) in MOTIONS.items():
-            derivatives[name].append(np.sum(gradient[parameter].astype(float) * velocity))
+            derivatives[name].append(
+                np.sum(gradient[parameter].astype(float) * velocity(np.asarray(of.parameters()[parameter], float)))
+            )
     return np.array(radiance, float), {name: np.array(rows) for name, rows in derivatives.items()}
 
 
-def check(case: str, boundary, alone: bool = False, tolerance: float = 0.005, bsdf=Phong, **settings):
+def check(
+    case: str,
+    boundary,
+    alone: bool = False,
+    tolerance: float = 0.005,
+    bsdf=Phong,
+    change: dict | None = None,
+    **settings,
+):
     """Assert that the radiance and every derivative are the closed form; errors relative to the largest derivative."""
-    value, truth = exact(**CASES[case])
-    found, rows = estimates(scene(**CASES[case], bsdf=bsdf, alone=alone), boundary, **settings)
+    options = CASES[case] | (change or {})
+    value, truth = exact(**options)
+    found, rows = estimates(scene(**options, bsdf=bsdf, alone=alone), boundary, **settings)
     mean, deviation = mean_and_error(found)
     assert abs(mean - value) < 0.002 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
     scale = max(abs(d) for d in truth.values())

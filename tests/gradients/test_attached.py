@@ -11,7 +11,7 @@ from jaxdr.boundary import attached_lines, chords, line_sampling
 from jaxdr.boundary.attached_lines import AttachedLines
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.transport import path
-from tests.gradients.lobe_point import CASES, MOTIONS, check, estimates, exact, scene
+from tests.gradients.lobe_point import APART_FACES, CASES, MOTIONS, ROOF, SLOPE, check, estimates, exact, scene
 from tests.gradients.phong import Phong
 
 MATERIAL, ATTACHED = jd.LineSampling(), jd.LineSampling(attached=0.5)
@@ -39,6 +39,14 @@ def test_a_lamp_in_the_lobe():
 def test_every_derivative_is_the_closed_form(case, boundary):
     """A black roof before a sky, its two sides in the light of a lamp (with the crease between), a lamp."""
     check(case, boundary, depth=3, keys=32, spp=32)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [0.3, -0.3], ids=["ridge", "valley"])
+def test_corners_between_shapes(depth):
+    """The roof's sides as two sheets that touch: the jump between them counts once, whichever is in front."""
+    apart = ROOF[[0, 1, 3, 4, 1, 2, 4, 5]] - np.array([0, 1, 0, 1, 1, 0, 1, 0])[:, None] * (depth - 0.3) * SLOPE
+    check("roof", PLAIN, alone=True, depth=3, keys=48, spp=32, change={"roof": apart, "roof_faces": APART_FACES})
 
 
 @pytest.mark.slow
@@ -144,9 +152,9 @@ def test_narrower_lobes():
 def cornered(film) -> jd.Scene:
     """A folded screen on a glossy floor before a glossy wall: lobes behind lobes, and behind diffuse surfaces."""
     floor = jd.Mesh([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], [[0, 1, 2], [0, 2, 3]])
-    wall = jd.Mesh([[-2, 1, 0], [2, 1.2, 0], [2, 1.2, 2], [-2, 1, 2]], [[0, 1, 2], [0, 2, 3]])
+    wall = jd.Mesh([[-2, 1, 0.1], [2, 1.2, 0.1], [2, 1.2, 2], [-2, 1, 2]], [[0, 1, 2], [0, 2, 3]])
     screen = jd.Mesh(
-        [[-0.6, 0.3, 0.05], [0.0, -0.1, 0.0], [0.6, 0.4, 0.05], [-0.6, 0.3, 0.8], [0.0, -0.1, 0.9], [0.6, 0.4, 0.8]],
+        [[-0.6, 0.3, 0.15], [0.0, -0.1, 0.1], [0.6, 0.4, 0.15], [-0.6, 0.3, 0.8], [0.0, -0.1, 0.9], [0.6, 0.4, 0.8]],
         [[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]],
     )
     lamp = jd.Mesh([[-1, -2, 2.5], [-1, -1, 2.8], [0.5, -1, 2.8], [0.5, -2, 2.5]], [[0, 1, 2], [0, 2, 3]])
