@@ -10,7 +10,10 @@ import jaxdr as jd
 from jaxdr.boundary import attached_lines, chords, line_sampling
 from jaxdr.boundary.attached_lines import AttachedLines
 from jaxdr.geometry.queries import UNBOUNDED
+from jaxdr.scene.packed import pack
 from jaxdr.transport import path
+from jaxdr.transport.interaction import material_point
+from jaxdr.transport.shading import Scatterer
 from tests.gradients.lobe_point import APART_FACES, CASES, MOTIONS, ROOF, SLOPE, check, estimates, exact, scene
 from tests.gradients.phong import Phong
 
@@ -31,6 +34,32 @@ class OnSurface(Phong):
 def test_a_lamp_in_the_lobe():
     """Both sampling techniques, the outline of the lamp, and every way to move it, the mirror or the camera."""
     check("lamp", PLAIN, alone=True, keys=32)
+
+
+def test_directions_turn_rigidly_with_the_lobe():
+    """Whatever moves: angles between directions stay, and so does the density of each. Their values are as drawn."""
+    of = scene(alone=True)
+    rng = np.random.default_rng(0)
+    count = 64
+    drawn = jnp.asarray(rng.normal(size=(2, count, 3)) * 0.2 + np.array([0.0, 0.7, 0.7]), jnp.float32)
+    drawn = drawn / jnp.linalg.norm(drawn, axis=-1, keepdims=True)
+    velocity = jnp.asarray(rng.normal(size=(4, 3)), jnp.float32)
+    mirror = of.parameters()["mirror.vertices"]
+
+    def moved(t):
+        packed = pack(of.replace({"mirror.vertices": mirror + t * velocity}))
+        face = jnp.full(count, packed.first_face[list(of.shapes).index("mirror")])
+        point = material_point(packed, face, jnp.full((count, 3), 1 / 3), jnp.ones(count, bool))
+        towards = jnp.asarray([0.1, -3.0, 2.6]) - point.position
+        scatterer = Scatterer(packed, point, towards / jnp.linalg.norm(towards, axis=-1, keepdims=True))
+        turned = jnp.stack([scatterer.turn(d) for d in drawn])
+        return turned, (turned[0] * turned[1]).sum(-1), jnp.log(scatterer.density(turned[0]))
+
+    values, rates = jax.jvp(moved, (jnp.float32(0.0),), (jnp.float32(1.0),))
+    np.testing.assert_array_equal(values[0], drawn)
+    assert np.abs(rates[0]).max() > 0.1
+    np.testing.assert_allclose(rates[1], 0.0, atol=1e-5)
+    np.testing.assert_allclose(rates[2], 0.0, atol=1e-3)  # the lobe's exponent is 44
 
 
 @pytest.mark.slow
