@@ -70,6 +70,11 @@ class PathTracer(eqx.Module):
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
         if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
+        if self.settings.attached > 0 and self.sampling == "emitter":
+            raise ValueError(
+                'PathTracer: attached lobes need sampling="mis": emitters seen in a narrow lobe are found by '
+                "its own samples; or set attached=0"
+            )
 
     @property
     def edge_points_per_sample(self) -> float:
@@ -81,4 +86,5 @@ class PathTracer(eqx.Module):
     @property
     def settings(self) -> PathSettings:
         """What the path tracer itself needs."""
-        return PathSettings(self.max_depth, self.sampling == "mis", self.rays)
+        attached = getattr(self.boundary, "attached", 0.0)
+        return PathSettings(self.max_depth, self.sampling == "mis", self.rays, attached)

@@ -179,6 +179,8 @@ def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key,
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
     settings, form = integrator.settings, _form(packed, integrator, distribution is not None)
+    if distribution is None:
+        settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
     primary = primary_samples(packed, samples, key, settings.rays, form)
     record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
     radiance = record.radiance * primary.weight[:, None]

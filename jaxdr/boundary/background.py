@@ -78,7 +78,7 @@ def background_term(
     `number` and `key` choose the random numbers. `emission` says which emitted radiance counts as well.
     """
     key_first, key_path = jax.random.split(key)
-    background, clear = _background(packed, paths.apex(seen.segment), seen, valid, settings)
+    background, clear = background_point(packed, paths.apex(seen.segment), seen, valid, settings)
     valid = valid & clear
     detached = jax.tree.map(stop_gradient, packed)
     back = jax.tree.map(stop_gradient, background._replace(valid=background.valid & valid))
@@ -96,18 +96,24 @@ def background_term(
 
     # Angular velocity of the silhouette relative to the material point behind it, seen from the apex.
     edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
-    far = jnp.where(background.valid[:, None], background.position, 2.0 * stop_gradient(edge_point) - apex)
+    # The environment stays in its direction, whatever the apex does, and is never near.
+    there = background.valid[:, None]
+    far = jnp.where(there, background.position, apex)
     moving_apex = paths.apex_towards(seen.segment, stop_gradient(far))
-    far_distance = jnp.where(valid, norm(stop_gradient(far) - apex), 1.0)
+    moving_apex = jnp.where(there, moving_apex, paths.apex(seen.segment).position)
+    far_distance = jnp.where(valid & background.valid, norm(stop_gradient(far) - apex), 1.0)
     # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
     horizon = -dot(horizon_normal(packed, seen.apex_face, pole), distance[:, None] * seen.towards)
     edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex)) / distance
-    displacement = edge_moved - dot(pole, far - moving_apex) / far_distance
+    far_moved = jnp.where(background.valid, dot(pole, far - moving_apex) / far_distance, 0.0)
+    displacement = edge_moved - far_moved
     displacement = displacement - stop_gradient(displacement)
     return jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
 
 
-def _background(packed, point: SurfacePoint, seen: SeenEdges, valid, settings):
+def background_point(
+    packed: PackedScene, point: SurfacePoint, seen: SeenEdges, valid: Bool[Array, " C"], settings: PathSettings
+) -> tuple[SurfacePoint, Bool[Array, " C"]]:
     """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
     past = past_edge(seen.edge_point, seen.apex, seen.pole)
     start = leave(point, seen.towards)

@@ -15,7 +15,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.emitter_planes import chord_inside
-from jaxdr.geometry.queries import UNBOUNDED
+from jaxdr.geometry.queries import UNBOUNDED, UNBOUNDED_FOLDS
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
@@ -114,15 +114,18 @@ class LobeChords(NamedTuple):
     plane: Float[Array, "M 3"]
     reach: Float[Array, " M"]
 
-    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
+    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""], folds: bool = False) -> Chords:
+        """Sectors without an end, for the search; `far` is a distance beyond the scene.
+
+        With `folds`, edges between faces are looked for as well as silhouettes.
+        """
         across = jnp.cross(self.plane, self.centre)
         cosine, sine = jnp.cos(self.reach)[:, None], jnp.sin(self.reach)[:, None]
         return Chords(
             first=apex + far * (cosine * self.centre - sine * across),
             last=apex + far * (cosine * self.centre + sine * across),
             centre=jnp.full_like(self.pdf, 0.5),
-            group=jnp.full(self.pdf.shape, UNBOUNDED),
+            group=jnp.full(self.pdf.shape, UNBOUNDED_FOLDS if folds else UNBOUNDED),
             useful=self.pdf > 0,
         )
 
@@ -136,16 +139,20 @@ def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array,
     return LobeChords(centre, scatterer.pdf(centre), plane, width)
 
 
-def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]) -> Float[Array, " M"]:
+def lobe_weight(
+    scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"], uniform: bool = False
+) -> Float[Array, " M"]:
     """(pi / 2) k / p for boundary points in unit directions `boundary`, crossed by the chords.
 
     k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
-    below which nothing is sampled. Its integral is over the arc of centres whose chords reach the boundary point.
+    below which nothing is sampled. Or `uniform` for narrow lobes, whose f / p has no such factor. Its integral is over
+    the arc of centres whose chords reach the boundary point.
     """
-    mass = _arc_mass(scatterer, chords.reach, chords.plane, boundary)
+    length, mass = _arc(scatterer, chords.reach, chords.plane, boundary)
     height = scatterer.cosine(chords.centre)
+    kernel, mass = (jnp.ones_like(height), length) if uniform else (jnp.abs(height), mass)
     counts = (mass > 0) & (chords.pdf > 0) & (height * scatterer.cosine(boundary) > 0)
-    return jnp.where(counts, 0.5 * math.pi * jnp.abs(height) / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+    return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
 
 
 def lobe_rate(
@@ -156,13 +163,13 @@ def lobe_rate(
     Exact where the density of centres is proportional to the cosine; only weights that add up to one depend on it.
     """
     height = jnp.abs(scatterer.cosine(boundary))
-    mass = _arc_mass(scatterer, reach, plane, boundary)
+    _, mass = _arc(scatterer, reach, plane, boundary)
     usable = height > 0
     return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
 
 
-def _arc_mass(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:
-    """Integral of the cosine over the arc of centres on one side of the horizon whose chords reach `boundary`.
+def _arc(scatterer: Scatterer, reach, plane, boundary) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
+    """(length, integral of the cosine) of the arc of centres whose chords reach `boundary`, on its side of the horizon.
 
     `plane` contains `boundary`.
     """
@@ -172,5 +179,6 @@ def _arc_mass(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"
     a, b = jnp.abs(height), side * scatterer.cosine(along)
     horizon = jnp.arctan2(b, a)  # a cos t + b sin t > 0 within 90 degrees of it
     low, high = jnp.maximum(-reach, horizon - 0.5 * jnp.pi), jnp.minimum(reach, horizon + 0.5 * jnp.pi)
+    there = (a > 0) & (high > low)
     mass = a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
-    return jnp.where((a > 0) & (high > low), mass, 0.0)
+    return jnp.where(there, high - low, 0.0), jnp.where(there, mass, 0.0)

@@ -10,7 +10,7 @@ from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint, footprint
-from jaxdr.transport.path import Segments
+from jaxdr.transport.path import Segments, Vertices
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
@@ -52,12 +52,18 @@ def _mixed(apex, attached, seen: Footprint | None, goal):
 
 
 class PathSegments:
-    """The segments of N paths, flattened over the bounces and looked up by number."""
+    """The segments of N paths, flattened over the bounces and looked up by number.
 
-    def __init__(self, packed: PackedScene, primary: PrimarySamples, segments: Segments):
+    Where some vertices slide, `vertices` says how all of them move.
+    """
+
+    def __init__(
+        self, packed: PackedScene, primary: PrimarySamples, segments: Segments, vertices: Vertices | None = None
+    ):
         bounces, self.paths = segments.apex_face.shape
         self.packed, self.first, self.first_wi, self.near = packed, primary.first, -primary.direction, primary.near
         self.table = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), segments)
+        self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size()
 
@@ -66,9 +72,12 @@ class PathSegments:
         return index % self.paths
 
     def apex(self, index: Int[Array, " C"]) -> SurfacePoint:
-        """Near ends: the first hit where the segment is the path's second one, else a material point."""
+        """Near ends: the first hit where the segment is the path's second one, else a material or sliding point."""
         face, barycentric = self.table.apex_face[index], self.table.apex_barycentric[index]
         point = material_point(self.packed, face, barycentric, jnp.ones(face.shape, bool))
+        if self.vertices is not None:
+            moving = self.vertices
+            return point._replace(position=moving.position[index], shading_normal=moving.shading_normal[index])
         on_ray = (index < self.paths)[:, None]
         return point._replace(position=jnp.where(on_ray, self.first.position[self.path(index)], point.position))
 
@@ -111,6 +120,8 @@ class PathSegments:
         if self.near is None:
             return None, None
         on_ray, path = index < self.paths, self.path(index)
+        if self.vertices is not None:
+            on_ray = on_ray & ~self.vertices.narrow[index]
         attached = jnp.where(on_ray[:, None], self.near.point.position[path], apex)
         seen = footprint(self.packed.camera, apex, self.first.normal[path])
         seen = jax.tree.map(stop_gradient, seen._replace(size2=jnp.where(on_ray, seen.size2, 0.0)))
@@ -134,6 +145,14 @@ class PathSegments:
         on_ray = (index < self.paths)[:, None]
         wi = jnp.where(on_ray, stop_gradient(self.first_wi)[self.path(index)], normalize(previous - apex.position))
         return Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi)
+
+    def moving_scatterer(self, index: Int[Array, " C"]) -> Scatterer:
+        """The BSDF at the near ends, as it moves with them and with the vertices before them."""
+        apex = self.apex(index)
+        previous = self.apex_towards(jnp.maximum(index - self.paths, 0), stop_gradient(apex.position))
+        on_ray = (index < self.paths)[:, None]
+        wi = jnp.where(on_ray, self.first_wi[self.path(index)], normalize(previous - apex.position))
+        return Scatterer(self.packed, apex, wi)
 
     def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""

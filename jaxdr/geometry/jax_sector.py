@@ -49,7 +49,7 @@ def sector_crossings(
         negative = exists & (along != ahead[edge_faces])
         one_sided = ~positive.any(-1) | ~negative.any(-1)
         own = (exists & (face_group[edge_faces] == group)).any(-1) & (group >= 0)
-        found = crosses & one_sided & ~own & (rank >= needed) & (needed > 0)
+        found = crosses & (one_sided | (group < -2)) & ~own & (rank >= needed) & (needed > 0)
         count = found.sum()
         chosen = jnp.argsort(~found, stable=True)[:most]
         found = found[chosen]
@@ -57,6 +57,7 @@ def sector_crossings(
         edge_normal = normalize(jnp.cross(p0[chosen], p1[chosen]))
         edge_normal = jnp.where(positive[chosen].any(-1)[:, None], -edge_normal, edge_normal)
         step = BESIDE * jnp.maximum(jnp.abs(x[chosen]).max(-1), jnp.abs(a).max())
+        step = jnp.where(one_sided[chosen], step, 0.0)  # between faces there is nothing to see past
         past = x[chosen] + step[:, None] * edge_normal
         whole = (alpha + beta)[chosen]
         past = jnp.where(bounded, past / jnp.where(found, whole, 1.0)[:, None], past)

@@ -257,7 +257,7 @@ def point_candidates(
 
 
 # Groups of faces that a chord looks past, beside those of `face_group` (0, 1, ...).
-NO_GROUP, UNBOUNDED = -1, -2
+NO_GROUP, UNBOUNDED, UNBOUNDED_FOLDS = -1, -2, -3
 
 
 def sector_crossings(
@@ -293,10 +293,10 @@ def sector_crossings(
       `needed` is larger than `least_layer` lower edges are not even looked at, and a ray past each edge decides.
     - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
       for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
-      ones being told by rays that stop short of the edge.
+      ones being told by rays that stop short of the edge. With `UNBOUNDED_FOLDS` edges between faces count as well.
 
-    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which
-    rounding may cause, are resolved by rays past each edge.
+    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii (for folds no edge `interior`, so
+    that none is skipped). Inconsistent counts, which rounding may cause, are resolved by rays past each edge.
     """
     query = _sequential(lambda *args: _sector_query(implementation, args, least_layer, capacity))
     arrays = (*tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group)

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
@@ -101,6 +102,11 @@ def material_point(
     normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     position = (corners * barycentric[..., None]).sum(1)
     return _surface_point(packed, valid, face, barycentric, position, corners, normal2, _largest(corners))
+
+
+def either(condition: Bool[Array, " N"], one: SurfacePoint, two: SurfacePoint) -> SurfacePoint:
+    """Row by row, one point or the other."""
+    return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), one, two)
 
 
 def intersect(

@@ -1,7 +1,8 @@
 """Unidirectional path tracing: measurement contributions and the segments they came through.
 
-A path starts at a first hit that the caller provides; every later vertex is a material point (DESIGN 1). Contributions
-are differentiable functions of the scene (the interior term is their derivative); choices and densities are detached.
+A path starts at a first hit that the caller provides; every later vertex is a material point (DESIGN 1), except behind
+narrow lobes: there it slides along a ray that is fixed in the lobe (DESIGN 2b). Contributions are differentiable
+functions of the scene (the interior term is their derivative); choices and densities are detached.
 """
 
 from typing import NamedTuple
@@ -17,9 +18,11 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import (
     SurfacePoint,
     detached_barycentric,
+    either,
     intersect,
     leave,
     material_point,
+    on_fixed_ray,
 )
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.sampler import uniform
@@ -49,26 +52,39 @@ class Segments(NamedTuple):
     lobe: Float[Array, "B N 3"] | None = None
 
 
+class Vertices(NamedTuple):
+    """Path vertices as they move, differentiable, and where the BSDF-sampled direction is held fixed in the lobe."""
+
+    position: Float[Array, "B N 3"]
+    shading_normal: Float[Array, "B N 3"]
+    narrow: Bool[Array, "B N"]
+
+
 class PathRecord(NamedTuple):
     """Radiance towards the camera of N paths, and the segments behind the first hit.
 
     `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments;
     they carry what is gathered at their far end and beyond. None where there are none. `near` is the share of the
-    radiance (detached) that is taken in material form.
+    radiance (detached) that is taken in material form. `vertices` are the apexes of the segments, where some may slide.
     """
 
     radiance: Float[Array, "N 3"]
     near: Float[Array, "N 3"]
     direct: Segments | None
     scattered: Segments | None
+    vertices: Vertices | None = None
 
 
 class PathSettings(NamedTuple):
-    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation."""
+    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation.
+
+    Lobes narrower than `attached` (radians) hold their direction fixed; 0 for none.
+    """
 
     max_depth: int
     mis: bool
     rays: str
+    attached: float = 0.0
 
 
 class _Bounce(NamedTuple):
@@ -84,6 +100,7 @@ class _Bounce(NamedTuple):
     near_beyond: Float[Array, " N"]
     direct: Segments
     scattered: Segments | None
+    vertices: Vertices | None = None
 
 
 def trace_paths(
@@ -125,6 +142,7 @@ def trace_paths(
         near_radiance,
         jax.tree.map(stop_gradient, parts.direct),
         jax.tree.map(stop_gradient, scattered),
+        parts.vertices,
     )
 
 
@@ -146,7 +164,8 @@ def trace_jump(
     bounces = settings.max_depth - 1
     if bounces == 0:
         return radiance
-    jump = ScatteringJump(Scatterer(packed, one, -direction), Scatterer(packed, two, -direction), near)
+    sides = (Scatterer(packed, side, -direction) for side in (one, two))
+    jump = ScatteringJump(*sides, near, settings.attached)
     parts = _gather(packed, jump, bounces, u, key, settings, None)
     return radiance + parts.light.sum(0) + parts.emission.sum(0)
 
@@ -161,10 +180,11 @@ def gathered_radiance(
     bounces: int,
     remaining: Int[Array, " N"],
 ) -> Float[Array, "N 3"]:
-    """Radiance that surface points scatter back against `direction`, without what they emit.
+    """Radiance that surface points scatter back against `direction`, without what they emit; of a detached scene.
 
     Paths scatter `remaining` times, at most `bounces`.
     """
+    settings = settings._replace(attached=0.0)  # all forms are one where nothing moves
     parts = _gather(packed, Scatterer(packed, point, -direction), bounces, u, key, settings, None)
     counts = (jnp.arange(bounces)[:, None] < remaining)[..., None]
     return jnp.where(counts, parts.light + parts.emission, 0.0).sum(0)
@@ -225,16 +245,18 @@ def _transfer(scatterer, target: SurfacePoint, infinite, direction) -> _Transfer
     return _Transfer(scattered * geometry[:, None], towards, distance2, cosine, geometry)
 
 
-def _both_forms(packed, near: NearField | None, fixed: _Transfer, scatterer, target: SurfacePoint, infinite, direction):
+def _both_forms(
+    packed, near: NearField | None, fixed: _Transfer, scatterer, target: SurfacePoint, infinite, direction, far
+):
     """(value, towards) of both forms of the first hit, mixed by the share of the near field, and that share.
 
-    All of it equals the fixed form's in value; the derivative is what differs.
+    All of it equals the fixed form's in value; the derivative is what differs. Nothing of what is `far` has a share.
     """
     if near is None:
         return fixed.value, fixed.towards, jnp.zeros_like(fixed.distance2)
     material = _transfer(Scatterer(packed, near.point, near.wi), target, infinite, direction)
-    far_share = 1.0 - near.share(scatterer.point, target.position, infinite)
-    share = near.share(near.point, target.position, infinite)
+    far_share = 1.0 - near.share(scatterer.point, target.position, far)
+    share = near.share(near.point, target.position, far)
     weight = share * near.importance
     value = far_share[:, None] * fixed.value + weight[:, None] * material.value
     mixed = stop_gradient(share)[:, None]
@@ -252,10 +274,16 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     end = jnp.where(infinite, start + 2.0 * packed.size() * towards, leave(sample.point, -towards))
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
     seen = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
-    value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction)
+    # Narrow lobes have one form: it has no geometric term that grows, and MIS bounds that of the emitter samples.
+    narrow = _narrow(scatterer, settings)
+    far = sample.infinite if narrow is None else sample.infinite | narrow
+    value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction, far)
     arriving = throughput * sample.radiance / sample.pdf[:, None]
     light = arriving * value
-    if settings.mis:
+    if narrow is not None:
+        solid_angle_pdf = sample.pdf * fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0)
+        light *= _balance(solid_angle_pdf, scatterer.density(towards), narrow)[:, None]
+    elif settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
         light *= (solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)))[:, None]
     segment = Segments(
@@ -270,6 +298,20 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         throughput=jnp.where(point.valid[:, None], throughput, 0.0),
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
+
+
+def _narrow(scatterer, settings: PathSettings) -> Bool[Array, " N"] | None:
+    """Where the sampled direction is held fixed in the lobe; None for nowhere."""
+    return scatterer.lobe_width() < settings.attached if settings.attached > 0 else None
+
+
+def _balance(density, other, narrow):
+    """Balance heuristic (Veach 1997), differentiated where lobes are narrow.
+
+    There the two techniques have different forms: their shares must add up to one as functions of the scene.
+    """
+    weight = density / (density + other)
+    return jnp.where(narrow, weight, stop_gradient(weight))
 
 
 def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
@@ -296,10 +338,22 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     face = jnp.where(hit, face, 0)
     barycentric = detached_barycentric(packed, origin, sampled, face)
     following = material_point(packed, face, barycentric, hit)
+    narrow, vertices, direction = _narrow(scatterer, settings), None, sampled
+    if narrow is not None:
+        # The direction turns with the lobe, in solid angle: no G, no J (that of a rotation is one).
+        vertices = Vertices(point.position, point.shading_normal, narrow & point.valid)
+        direction = jnp.where(narrow[:, None], scatterer.turn(sampled), sampled)
+        sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
+        following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
 
     # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
-    fixed = _transfer(scatterer, following, ~hit, sampled)
-    value, towards, near_beyond = _both_forms(packed, near, fixed, scatterer, following, ~hit, sampled)
+    transfer = _transfer(scatterer, following, ~hit, direction)
+    fixed, in_angle = transfer, ~hit
+    if narrow is not None:
+        in_angle = in_angle | narrow
+        fixed = _transfer(scatterer, following, in_angle, direction)
+    forms = _both_forms(packed, near, fixed, scatterer, following, in_angle, direction, in_angle)
+    value, towards, near_beyond = forms
     density = pdf * stop_gradient(fixed.geometry)
     carries = active & (density > 0)
     incoming = throughput
@@ -308,8 +362,11 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
 
     emission = jnp.zeros_like(throughput)
     if settings.mis:
-        found = emitter_pdf(packed, following, fixed.distance2, jnp.abs(fixed.cosine))
-        weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
+        found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
+        if narrow is None:
+            weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
+        else:
+            weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]
     scattered = Segments(
         apex_face=point.face,
@@ -318,10 +375,10 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         target_barycentric=barycentric,
         infinite=active & ~hit,
         direction=sampled,
-        weight=jnp.where(hit[:, None], stop_gradient(fixed.value), 0.0),
+        weight=jnp.where(hit[:, None], stop_gradient(transfer.value), 0.0),
         visible=hit,
         lobe=jnp.where(active[:, None], incoming / jnp.where(active, pdf, 1.0)[:, None], 0.0),
     )
     following = following._replace(valid=hit & (throughput != 0).any(-1))
-    added = _Bounce(light, emission, near_light, near_beyond, direct, scattered)
+    added = _Bounce(light, emission, near_light, near_beyond, direct, scattered, vertices)
     return (following, -towards, throughput), added

@@ -8,7 +8,10 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
+
+from jaxdr.geometry.vector import normalize
 
 
 class BSDF(eqx.Module):
@@ -33,6 +36,15 @@ class BSDF(eqx.Module):
         """
         return jnp.ones_like(wi[..., 0])
 
+    def turn(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """`wo` (detached) as it turns with the lobe when `wi` moves: `wo` in value, its derivative a rotation.
+
+        By default the lobe stays where it is in the surface's frame. A rotation has the Jacobian one; whichever it is,
+        a narrow lobe that is held fixed by it (`LineSampling.attached`) has the same derivative, with more noise where
+        it does not follow. Of the BSDF's own parameters it is a constant.
+        """
+        return wo
+
 
 class TwoSided(eqx.Module):
     """Adapter: the BSDF acts alike on both sides of the surface. Parameter names pass through it."""
@@ -47,3 +59,10 @@ class TwoSided(eqx.Module):
 def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
     """Whether both directions are on the side of the normal."""
     return (wi[..., 2] > 0) & (wo[..., 2] > 0)
+
+
+def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """`BSDF.turn` of lobes around the mirror direction: the least rotation that takes that along, to first order."""
+    mirror = wi * jnp.asarray([-1.0, -1.0, 1.0], wi.dtype)
+    axis = jnp.cross(stop_gradient(mirror), mirror)
+    return normalize(wo + jnp.cross(axis, wo))

@@ -1,0 +1,141 @@
+"""Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
+from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.geometry import queries
+from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.scene.packed import LUMINANCE, PackedScene
+from jaxdr.transport.interaction import leave
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
+
+# Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
+HIDES, BOUNDS, MOVES = 1, 2, 3
+WIDEST = 1.4  # half-length of geodesic chords, radians
+
+
+class RankedEdges(NamedTuple):
+    """Ranks of the edges, 0 for those that are left out, and the tree over them."""
+
+    rank: Float[Array, " E"]
+    tree: EdgeTree
+
+
+class Prepared(NamedTuple):
+    """What all chunks of an image share.
+
+    `edges` for silhouettes; `folds` for what is seen in attached lobes. `group` numbers the emitters' planes, `moving`
+    tells which shapes move; `count_layers` (static in effect) says whether all edges are looked at for segments that
+    only moving ones can bound.
+    """
+
+    edges: RankedEdges
+    group: Int[Array, " F"]
+    moving: Bool[Array, " S"]
+    count_layers: Bool[Array, ""]
+    folds: RankedEdges | None
+
+
+class Chosen(NamedTuple):
+    """M chords: the path vertices they start from (-1 for unused ones), and 1 / the expected number of chords there."""
+
+    vertex: Int[Array, " M"]
+    inverse: Float[Array, " M"]
+
+
+class Crossings(NamedTuple):
+    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used."""
+
+    vertex: Int[Array, " C"]
+    chord: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+
+
+def draw_lobe_chords(
+    packed: PackedScene, paths: PathSegments, chosen: Chosen, reach: float, key
+) -> tuple[LobeChords, Float[Array, "M 3"]]:
+    """(chords around BSDF-sampled directions, the apexes they are seen from); `reach` relative to the lobe's width."""
+    u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
+    scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
+    lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
+    return lobes, leave(scatterer.point, scatterer.normal)
+
+
+def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
+    """Half-length of geodesic chords (radians), `reach` of the lobes' widths."""
+    return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
+
+
+def apex_moves(
+    packed: PackedScene, prepared: Prepared, paths: PathSegments, vertex: Int[Array, " M"]
+) -> Bool[Array, " M"]:
+    """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
+    if paths.vertices is None:
+        return prepared.moving[packed.face_shape[paths.table.apex_face[vertex]]]
+    moves = prepared.moving[packed.face_shape[paths.table.apex_face]].reshape(-1, paths.paths)
+    return jax.lax.cummax(moves.astype(jnp.int32)).reshape(-1)[vertex] > 0
+
+
+def find_crossings(
+    packed: PackedScene,
+    edges: RankedEdges,
+    group: Int[Array, " F"],
+    chosen: Chosen,
+    needed: Int[Array, " M"],
+    apex: Float[Array, "M 3"],
+    chords: Chords,
+    key,
+    room: int,
+    rays: str,
+) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
+    """(crossings of chords with visible edges of the rank `needed`, weight of the thinning, their number)."""
+    vertex, table = jnp.maximum(chosen.vertex, 0), packed.edges
+    needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
+    found = queries.sector_crossings(
+        edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, group,
+        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
+        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, rays,
+    )  # fmt: skip
+    valid = found.chord >= 0
+    chord = jnp.where(valid, found.chord, 0)
+    crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
+    return crossings, found.weight.astype(apex.dtype), valid.sum()
+
+
+def silhouette_crossings(
+    packed: PackedScene,
+    prepared: Prepared,
+    paths: PathSegments,
+    chosen: Chosen,
+    apex: Float[Array, "M 3"],
+    chords: Chords,
+    key,
+    room: int,
+    rays: str,
+) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
+    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number)."""
+    vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
+    bounded = chords.group != queries.UNBOUNDED
+    # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
+    moves = jnp.zeros(packed.faces.shape[0], jnp.int32)
+    moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
+        prepared.moving[shape].astype(jnp.int32), mode="drop"
+    )
+    end_moves = apex_moves(packed, prepared, paths, vertex)
+    end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
+    needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
+    needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
+    return find_crossings(packed, prepared.edges, prepared.group, chosen, needed, apex, chords, key, room, rays)
+
+
+def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """Of linear RGB."""
+    return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)

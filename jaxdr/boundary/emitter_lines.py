@@ -1,0 +1,144 @@
+"""Chords on area emitters, and their share where geodesic chords find the same light."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+from jaxdr.boundary.chords import EmitterChords, emitter_chords, emitter_rate, emitter_weight, lobe_rate
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, luminance, silhouette_crossings
+from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
+from jaxdr.boundary.silhouettes import PathSegments, project_edges
+from jaxdr.geometry.vector import dot, normalize
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint, leave, material_point
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import emitted, emitter_pdf, emitting_surface_pdf
+
+
+class Centres(NamedTuple):
+    """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
+
+    `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n].
+    """
+
+    packed: PackedScene
+    prepared: Prepared
+    paths: PathSegments
+    reach: float
+    emitters: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def share_of_emitters(
+        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
+    ) -> Float[Array, " C"]:
+        """Share of chords on emitters in finding boundary points of emitters, in planes with the normals `plane`.
+
+        `pdf` of their centres, per area, and their `length`.
+        """
+        scatterer = self.paths.scatterer(vertex)
+        position, normal = stop_gradient(point.position), stop_gradient(point.normal)
+        apex = scatterer.point.position
+        reach = lobe_reach(scatterer, self.reach)
+        one = emitter_rate(pdf, length, apex, position, normal, plane) * self.emitters.reshape(-1)[vertex]
+        two = lobe_rate(scatterer, reach, plane, normalize(position - apex)) * self.lobes.reshape(-1)[vertex]
+        either = one + two > 0
+        return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+
+    def share_of_lobes(
+        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint
+    ) -> Float[Array, " C"]:
+        """The rest: share of geodesic chords."""
+        normal = stop_gradient(point.normal)
+        along = jnp.cross(plane, normal)
+        meets = (dot(along, along) > 0) & point.valid
+        along = normalize(jnp.where(meets[:, None], along, 1.0))
+        _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
+        pdf = emitting_surface_pdf(self.packed, point)
+        return jnp.where(meets, 1.0 - self.share_of_emitters(vertex, plane, point, pdf, length), 0.0)
+
+
+class EmitterLines:
+    """Chords on area emitters, for their light."""
+
+    traces_paths = False
+
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
+        self.both: Centres | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
+        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
+        apex = leave(scatterer.point, scatterer.normal)
+        found = silhouette_crossings(
+            self.packed, self.prepared, self.paths, chosen, apex, drawn.chords, key_seed, room, self.settings.rays
+        )
+        return drawn, *found
+
+    def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot: luminance per motion of the edge."""
+        projection, weight, _ = self._boundary(drawn, found)
+        return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+
+    def value(self, drawn: EmitterChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
+        """Contributions times `weight`: zero in value, right in derivative."""
+        del number, key
+        projection, value, point = self._boundary(drawn, found)
+        if self.both is not None:
+            chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
+            plane = chords.plane(stop_gradient(self.paths.apex(found.vertex).position))
+            pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
+            weight = weight * self.both.share_of_emitters(found.vertex, plane, point, pdf, length)
+        moved = projection.displacement - stop_gradient(projection.displacement)
+        return value * (weight * moved)[:, None]
+
+    def _boundary(self, drawn: EmitterChords, found: Crossings):
+        """(the crossed edges projected onto the emitter, contributions without their normal velocity, the points)."""
+        packed, paths, group = self.packed, self.paths, self.prepared.group
+        face = drawn.centre.face[found.chord]
+        on_plane = _projected(self, found, drawn.centre)
+        # The chord may have left the triangle its centre is in, whose vertices move otherwise.
+        face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
+        ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
+        projection = project_edges(packed, found.edge, ends, found.along)
+        point = jax.tree.map(stop_gradient, material_point(packed, face, barycentric, inside))
+        # The radiance there and not at the centre; none from behind.
+        radiance = stop_gradient(emitted(packed, point, stop_gradient(ends.apex) - projection.point))
+        value = paths.table.throughput[found.vertex] * radiance
+        value = value * emitter_weight(drawn.pdf, drawn.length)[found.chord][:, None]
+        value = value * paths.transfer(found.vertex, ends, projection.point)
+        if paths.vertices is not None:
+            share = self._share(found.vertex, point)
+            value = value * jnp.where(paths.vertices.narrow[found.vertex], share, 1.0)[:, None]
+        counts = found.valid & inside & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
+        return projection, jnp.where(counts[:, None], value, 0.0), point
+
+    def _share(self, vertex: Int[Array, " C"], point: SurfacePoint) -> Float[Array, " C"]:
+        """Share of the light from points of emitters that emitter samples account for in narrow lobes."""
+        scatterer = self.paths.scatterer(vertex)
+        offset = point.position - scatterer.point.position
+        distance2 = dot(offset, offset)
+        distance2 = jnp.where(distance2 > 0, distance2, 1.0)
+        towards = offset / jnp.sqrt(distance2)[:, None]
+        detached = jax.tree.map(stop_gradient, self.packed)
+        density = emitter_pdf(detached, point, distance2, jnp.abs(dot(point.normal, towards)))
+        total = density + scatterer.pdf(towards)
+        return density / jnp.where(total > 0, total, 1.0)
+
+
+def _projected(lines: EmitterLines, found: Crossings, target: SurfacePoint) -> Float[Array, "C 3"]:
+    """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
+    apex = stop_gradient(lines.paths.apex(found.vertex).position)
+    target, normal = stop_gradient(target.position)[found.chord], stop_gradient(target.normal)[found.chord]
+    ends = stop_gradient(lines.packed.vertices)[lines.packed.edges.vertices[found.edge]]
+    offset = ends[:, 0] + found.along[:, None] * (ends[:, 1] - ends[:, 0]) - apex
+    slope = dot(normal, offset)
+    return apex + offset * (dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))[:, None]

@@ -1,0 +1,69 @@
+"""Geodesic chords around BSDF-sampled directions."""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.chords import LobeChords, lobe_weight
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, luminance, silhouette_crossings
+from jaxdr.boundary.emitter_lines import Centres
+from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.shading import emitted
+
+
+class LobeLines:
+    """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
+
+    With `both`, for their share of the light from area emitters as well.
+    """
+
+    traces_paths = True
+
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
+        self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
+        self.both: Centres | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        lobes, apex = draw_lobe_chords(self.packed, self.paths, chosen, self.reach, key_chord)
+        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
+        found = silhouette_crossings(
+            self.packed, self.prepared, self.paths, chosen, apex, chords, key_seed, room, self.settings.rays
+        )
+        return lobes, *found
+
+    def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
+        seen, scatterer, weight = self._boundary(drawn, found)
+        return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
+
+    def value(self, drawn: LobeChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
+        """Contributions times `weight`: zero in value, right in derivative."""
+        seen, _, value = self._boundary(drawn, found)
+        value = value * weight[:, None]
+        plane = drawn.plane[found.chord]
+
+        def emission(background: SurfacePoint, towards):
+            """Emission of what is no surface, and this technique's share of that of surfaces."""
+            radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
+            surfaces = 0.0 if self.both is None else self.both.share_of_lobes(found.vertex, plane, background)
+            return radiance * jnp.where(background.valid, surfaces, 1.0)[:, None]
+
+        glows = self.packed.environment is not None or self.both is not None
+        return background_term(
+            self.packed, self.paths, seen, value, found.valid, number, key, self.settings, emission if glows else None
+        )
+
+    def _boundary(self, drawn: LobeChords, found: Crossings):
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        lobes = LobeChords(*(table[found.chord] for table in drawn))
+        counts = found.valid & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        weight = jnp.where(counts, lobe_weight(scatterer, lobes, seen.towards), 0.0)
+        return seen, scatterer, self.paths.table.throughput[found.vertex] * weight[:, None]
