@@ -15,7 +15,8 @@ import numpy as np
 import warp
 
 from jaxdr.boundary import ESTIMATORS
-from jaxdr.images import check_image_path, has_openexr, save_png, signed_picture, write_image
+from jaxdr.image_formats.exr import is_available as has_openexr
+from jaxdr.images import check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrator import PathTracer
 from jaxdr.optimize.config import read_config
 from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
