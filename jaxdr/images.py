@@ -1,4 +1,7 @@
-"""Image files in and out (their formats are in `jaxdr.image_formats`), tone mapping, and pictures of signed values with a colour bar."""
+"""Image files in and out, tone mapping, and pictures of signed values with a colour bar.
+
+The file formats themselves are in `jaxdr.image_formats`.
+"""
 
 import os
 from pathlib import Path
@@ -37,8 +40,9 @@ def from_srgb(encoded: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarray, "H W C"]:
     """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
 
-    `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit) and `.jpg` hold sRGB, which is made linear
-    (alpha is linear already); with `raw` their numbers stay as they are, in [0, 1]: for normal maps, roughness, masks.
+    `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit) and `.jpg` hold sRGB, which is made
+    linear (alpha is linear already); with `raw` their numbers stay as they are, in [0, 1]: for normal maps, roughness,
+    masks.
 
     Raises ValueError that names the file for a missing or damaged one, an unknown suffix, a variant that is not
     supported, and EXR without the package OpenEXR.
@@ -69,7 +73,7 @@ def check_image_path(path: Path) -> None:
 
 
 def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W 3"]) -> None:
-    """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (sRGB, 8 bit, clipped).
+    """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (8-bit sRGB, clipped).
 
     The file appears complete or not at all. Raises ValueError as `check_image_path` does, and for values that `.hdr`
     can't hold (negative ones).

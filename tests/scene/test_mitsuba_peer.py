@@ -27,6 +27,12 @@ SHAPES = {
     "obj": ("obj", '<string name="filename" value="a.obj"/>'),
     "flat obj": ("obj", '<string name="filename" value="a.obj"/><boolean name="face_normals" value="true"/>'),
     "ply": ("ply", '<string name="filename" value="a.ply"/>'),
+    "disk": ("disk", ""),
+    "cylinder": (
+        "cylinder",
+        '<point name="p0" value="-1, 0, 0"/><point name="p1" value="1, 0.4, 0.3"/><float name="radius" value="0.8"/>',
+    ),
+    "obj with a seam": ("obj", '<string name="filename" value="seam.obj"/>'),
     "obj with normals": ("obj", '<string name="filename" value="normals.obj"/>'),
 }
 
@@ -35,7 +41,7 @@ SHAPES = {
 @pytest.mark.parametrize("transform", ["", MIRROR], ids=["", "mirrored"])
 @pytest.mark.parametrize("kind, content", SHAPES.values(), ids=SHAPES)
 def test_shapes_as_in_mitsuba(mitsuba, scene_file, kind, content, transform, flip):
-    """Vertices, and the side and direction of the shading normal where a ray meets the shape."""
+    """Vertices, and where a ray meets the shape the shading normal and the UVs."""
     flipped = '<boolean name="flip_normals" value="true"/>' if flip else ""
     path = scene_file(f'{SENSOR}<shape type="{kind}" id="s">{content}{transform}{flipped}</shape>')
     (theirs,) = mitsuba.load_file(str(path)).shapes()
@@ -47,7 +53,8 @@ def test_shapes_as_in_mitsuba(mitsuba, scene_file, kind, content, transform, fli
     box = theirs.bbox()
     np.testing.assert_allclose([vertices.min(0), vertices.max(0)], [box.min, box.max], atol=1e-2)
 
-    origin, direction = np.array([0.1, 0.3, 5.0]), np.array([0.0, 0.0, -1.0])
+    origin, direction = np.array([0.1, 0.3, 5.0]), np.array([0.02, 0.01, -1.0])
+    direction /= np.linalg.norm(direction)
     hit = mitsuba.load_dict({"type": "scene", "s": theirs}).ray_intersect(mitsuba.Ray3f(origin, direction))
     face, weights = first_hit(mesh, origin, direction)
     corners = vertices[np.asarray(mesh.faces)[face]]
@@ -57,6 +64,10 @@ def test_shapes_as_in_mitsuba(mitsuba, scene_file, kind, content, transform, fli
         normal = weights @ np.asarray(mesh.vertex_normals())[np.asarray(mesh.normal_faces)[face]]
     assert np.dot(normal / np.linalg.norm(normal), hit.sh_frame.n) > 0.99
     np.testing.assert_allclose(weights @ corners, hit.p, atol=1e-2)
+    if mesh.uvs is not None:
+        u, v = weights @ np.asarray(mesh.uvs)[np.asarray(mesh.uv_faces)[face]]
+        turns = np.array([u, 1 - v]) - hit.uv  # Mitsuba counts v from an image's top
+        np.testing.assert_allclose(turns - np.round(turns), 0, atol=5e-3)
 
 
 def first_hit(mesh, origin, direction):
