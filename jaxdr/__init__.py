@@ -30,6 +30,7 @@ from jaxdr.scene.film import Box as Box
 from jaxdr.scene.film import Film as Film
 from jaxdr.scene.film import Gaussian as Gaussian
 from jaxdr.scene.film import Tent as Tent
+from jaxdr.scene.gltf import load_gltf as load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape

@@ -1,9 +1,11 @@
 """Loaded shapes, cameras and lights compared with those Mitsuba itself makes of the same file."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxdr as jd
 from jaxdr.scene.mitsuba import load_mitsuba
 
 SENSOR = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
@@ -92,24 +94,31 @@ CAMERAS = {
     "focal length": '<string name="focal_length" value="35mm"/>',
     "neither": "",
     "lookat": '<transform name="to_world"><lookat origin="1, 2, 3" target="0, 0.5, 0" up="0, 0, 1"/></transform>',
+    "lookat without up": '<transform name="to_world"><lookat origin="1, 2, 3" target="0, 0.5, 0"/></transform>',
+    "chained": (
+        '<transform name="to_world"><rotate z="1" angle="10"/><translate value="1, 2, 3"/><scale value="-1"/>'
+        '<matrix value="0 1 0 0 1 0 0 0 0 0 1 2 0 0 0 1"/></transform>'
+    ),
     "turned": '<transform name="to_world"><rotate y="1" angle="30"/><translate z="2"/></transform>',
 }
 
 
+@pytest.mark.parametrize("crop", [(0, 0, 1, 1), (0.2, 0.1, 0.5, 0.6)], ids=["", "cropped"])
 @pytest.mark.parametrize("size", [(30, 20), (20, 30)], ids=["wide", "tall"])
 @pytest.mark.parametrize("content", CAMERAS.values(), ids=CAMERAS)
-def test_camera_rays_as_in_mitsuba(mitsuba, scene_file, content, size):
-    width, height = size
-    film = (
-        f'<film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>'
-    )
+def test_camera_rays_as_in_mitsuba(mitsuba, scene_file, content, size, crop):
+    window = np.round(np.multiply(crop, [*size, *size])).astype(int)
+    names = ("width", "height", "crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+    settings = [f'<integer name="{n}" value="{v}"/>' for n, v in zip(names, (*size, *window), strict=True)]
+    film = f'<film type="hdrfilm">{"".join(settings)}</film>'
     path = scene_file(f'<sensor type="perspective">{content}{film}</sensor><shape type="cube"/>')
     (sensor,) = mitsuba.load_file(str(path)).sensors()
     camera = load_mitsuba(path).camera
-    points = np.array([[0.0, 0.0], [width, 0.0], [0.3 * width, 0.9 * height], [width, height]])
-    origin, directions = camera.rays(jnp.asarray(points))
-    for point, direction in zip(points, directions, strict=True):
-        ray, _ = sensor.sample_ray(0.0, 0.5, point / size, [0.5, 0.5])
+    assert camera.film.window == tuple(window)
+    shares = np.array([[0.0, 0.0], [1.0, 0.0], [0.3, 0.9], [1.0, 1.0]])  # of the window
+    origin, directions = camera.rays(jnp.asarray(window[:2] + shares * window[2:]))
+    for share, direction in zip(shares, directions, strict=True):
+        ray, _ = sensor.sample_ray(0.0, 0.5, share, [0.5, 0.5])
         np.testing.assert_allclose(direction, ray.d, atol=2e-6)
         # Mitsuba's rays start on the near plane.
         np.testing.assert_allclose(np.cross(np.subtract(ray.o, origin), direction), 0, atol=2e-6)
@@ -127,3 +136,45 @@ def test_crop_and_light_as_in_mitsuba(mitsuba, scene_file):
     light = theirs.shapes()[0].emitter()
     radiance = mitsuba.traverse(light)["radiance.value"]
     np.testing.assert_allclose(ours.shapes["l"].emitter.radiance, radiance, rtol=1e-3)
+
+
+def test_an_image_as_in_mitsuba(mitsuba, scene_file, tmp_path):
+    """Every shape, instances, included and referenced materials, chained transforms, a crop window: one image."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "materials.xml").write_text(
+        """<scene version="3.0.0"><default name="red" value="0.7"/>
+        <bsdf type="twosided" id="clay"><ref id="clay front"/></bsdf>
+        <bsdf type="diffuse" id="clay front"><rgb name="reflectance" value="$red, 0.3, 0.2"/></bsdf></scene>"""
+    )
+    path = scene_file(
+        """<path value="parts"/><include filename="materials.xml"/><alias id="clay" as="brick"/>
+        <sensor type="perspective"><float name="fov" value="45"/>
+            <transform name="to_world"><lookat origin="0, -7, 4" target="0, 0, 0.5" up="0, 0, 1"/></transform>
+            <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/>
+                <integer name="crop_offset_x" value="4"/><integer name="crop_width" value="40"/>
+                <boolean name="sample_border" value="true"/><rfilter type="tent"/></film></sensor>
+        <shape type="rectangle"><ref id="brick"/><transform name="to_world"><scale value="4"/></transform></shape>
+        <shape type="sphere"><point name="center" value="-2, 0, 0.7"/><float name="radius" value="0.7"/></shape>
+        <shape type="cylinder"><ref id="clay"/><point name="p0" value="0, 0, 0"/><point name="p1" value="0.2, 0, 1.5"/>
+            <float name="radius" value="0.5"/></shape>
+        <shape type="disk"><emitter type="area"><rgb name="radiance" value="4, 6, 8"/></emitter>
+            <transform name="to_world"><rotate x="1" angle="180"/><translate x="1" z="4"/></transform></shape>
+        <shape type="shapegroup" id="pair">
+            <shape type="cube"><transform name="to_world"><scale value="0.3"/></transform><ref id="clay"/></shape>
+            <shape type="obj"><string name="filename" value="seam.obj"/>
+                <bsdf type="twosided"><bsdf type="diffuse"/></bsdf>
+                <transform name="to_world"><scale value="0.8"/><translate z="1"/></transform></shape></shape>
+        <shape type="instance"><ref id="pair"/><transform name="to_world"><translate x="2" z="0.3"/></transform></shape>
+        <shape type="instance"><ref id="pair"/><transform name="to_world"><rotate z="1" angle="40"/>
+            <scale x="-0.8" y="1" z="1.5"/><translate x="1" y="-2" z="0.5"/></transform></shape>
+        <emitter type="constant"><rgb name="radiance" value="0.3, 0.25, 0.2"/></emitter>
+        <integrator type="path"><integer name="max_depth" value="2"/></integrator>"""
+    )
+    theirs = mitsuba.load_file(str(path), red="0.9")
+    expected = np.asarray(mitsuba.render(theirs, spp=256, seed=1))[..., :3]
+    scene = load_mitsuba(path, red=0.9)
+    image = jd.render(scene, jax.random.key(0), spp=256, integrator=jd.PathTracer(max_depth=2, boundary=None))
+    assert image.shape == expected.shape == (32, 40, 3)
+    difference = np.abs(np.asarray(image) - expected).mean(-1)
+    np.testing.assert_allclose(np.asarray(image).mean((0, 1)), expected.mean((0, 1)), rtol=0.01)
+    assert np.quantile(difference, 0.99) < 0.06 and difference.mean() < 0.02, (difference.mean(), difference.max())
