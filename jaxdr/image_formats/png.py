@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image
+from PIL import Image, ImageFile
 
 
 def read(path: Path) -> Float[np.ndarray, "H W C"]:
@@ -25,7 +25,7 @@ def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
     Image.fromarray(pixels).save(path, format="PNG")
 
 
-def _pixels(image: Image.Image, path: Path) -> np.ndarray:
+def _pixels(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
     raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
     if raw_mode.endswith(";16B"):
         if raw_mode == "LA;16B" or "transparency" in image.info:

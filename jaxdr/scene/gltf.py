@@ -58,9 +58,10 @@ def load_gltf(
     with _readable(path):
         primitives = _primitives(header, trimesh.load_scene(path, process=False))
         shapes = dict(_shapes(header, nodes, primitives))
-        camera = _camera(header, nodes, shapes, width, height)
     if not shapes:
         raise ValueError(f"load_gltf: {path} has no triangles")
+    with _readable(path):
+        camera = _camera(header, nodes, shapes, width, height)
     materials = header.get("materials", [])
     if any(material.get("pbrMetallicRoughness", {}).get("metallicFactor", 1) > 0 for material in materials):
         warnings.warn(f"{path}: metallic and roughness have no effect yet; materials are diffuse", stacklevel=2)
@@ -164,8 +165,8 @@ def _emitter(material: dict) -> AreaEmitter | None:
     return AreaEmitter(radiance) if radiance.any() else None
 
 
-def _camera(header: dict, nodes: list, shapes: dict[str, Shape], width: int, height: int | None) -> Perspective | None:
-    """The first perspective camera, or one that frames the scene; None without shapes."""
+def _camera(header: dict, nodes: list, shapes: dict[str, Shape], width: int, height: int | None) -> Perspective:
+    """The first perspective camera, or one that frames the scene."""
     for node, to_world in nodes:
         if "camera" in node and "perspective" in header["cameras"][node["camera"]]:
             lens = header["cameras"][node["camera"]]["perspective"]
@@ -174,8 +175,6 @@ def _camera(header: dict, nodes: list, shapes: dict[str, Shape], width: int, hei
             film = Film(width, height or max(1, round(width / lens.get("aspectRatio", 1.0))))
             near = float(lens["znear"])
             return Perspective(matrix, np.degrees(lens["yfov"]), film, "y", near, float(lens.get("zfar", 1e6 * near)))
-    if not shapes:
-        return None
     points = np.concatenate([np.asarray(shape.mesh.vertices) for shape in shapes.values()])
     lower, upper = points.min(0), points.max(0)
     centre, radius = (lower + upper) / 2, np.linalg.norm(upper - lower) / 2
