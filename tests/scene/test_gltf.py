@@ -108,7 +108,7 @@ def test_nested_nodes_and_repeated_meshes(write):
 def with_camera(lens):
     def change(header):
         header["cameras"] = [{"type": "perspective", "perspective": lens}]
-        turned = {"rotation": [0, 0.5**0.5, 0, 0.5**0.5], "camera": 0, "scale": [2, 2, 2]}  # by 90 degrees about y
+        turned = {"rotation": [0, 0.5**0.5, 0, 0.5**0.5], "camera": 0, "scale": [2, 3, 4]}  # by 90 degrees about y
         header["nodes"].append({"translation": [5, 1, 0], "children": [len(header["nodes"]) + 1]})
         header["nodes"].append(turned)
         header["scenes"][0]["nodes"].append(len(header["nodes"]) - 2)

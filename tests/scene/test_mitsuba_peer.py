@@ -72,6 +72,17 @@ def test_shapes_as_in_mitsuba(mitsuba, scene_file, kind, content, transform, fli
         np.testing.assert_allclose(turns - np.round(turns), 0, atol=5e-3)
 
 
+def test_uvs_of_all_sides_of_a_cube_as_in_mitsuba(mitsuba, scene_file):
+    path = scene_file(f'{SENSOR}<shape type="cube" id="s"/>')
+    theirs = mitsuba.traverse(mitsuba.load_file(str(path)).shapes()[0])
+    positions, uvs = np.reshape(theirs["vertex_positions"], (-1, 3)), np.reshape(theirs["vertex_texcoords"], (-1, 2))
+    corners = np.concatenate([positions, uvs * (1, -1) + (0, 1)], 1)  # four a side
+    expected = {frozenset(map(tuple, side)) for side in corners.reshape(6, 4, 5).tolist()}
+    mesh = load_mitsuba(path).shapes["s"].mesh
+    ours = np.concatenate([mesh.vertices[mesh.faces], mesh.uvs[mesh.uv_faces]], -1)
+    assert {frozenset(map(tuple, side)) for side in ours.reshape(6, 6, 5).tolist()} == expected
+
+
 def first_hit(mesh, origin, direction):
     """Face and barycentric coordinates of the closest hit, by solving for every triangle."""
     triangles = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)]
