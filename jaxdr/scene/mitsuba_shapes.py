@@ -225,7 +225,7 @@ def read_shape(element: Element) -> Shape | None:
 def read_shapes(elements: list[Element]) -> dict[str, Shape]:
     """What the `<shape>`s of a scene show, by name: one each, none for a group as such, what is inside for an instance.
 
-    Shapes of an instance of several are named by its name, `_` and theirs. A name that can't be is noted as a problem.
+    Shapes of an instance of several are named by its name, `_` and theirs. A name that can't be is noted.
     """
     found: dict[str, Shape] = {}
     for name, element in zip(shape_names(elements), elements, strict=True):
@@ -234,12 +234,20 @@ def read_shapes(elements: list[Element]) -> dict[str, Shape]:
             shapes = [(f"{name}_{inner}" if len(inside) > 1 else name, shape) for inner, shape in inside]
         else:
             shapes = [(name, read_shape(element))]
-        for whole, shape in shapes:
-            if not whole or "." in whole or whole in RESERVED:
-                message = f"id {whole!r} can't name a shape (not empty, no dots, not {' or '.join(RESERVED)})"
-                element.problems.add(element, element.place(message))
-            elif whole in found:
+        for wanted, shape in shapes:
+            whole = _parameter_name(element, wanted)
+            if whole in found:
                 element.problems.add(element, element.place(f"a second shape {whole!r}; give one of them another id"))
             elif shape is not None and element.type != "shapegroup":
                 found[whole] = shape
     return found
+
+
+def _parameter_name(element: Element, name: str) -> str:
+    """The name, or where it would make no name of a parameter, which is noted, one that does."""
+    if name and "." not in name and name not in RESERVED:
+        return name
+    other = name.replace(".", "_") + ("" if "." in name else "_shape")
+    rule = f"not empty, no dots, not {' or '.join(RESERVED)}"
+    element.unsupported(f"id {name!r} can't name a shape ({rule}); give it another", f"it is called {other!r}")
+    return other

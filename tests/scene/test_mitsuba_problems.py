@@ -58,6 +58,14 @@ def test_what_is_unsupported_can_be_ignored(load):
     assert float(scene.camera.fov) == 30 and scene.camera.film.width == 768 and scene.camera.film.filter == Gaussian()
 
 
+def test_ids_that_make_no_parameter_names_change(load):
+    text = SENSOR + '<shape type="cube" id="a.001"/><shape type="cube" id="camera"/><shape type="cube" id=""/>'
+    with pytest.raises(ValueError, match=r"line 2, <shape>: id 'a\.001' can't name a shape .*; give it another"):
+        load(text)
+    with pytest.warns(UserWarning, match="it is called 'a_001'"):
+        assert list(load(text, ignore_unsupported=True).shapes) == ["_shape", "a_001", "camera_shape"]
+
+
 def test_mistakes_are_never_ignored(load):
     text = """<shape type="sphere"><float name="radius" value="-1"/></shape>
     <shape type="hair"/>
