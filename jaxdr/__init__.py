@@ -9,6 +9,8 @@ from jaxdr.geometry import shapes as shapes
 from jaxdr.geometry.load import load_mesh as load_mesh
 from jaxdr.geometry.load import save_mesh as save_mesh
 from jaxdr.geometry.mesh import Mesh as Mesh
+from jaxdr.images import load_image as load_image
+from jaxdr.images import write_image as write_image
 from jaxdr.integrator import PathTracer as PathTracer
 from jaxdr.optimize import losses as losses
 from jaxdr.optimize.adam import adam_uniform as adam_uniform
@@ -28,6 +30,7 @@ from jaxdr.scene.film import Box as Box
 from jaxdr.scene.film import Film as Film
 from jaxdr.scene.film import Gaussian as Gaussian
 from jaxdr.scene.film import Tent as Tent
+from jaxdr.scene.gltf import load_gltf as load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape

@@ -1,12 +1,14 @@
 """Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr optimize`.
 
-A user's mistake ends with one line on stderr, `jaxdr: error: …`, and exit code 2, before anything is written. A run
-that meets NaN ends with exit code 1, Ctrl-C with 130.
+A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
+exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
 """
 
 import argparse
+import contextlib
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
@@ -15,12 +17,14 @@ import numpy as np
 import warp
 
 from jaxdr.boundary import ESTIMATORS
-from jaxdr.images import check_image_path, has_openexr, save_png, signed_picture, write_image
+from jaxdr.image_formats.exr import is_available as has_openexr
+from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrator import PathTracer
 from jaxdr.optimize.config import read_config
 from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
 from jaxdr.optimize.strict_toml import split_assignment
 from jaxdr.render import render
+from jaxdr.scene import gltf
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene
@@ -64,6 +68,8 @@ def _gradient(options) -> int:
     outputs = _gradient_outputs(Path(options.output))
     for output in outputs:
         check_image_path(output)
+        if output.suffix.lower() == ".hdr":
+            raise ValueError(f"{output}: derivatives have negative values, which .hdr can't hold; .pfm and .exr can")
     scene = _load_scene(options)
     name, value, tangent = motion(scene, options.wrt)
     tracer = PathTracer(max_depth=options.max_depth, boundary=ESTIMATORS[options.boundary]())
@@ -127,10 +133,14 @@ def _optimize(options) -> int:
 
 
 def _load_scene(options) -> Scene:
-    """The scene with `--set` applied: names with a dot are scene parameters, others the file's $variables."""
+    """The scene with `--set` applied: names with a dot are scene parameters, others go to the loader.
+
+    Those are the $variables of a Mitsuba file; width and height for a glTF file.
+    """
     assignments = [split_assignment(text) for text in options.set]
     variables = {name: value for name, value in assignments if "." not in name}
-    scene = load_mitsuba(options.scene, **variables)
+    with _warning_lines():
+        scene = _read_scene(Path(options.scene), options.ignore_unsupported, variables)
     parameters = scene.parameters()
     values = {}
     for name, value in assignments:
@@ -146,6 +156,28 @@ def _load_scene(options) -> Scene:
                 f"--set {name}: expected numbers of shape {list(shape)} or one number, got {value!r}"
             ) from None
     return scene.replace(values)
+
+
+@contextlib.contextmanager
+def _warning_lines() -> Iterator[None]:
+    """Warnings meant for users become lines of stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        try:
+            yield
+        finally:
+            for warning in caught:
+                print(f"jaxdr: warning: {' '.join(str(warning.message).split())}", file=sys.stderr)
+
+
+def _read_scene(path: Path, ignore_unsupported: bool, variables: dict) -> Scene:
+    if path.suffix.lower() not in gltf.EXTENSIONS:
+        return load_mitsuba(path, ignore_unsupported=ignore_unsupported, **variables)
+    for name, value in variables.items():
+        if name not in ("width", "height") or not isinstance(value, int) or value < 1:
+            raise ValueError(f"--set {name}={value}: a glTF file takes width and height, whole pixels")
+    return gltf.load_gltf(path, ignore_unsupported=ignore_unsupported, **variables)
 
 
 class _UsageError(Exception):
@@ -171,11 +203,14 @@ def _parser() -> argparse.ArgumentParser:
         return command
 
     for name, function, summary in (
-        ("render", _render, "Render a Mitsuba 3 scene file to .png, .exr or .npy."),
+        ("render", _render, f"Render a scene file to {', '.join(SUFFIXES)}."),
         ("gradient", _gradient, "Derivative image of a scene for one motion or parameter."),
     ):
         command = add(name, function, summary)
-        command.add_argument("scene", metavar="SCENE", help="Mitsuba 3 XML file")
+        command.add_argument("scene", metavar="SCENE", help="Mitsuba 3 XML, .glb or .gltf file")
+        command.add_argument(
+            "--ignore-unsupported", action="store_true", help="warn of what a scene file has and jaxdr has not"
+        )
         command.add_argument(
             "--spp", type=_positive(int), default=SAMPLES, help=f"samples per pixel (default {SAMPLES})"
         )
@@ -215,7 +250,10 @@ def _positive(kind):
 
 
 def _complain(problem: Exception, code: int) -> int:
-    print(f"jaxdr: error: {' '.join(str(problem).split())}", file=sys.stderr)
+    """One line; a list of problems, as scene files may have, gets a line each."""
+    first, *items = str(problem).split("\n  ")
+    for start, text in [("jaxdr: error: ", first), *(("  ", item) for item in items)]:
+        print(start + " ".join(text.split()), file=sys.stderr)
     return code
 
 

@@ -1,4 +1,7 @@
-"""Image files (PNG, EXR, NPY), tone mapping, and pictures of signed values with a colour bar."""
+"""Image files in and out, tone mapping, and pictures of signed values with a colour bar.
+
+The file formats themselves are in `jaxdr.image_formats`.
+"""
 
 import os
 from pathlib import Path
@@ -8,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-SUFFIXES = (".png", ".exr", ".npy")
+from jaxdr.image_formats import exr, pfm, png, rgbe
 
 # Ends and middle of the diverging map, sRGB: blue, white, red of Moreland 2009, "Diverging Color Maps for Scientific
 # Visualization", with a lighter middle so that zero reads as empty.
@@ -28,50 +31,96 @@ def diverging(values: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarra
     return np.round(255 * (ZERO + np.where(t < 0, -t * (NEGATIVE - ZERO), t * (POSITIVE - ZERO)))).astype(np.uint8)
 
 
+def from_srgb(encoded: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Linear values of sRGB-encoded ones in [0, 1] (IEC 61966-2-1)."""
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    return linear.astype(encoded.dtype)
+
+
+def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarray, "H W C"]:
+    """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
+
+    `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit) and `.jpg` hold sRGB, which is made
+    linear (alpha is linear already); with `raw` their numbers stay as they are, in [0, 1]: for normal maps, roughness,
+    masks.
+
+    Raises ValueError that names the file for a missing or damaged one, an unknown suffix, a variant that is not
+    supported, and EXR without the package OpenEXR.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise ValueError(f"{path}: unknown image format {path.suffix!r}; known are {', '.join(READERS)}")
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
+    try:
+        image = READERS[suffix](path)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if suffix in ENCODED and not raw:
+        image[..., :3] = from_srgb(image[..., :3])
+    return image
+
+
 def check_image_path(path: Path) -> None:
     """Raise ValueError unless `write_image` could write to `path`: known suffix, existing folder, EXR support."""
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: unknown image format {path.suffix!r}; known are {', '.join(SUFFIXES)}")
     if not path.parent.is_dir():
         raise ValueError(f"{path}: folder {path.parent} does not exist")
-    if path.suffix.lower() == ".exr" and not has_openexr():
-        raise ValueError(f'{path}: EXR files need OpenEXR, which is optional: pip install "jaxdr[experiments]"')
+    if path.suffix.lower() == ".exr" and not exr.is_available():
+        raise ValueError(f"{path}: {exr.INSTALL}")
 
 
-def has_openexr() -> bool:
-    """Whether the optional package OpenEXR is installed."""
-    try:
-        import OpenEXR  # noqa: F401
-    except ImportError:
-        return False
-    return True
+def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W 3"]) -> None:
+    """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (8-bit sRGB, clipped).
 
-
-def write_image(path: Path, image: Float[np.ndarray, "H W 3"]) -> None:
-    """Write linear RGB as `.npy` or `.exr` (float32, unchanged) or `.png` (sRGB, 8 bit).
-
-    The file appears complete or not at all. Raises ValueError as `check_image_path` does.
+    The file appears complete or not at all. Raises ValueError as `check_image_path` does, and for values that `.hdr`
+    can't hold (negative ones).
     """
+    path = Path(path)
     check_image_path(path)
-    suffix = path.suffix.lower()
-    if suffix == ".png":
-        save_png(path, to_srgb(image))
-    elif suffix == ".npy":
+    try:
         with atomic_path(path) as temporary:
-            np.save(temporary, np.asarray(image, np.float32))
-    else:
-        import OpenEXR
-
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with atomic_path(path) as temporary:
-            with OpenEXR.File(header, {"RGB": np.ascontiguousarray(image, np.float32)}) as file:
-                file.write(str(temporary))
+            WRITERS[path.suffix.lower()](temporary, np.asarray(image, np.float32))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def save_png(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
     """Write 8-bit sRGB pixels; the file appears complete or not at all."""
     with atomic_path(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+        png.write(temporary, pixels)
+
+
+def _read_npy(path: Path) -> Float[np.ndarray, "H W C"]:
+    try:
+        image = np.load(path, allow_pickle=False)
+    except (EOFError, OSError) as error:
+        raise ValueError(f"not a readable NPY file ({error})") from error
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
+        raise ValueError(f"expected an array of shape [H, W, 1, 3 or 4], got {list(image.shape)}")
+    return image.astype(np.float32)
+
+
+ENCODED = (".png", ".jpg", ".jpeg")
+READERS = {
+    ".png": png.read,
+    ".jpg": png.read,
+    ".jpeg": png.read,
+    ".exr": exr.read,
+    ".hdr": rgbe.read,
+    ".pfm": pfm.read,
+    ".npy": _read_npy,
+}
+WRITERS = {
+    ".png": lambda path, image: png.write(path, to_srgb(image)),
+    ".exr": exr.write,
+    ".hdr": rgbe.write,
+    ".pfm": pfm.write,
+    ".npy": np.save,
+}
+SUFFIXES = tuple(WRITERS)
 
 
 class atomic_path:

@@ -7,9 +7,12 @@ import sys
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
+from trimesh.visual.material import PBRMaterial
 
 from jaxdr import cli
+from jaxdr.images import load_image
 from jaxdr.optimize import loop, phase
 
 from .optimize.fake import render as fake_optimize_render
@@ -92,6 +95,50 @@ def test_render_formats_and_options(workplace, scenes, capsys):
     np.testing.assert_allclose(scene.environment.radiance, 2.0)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".hdr", ".pfm", ".npy"])
+def test_every_image_format(scenes, suffix):
+    if suffix == ".exr":
+        pytest.importorskip("OpenEXR")
+    arguments = ["--set", "spot.vertices=0.1", "--set", "spot.bsdf.reflectance=1"]
+    assert cli.main(["render", "scene.xml", "-o", f"out{suffix}", *arguments]) == (2 if suffix == ".hdr" else 0)
+    if suffix != ".hdr":  # the stand-in image has negative values, which .hdr can't hold
+        expected = np.broadcast_to(np.linspace(-3.8, 3.8, 8)[None, :, None], (6, 8, 3))
+        expected = np.clip(expected, 0, 1) if suffix == ".png" else expected
+        np.testing.assert_allclose(load_image(f"out{suffix}"), expected, rtol=1e-5, atol=0.004 * (suffix == ".png"))
+
+
+def test_what_a_scene_has_and_jaxdr_has_not(workplace, scenes, capsys):
+    text = SCENE.replace("</scene>", '<emitter type="point"/><shape type="hair"/></scene>')
+    (workplace / "hairy.xml").write_text(text)
+    assert cli.main(["render", "hairy.xml", "-o", "out.npy"]) == 2
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first == "jaxdr: error: hairy.xml has 2 problems:"
+    assert [line.split(";")[0] for line in rest] == [
+        "  hairy.xml, line 10, <emitter>: a second one in one <scene>",
+        "  hairy.xml, line 10, <shape>: unknown type 'hair'",
+    ]
+    assert "out.npy" not in names(workplace)
+    assert cli.main(["render", "hairy.xml", "-o", "out.npy", "--ignore-unsupported"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == "out.npy\n"
+    assert [line[:29] for line in captured.err.splitlines()] == ["jaxdr: warning: hairy.xml, li"] * 2
+
+
+def test_render_a_glb_under_a_white_sky(workplace, capsys):
+    box = trimesh.creation.box()
+    material = PBRMaterial(baseColorFactor=[0.5, 0.5, 0.5, 1.0], metallicFactor=0.0)
+    box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(box.vertices), 2)), material=material)
+    trimesh.Scene({"spot": box}).export(workplace / "box.glb")
+    size = ["--set", "width=8", "--set", "height=6"]
+    assert cli.main(["render", "box.glb", "-o", "out.npy", *size, "--spp", "64", "--max-depth", "2"]) == 0
+    image = np.load("out.npy")
+    assert image.shape == (6, 8, 3)
+    np.testing.assert_allclose(image[2:4, 3:5], 0.5, rtol=0.05)
+    np.testing.assert_allclose(image[0, 0], 1, rtol=0.03)
+    assert cli.main(["render", "box.glb", "-o", "out.npy", "--set", "kind=3"]) == 2
+    assert "--set kind=3: a glTF file takes width and height, whole pixels" in capsys.readouterr().err
+
+
 def test_gradient_values_and_pictures(workplace, scenes, capsys):
     assert cli.main(["gradient", "scene.xml", "--wrt", "spot.translate.x", "-o", "g"]) == 0
     written = capsys.readouterr().out.split()
@@ -142,6 +189,7 @@ def test_boundary_is_chosen(scenes):
         ("gradient scene.xml -o out.png", "the following arguments are required: --wrt"),
         ("gradient scene.xml --wrt spot.translat.x -o out.png", "did you mean 'spot.translate.x'?"),
         ("gradient scene.xml --wrt spot.translate.x -o out.png --boundary x", "invalid choice: 'x'"),
+        ("gradient scene.xml --wrt spot.translate.x -o out.hdr", "out.hdr: derivatives have negative values"),
         ("optimize nothing.toml", "nothing.toml: can't be read"),
         ("optimize run.toml --set optimizer.lamb=3", "run.toml: optimizer.lamb: unknown key; did you mean 'lam'?"),
         ("optimize run.toml --resume", "output run: there is no run to resume"),

@@ -28,7 +28,7 @@ def test_npy_and_png(tmp_path, image):
 
 
 def test_exr_keeps_every_value(tmp_path, image):
-    OpenEXR = pytest.importorskip("OpenEXR", reason='EXR is optional: pip install "jaxdr[experiments]"')
+    OpenEXR = pytest.importorskip("OpenEXR", reason='EXR is optional: pip install "jaxdr[exr]"')
     write_image(tmp_path / "a.exr", image)
     with OpenEXR.File(str(tmp_path / "a.exr")) as file:
         np.testing.assert_array_equal(file.channels()["RGB"].pixels, image)
@@ -36,12 +36,12 @@ def test_exr_keeps_every_value(tmp_path, image):
 
 def test_missing_openexr_is_named(tmp_path, image, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(ValueError, match=r'pip install "jaxdr\[experiments\]"'):
+    with pytest.raises(ValueError, match=r'pip install "jaxdr\[exr\]"'):
         write_image(tmp_path / "a.exr", image)
 
 
 def test_bad_paths(tmp_path, image):
-    with pytest.raises(ValueError, match=r"unknown image format '\.jpg'; known are \.png, \.exr, \.npy"):
+    with pytest.raises(ValueError, match=r"unknown image format '\.jpg'; known are \.png, \.exr, \.hdr, \.pfm, \.npy"):
         write_image(tmp_path / "a.jpg", image)
     with pytest.raises(ValueError, match="nowhere does not exist"):
         write_image(tmp_path / "nowhere/a.png", image)

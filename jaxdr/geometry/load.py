@@ -1,6 +1,7 @@
 """Mesh files: OBJ, PLY, GLB and STL, through trimesh."""
 
 import io
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from trimesh.visual import TextureVisuals
 from jaxdr.geometry.mesh import Mesh, weld
 
 EXTENSIONS = (".obj", ".ply", ".glb", ".stl")
-SHADINGS = ("flat", "smooth", "file")
+SHADINGS = ("flat", "smooth", "file", "vertex")
 
 
 def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
@@ -23,15 +24,26 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     of a GLB are joined, each at its node's place in the scene; where only some have UVs, the others get (0, 0).
     Materials are not read.
 
-    `shading`: "flat"; "smooth", one normal per vertex; or "file", where corners with the same position and the same
-    stored normal share one normal, which is then computed from the triangles (flat where nothing is stored).
+    `shading`: "flat"; "smooth", one normal per vertex; "file", where corners with the same position and the same
+    stored normal share one normal, which is then computed from the triangles (flat where nothing is stored); or
+    "vertex", the same, but where nothing is stored one normal per vertex of the file, so that edges at which the file
+    splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
 
     Raises `ValueError` for an unknown extension or shading, a missing or unreadable file, one without triangles, and
     for whatever `Mesh` rejects.
     """
-    path = Path(path)
     if shading not in SHADINGS:
         raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
+    parts = read_parts(path)
+    try:
+        return joined(parts, shading)
+    except ValueError as error:
+        raise ValueError(f"load_mesh: {path}: {error}") from error
+
+
+def read_parts(path: str | PathLike) -> list["Part"]:
+    """The triangle meshes of a file, each at its place. Raises `ValueError` as `load_mesh` does."""
+    path = Path(path)
     _check_extension("load_mesh", path)
     if not path.is_file():
         raise ValueError(f"load_mesh: there is no file {path}")
@@ -39,10 +51,15 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
         scene = trimesh.load_scene(path, process=False, **_parser_options(path))
     except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
         raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({error})") from error
-    parts = [_Part(scene, node) for node in scene.graph.nodes_geometry if _is_triangles(scene, node)]
+    nodes = [(scene.geometry[name], to_world) for to_world, name in map(scene.graph.get, scene.graph.nodes_geometry)]
+    parts = [Part(geometry, to_world) for geometry, to_world in nodes if is_triangles(geometry)]
     if not parts:
         raise ValueError(f"load_mesh: {path} has no triangles")
+    return parts
 
+
+def joined(parts: Sequence["Part"], shading: str) -> Mesh:
+    """One mesh of several parts; the shadings are those of `load_mesh`. Raises `ValueError` as `Mesh` does."""
     ends = np.cumsum([len(part.vertices) for part in parts])
     soup = np.concatenate([part.faces + end - len(part.vertices) for part, end in zip(parts, ends, strict=True)])
     vertices, faces = weld(np.concatenate([part.vertices for part in parts]), soup)
@@ -50,12 +67,14 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     if any(part.uvs is not None for part in parts):
         filled = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
         uvs, uv_faces = weld(np.concatenate(filled), soup)
-    if shading == "file" and any(part.normals is not None for part in parts):
+    has_normals = np.repeat([part.normals is not None for part in parts], [len(part.faces) for part in parts])
+    if shading in ("file", "vertex") and has_normals.any():
         normal_faces = _smoothing_groups(faces, np.concatenate([part.corner_normals() for part in parts]))
-    try:
-        mesh = Mesh(vertices, faces, uvs, uv_faces, normal_faces)
-    except ValueError as error:
-        raise ValueError(f"load_mesh: {path}: {error}") from error
+    if shading == "vertex" and not has_normals.all():
+        first_free = 0 if normal_faces is None else normal_faces.max() + 1
+        by_vertex = first_free + np.unique(soup, return_inverse=True)[1].reshape(-1, 3)
+        normal_faces = by_vertex if normal_faces is None else np.where(has_normals[:, None], normal_faces, by_vertex)
+    mesh = Mesh(vertices, faces, uvs, uv_faces, normal_faces)
     return mesh.smooth() if shading == "smooth" else mesh
 
 
@@ -93,17 +112,16 @@ def _parser_options(path: Path) -> dict[str, Any]:
     return {}
 
 
-def _is_triangles(scene: trimesh.Scene, node: str) -> bool:
-    geometry = scene.geometry[scene.graph[node][1]]
+def is_triangles(geometry: Any) -> bool:
+    """Whether trimesh read triangles here, rather than points or lines."""
     return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
 
 
-class _Part:
-    """One node of a file's scene, in world space; `uvs` and `normals` belong to the vertices, or are None."""
+class Part:
+    """One mesh of a file, in world space; `uvs` and `normals` belong to the vertices, or are None."""
 
-    def __init__(self, scene: trimesh.Scene, node: str):
-        to_world, name = scene.graph[node]
-        geometry, linear = scene.geometry[name], to_world[:3, :3]
+    def __init__(self, geometry: trimesh.Trimesh, to_world: Float[np.ndarray, "4 4"]):
+        linear = to_world[:3, :3]
         self.vertices = geometry.vertices @ linear.T + to_world[:3, 3]
         self.faces = geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces
         uvs = getattr(geometry.visual, "uv", None)

@@ -27,7 +27,8 @@ class Mesh(eqx.Module):
 
     - `vertices`: positions, in scene units.
     - `faces`: corner -> row of `vertices`.
-    - `uvs`, `uv_faces`: texture coordinates, and corner -> row of `uvs`; both None without texture coordinates.
+    - `uvs`, `uv_faces`: texture coordinates, (0, 0) at an image's lower left as in OBJ files, and corner -> row of
+      `uvs`; both None without texture coordinates.
     - `normal_faces`: corner -> smoothing group, whose corners share one interpolated normal; None for flat shading.
     - `edges`: the edges and the faces at them, in spatial order (trees over them need no sorting).
     - `closed`: watertight and consistently oriented, that is, every edge is interior.

@@ -84,6 +84,39 @@ def test_shading(tmp_path):
     assert load_mesh(tmp_path / "flat.obj", shading="smooth").normal_group_count == 12
 
 
+def test_vertex_shading_is_hard_where_the_file_splits_vertices(tmp_path):
+    """A strip of three quads: the first fold by two vertices of the file, the second by two pairs of equal ones."""
+    text = "v 0 0 0\nv 0 1 0\nv 1 0 0\nv 1 1 0\nv 2 0 1\nv 2 1 1\nv 2 0 1\nv 2 1 1\nv 3 0 1\nv 3 1 1\n"
+    path = write(tmp_path / "strip.obj", text + "f 1 3 4 2\nf 3 5 6 4\nf 7 9 10 8\n")
+    mesh = load_mesh(path, shading="vertex")
+    assert len(mesh.vertices) == 8 and mesh.normal_group_count == 10
+    normals = np.asarray(mesh.vertex_normals())[np.asarray(mesh.normal_faces)]
+    at = {x: np.unique(np.round(normals[corners(mesh)[..., 0] == x], 4), axis=0) for x in range(4)}
+    slanted = np.array([-1, 0, 1]) / 2**0.5
+    between = slanted + np.array([0, 0, 1])
+    between /= np.linalg.norm(between)
+    np.testing.assert_allclose(at[0], [[0, 0, 1]], atol=1e-3)
+    np.testing.assert_allclose(at[1], [between], atol=1e-3)
+    np.testing.assert_allclose(at[2], [slanted, [0, 0, 1]], atol=1e-3)
+    assert load_mesh(path, shading="smooth").normal_group_count == 8
+
+
+def test_vertex_shading_takes_stored_normals_where_there_are_some(tmp_path):
+    scene = trimesh.Scene()
+    plain = trimesh.creation.box()
+    hard = trimesh.Trimesh(plain.vertices[plain.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
+    hard.vertex_normals  # noqa: B018  computed, so that they are stored
+    scene.add_geometry(hard, geom_name="hard")
+    moved = trimesh.transformations.translation_matrix([3, 0, 0])
+    scene.add_geometry(trimesh.Trimesh(plain.vertices, plain.faces, process=False), geom_name="plain", transform=moved)
+    scene.export(tmp_path / "mixed.glb")
+    mesh = load_mesh(tmp_path / "mixed.glb", shading="vertex")
+    normals = np.asarray(mesh.vertex_normals())[np.asarray(mesh.normal_faces)]
+    is_plain = corners(mesh)[:, 0, 0] > 2
+    assert np.ptp(normals[~is_plain], axis=1).max() < 1e-6  # a face has one normal
+    np.testing.assert_allclose(np.abs(normals[is_plain]), 3**-0.5, atol=0.2)  # a corner of the cube has one
+
+
 def test_face_normals_in_a_file_mean_flat_shading(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nvn 0 1 0\nf 1//1 2//1 3//1\nf 1//2 4//2 2//2\n"
     mesh = load_mesh(write(tmp_path / "corner.obj", text), shading="file")

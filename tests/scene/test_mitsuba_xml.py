@@ -1,21 +1,10 @@
-"""Syntax of scene files: places of errors, variables, includes, values, transforms."""
+"""Reading elements: typed values, transforms, plugins, and what is noted about what nobody reads."""
 
 import numpy as np
 import pytest
 
-from jaxdr.scene.mitsuba_xml import Element, Properties, SceneFileError, Variables, read_xml
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write the text (the content of <scene>, or a whole document) to scene.xml and read it."""
-
-    def write_and_read(text, name="scene.xml", **variables):
-        whole = text if text.startswith(("<?xml", "<scene", "<bsdf")) else f'<scene version="3.0.0">\n{text}\n</scene>'
-        (tmp_path / name).write_text(whole)
-        return read_xml(tmp_path / name, Variables(variables))
-
-    return write_and_read
+from jaxdr.scene.mitsuba_element import Element
+from jaxdr.scene.mitsuba_xml import Properties, read_plugin
 
 
 def value_of(read, text, tags=None):
@@ -25,82 +14,9 @@ def value_of(read, text, tags=None):
     return Properties(element).value("p", tags or tag)
 
 
-def test_elements_know_their_file_and_line(read, tmp_path):
-    root = read(
-        '<?xml version="1.0"?>\n<!-- comment -->\n<scene version="3.0.0">\n\n <shape type="cube"\n id="a"/>\n</scene>'
-    )
-    (shape,) = root.children
-    assert (shape.tag, shape.attributes, shape.line) == ("shape", {"type": "cube", "id": "a"}, 5)
-    assert str(shape.error("wrong")) == f"{tmp_path / 'scene.xml'}, line 5, <shape>: wrong"
-
-
-def test_variables_override_defaults_and_the_longest_name_is_taken(read):
-    text = '<default name="a" value="1"/>\n<shape type="$a$ab" id="x$a_b"/>'
-    assert read(text, ab=2).children[0].attributes == {"type": "12", "id": "x1_b"}
-    assert read(text, ab="2", a=True).children[0].attributes == {"type": "true2", "id": "xtrue_b"}
-
-
-def test_a_default_counts_from_where_it_stands(read):
-    with pytest.raises(SceneFileError, match=r"scene.xml, line 2, <shape>: variable \$a has no value"):
-        read('<shape type="$a"/>\n<default name="a" value="1"/>')
-
-
-def test_includes(read, tmp_path):
-    (tmp_path / "parts").mkdir()
-    part = '<default name="kind" value="cube"/>\n<shape type="$kind"/><shape type="sphere"/>'
-    (tmp_path / "parts" / "shapes.xml").write_text(f'<scene version="3.0.0">{part}</scene>')
-    (tmp_path / "parts" / "grey.xml").write_text('<bsdf version="3.0.0" type="diffuse"/>')
-    text = (
-        '<include filename="parts/$file.xml"/>'
-        '<shape type="$kind"><include filename="parts/grey.xml"/></shape>'  # the included default holds from here on
-    )
-    root = read(text, file="shapes")
-    assert [shape.attributes["type"] for shape in root.children] == ["cube", "sphere", "cube"]
-    assert root.children[0].file == tmp_path / "parts" / "shapes.xml" and root.children[0].line == 2
-    assert [child.tag for child in root.children[2].children] == ["bsdf"]
-    assert read(text, file="shapes", kind="sphere").children[0].attributes["type"] == "sphere"
-
-
-ERRORS = {
-    "malformed": ('<shape type="cube">\n</scene>', r"line 3, <shape>: malformed XML: mismatched tag"),
-    "cut off": ('<scene version="3.0.0">\n<shape type="cube">', r"line 2, <shape>: malformed XML: no element found"),
-    "not XML": ("<scene version='3.0.0'", r"line 1, <xml>: malformed XML"),
-    "text": ('<shape type="cube">\nhello</shape>', r"line 3, <shape>: unexpected text 'hello'"),
-    "undefined variable": ('<shape type="$kind"/>', r"line 2, <shape>: variable \$kind has no value; give it"),
-    "lonely dollar": ('<shape type="a$"/>', r"line 2, <shape>: variable \$ has no value"),
-    "no version": ("<scene>\n</scene>", r"line 1, <scene>: attribute 'version' is missing"),
-    "old version": ('<scene version="0.6.0"/>', r"line 1, <scene>: version '0.6.0' is not one of Mitsuba 2 or 3"),
-    "default without value": ('<default name="a"/>', r"line 2, <default>: attribute 'value' is missing"),
-    "include of nothing": ('<include filename="no.xml"/>', r"line 2, <include>: included file .*no.xml does not exist"),
-    "include of itself": ('<include filename="scene.xml"/>', r"line 2, <include>: .*scene.xml includes itself"),
-    "unknown encoding": ('<?xml version="1.0" encoding="no"?><scene/>', r"line 1, <xml>: malformed XML: unknown enc"),
-    "outermost include": (
-        '<?xml version="1.0"?><include filename="no.xml"/>',
-        r"line 1, <include>: .*'version' is mis",
-    ),
-    "child of a default": ('<default name="a" value="1"><shape/></default>', r"line 2, <shape>: unexpected inside"),
-}
-
-
-@pytest.mark.parametrize("text, message", ERRORS.values(), ids=ERRORS)
-def test_errors_name_file_line_and_tag(read, text, message):
-    with pytest.raises(ValueError, match=r"scene.xml, " + message):
-        read(text)
-
-
-def test_errors_in_an_included_file_name_that_file(read, tmp_path):
-    (tmp_path / "part.xml").write_text('<scene version="3.0.0">\n\n<shape type="$a"/></scene>')
-    with pytest.raises(ValueError, match=r"part.xml, line 3, <shape>: variable"):
-        read('<include filename="part.xml"/>')
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(ValueError, match=r"no\.xml: can't read this scene file: No such file"):
-        read_xml(tmp_path / "no.xml", Variables({}))
-
-
 VALUES = {
     '<boolean name="p" value="true"/>': True,
+    '<boolean name="p" value="FALSE"/>': False,
     '<integer name="p" value=" -3 "/>': -3,
     '<float name="p" value="1e-2"/>': 0.01,
     '<string name="p" value="a b"/>': "a b",
@@ -137,7 +53,6 @@ BAD_VALUES = {
     '<spectrum name="p" value="400:1, 700:1"/>': "<spectrum>: expected numbers, got '400:1, 700:1'",
     '<spectrum name="p" filename="a.spd"/>': "<spectrum>: unknown attribute 'filename'",
     '<float name="p" value="1"/><float name="p" value="2"/>': "<float>: a second parameter 'p' in one <shape>",
-    '<medium name="p"/>': "<medium>: unknown element",
     '<transform name="p"><skew value="1"/></transform>': "<skew>: unknown transform; known: translate, scale, rotate",
     '<transform name="p"><scale value="1, 2"/></transform>': "<scale>: expected 1 or 3 numbers",
     '<transform name="p"><scale w="1"/></transform>': "<scale>: unknown attribute 'w'",
@@ -145,7 +60,7 @@ BAD_VALUES = {
     '<transform name="p"><rotate angle="3"/></transform>': "<rotate>: the rotation axis must have length 1",
     '<transform name="p"><rotate x="1" y="1" angle="3"/></transform>': "<rotate>: the rotation axis must have length 1",
     '<transform name="p"><matrix value="1 2 3"/></transform>': "<matrix>: expected 9 or 16 numbers",
-    '<transform name="p"><lookat origin="0 0 0" target="0 0 1"/></transform>': "<lookat>: attribute 'up' is missing",
+    '<transform name="p"><lookat origin="0 0 0" up="0 0 1"/></transform>': "<lookat>: attribute 'target' is missing",
     '<transform name="p"><lookat origin="0 0 0" target="0 0 1" up="0 0 1"/></transform>': "<lookat>: look_at: up",
     f'<transform name="p"><matrix value="{"1 " * 16}"/></transform>': "<matrix>: the last row of a matrix must be",
 }
@@ -178,6 +93,8 @@ TRANSFORMS = {
     '<translate x="1"/><scale value="2"/>': [[2, 0, 0, 2], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]],
     # Looking along +z from (1, 2, 3): left is +x, up is +y.
     '<lookat origin="1,2,3" target="1,2,4" up="0,1,0"/>': [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]],
+    # Without an up vector it is Mitsuba's first tangent, here x; so left is y × …: up × forward = x × z = -y.
+    '<lookat origin="1,2,3" target="1,2,4"/>': [[0, 1, 0, 1], [-1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]],
 }
 
 
@@ -186,17 +103,84 @@ def test_transforms(read, steps, expected):
     np.testing.assert_allclose(value_of(read, f'<transform name="p">{steps}</transform>'), expected, atol=1e-15)
 
 
-def test_what_nobody_takes_is_an_error(read):
-    shape = read('<shape type="cube"><float name="a" value="1"/><float name="b" value="1"/><emitter type="c"/></shape>')
-    properties = Properties(shape.children[0])
-    assert properties.value("a", "float") == 1 and properties.value("c", "float", 7) == 7
-    with pytest.raises(ValueError, match=r"<float>: unknown parameter 'b' of shape 'cube'"):
-        properties.finish()
+def messages(element):
+    """What was noted, without the file; and whether it may be ignored."""
+    return [(message.split("scene.xml, ")[1], ignorable) for *_, message, ignorable in element.problems.found]
+
+
+def test_what_nobody_takes_is_noted(read):
+    shape = read(
+        '<shape type="cube"><float name="a" value="1"/><float name="widht" value="1"/><emitter type="c"/></shape>'
+    ).children[0]
+    properties = Properties(shape)
+    assert properties.value("a", "float") == 1 and properties.value("width", "float", 7) == 7
+    properties.ignore("not there")
+    properties.finish()
+    assert messages(shape) == [
+        (
+            "line 2, <float>: unknown parameter 'widht' of shape 'cube'; did you mean 'width'?; "
+            "with ignore_unsupported it has no effect",
+            True,
+        ),
+        ("line 2, <emitter>: not supported inside shape 'cube'; with ignore_unsupported it is left out", True),
+    ]
+
+
+def test_what_is_taken_or_ignored_is_not_noted(read):
+    shape = read('<shape type="cube"><float name="b" value="1"/><emitter type="c"/></shape>').children[0]
+    properties = Properties(shape)
     properties.ignore("b", "not there")
-    with pytest.raises(ValueError, match=r"<emitter>: not supported inside shape 'cube'"):
-        properties.finish()
     assert properties.at_most_one("emitter").attributes["type"] == "c"
     properties.finish()
+    assert messages(shape) == []
+
+
+def test_unknown_elements_seconds_and_textures_are_noted(read):
+    shape = read(
+        """<shape type="cube"><colour name="p"/>
+        <bsdf type="a"/>
+        <bsdf type="b"/>
+        <texture type="bitmap" name="radius"/><spectrum type="blackbody" name="height"/></shape>"""
+    ).children[0]
+    properties = Properties(shape)
+    assert properties.at_most_one("bsdf").type == "a"
+    assert properties.value("radius", "float", 2) == 2 and properties.texture("height").type == "blackbody"
+    properties.finish()
+    assert [message.split(";")[0] for message, _ in messages(shape)] == [
+        "line 2, <colour>: unknown element",
+        "line 4, <bsdf>: a second one in one <shape>",
+        "line 5, <texture>: a texture can't give 'radius' here",
+    ]
+    assert all(ignorable for _, ignorable in messages(shape))
+
+
+def test_plugins_are_looked_up_and_checked_for_leftovers(read):
+    scene = read(
+        """<shape type="good"><float name="size" value="3"/></shape>
+        <shape type="sloppy"><float name="size" value="3"/></shape>
+        <shape type="bad"/>
+        <shape type="unknown"/>
+        <shape/>"""
+    )
+
+    def bad(element):
+        raise ValueError("no radius")
+
+    table = {"good": lambda e: Properties(e).value("size", "float"), "sloppy": lambda e: 1, "bad": bad}
+    assert [read_plugin(child, table, "it is left out") for child in scene.children] == [3, 1, None, None, None]
+    assert messages(scene) == [
+        (
+            "line 3, <float>: unknown parameter 'size' of shape 'sloppy'; known: none; "
+            "with ignore_unsupported it has no effect",
+            True,
+        ),
+        ("line 4, <shape>: no radius", False),
+        (
+            "line 5, <shape>: unknown type 'unknown'; known: good, sloppy, bad; with ignore_unsupported it is left out",
+            True,
+        ),
+        ("line 6, <shape>: attribute 'type' is missing", False),
+    ]
 
 
 def test_objects_need_a_type(tmp_path):

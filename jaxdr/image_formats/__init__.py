@@ -1,0 +1,1 @@
+"""Image file formats, one a file: `read` and `write` of pixel arrays, top row first, whatever the file's own order."""

@@ -1,0 +1,48 @@
+"""PNG and JPEG through Pillow, as the numbers stored: nothing is decoded from sRGB here."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageFile
+
+
+def read(path: Path) -> Float[np.ndarray, "H W C"]:
+    """Stored values / 255 (or / 65535 with 16 bits), C = 1, 3 or 4; alpha last. Palettes are looked up.
+
+    Raises ValueError for a damaged file, CMYK, and 16-bit images with grey and alpha or with one transparent colour.
+    """
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            pixels = _pixels(image, path)
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"not a readable PNG or JPEG file ({error})") from error
+    return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
+    """Write 8-bit RGB as a PNG."""
+    Image.fromarray(pixels).save(path, format="PNG")
+
+
+def _pixels(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
+    raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
+    if raw_mode.endswith(";16B"):
+        if raw_mode == "LA;16B" or "transparency" in image.info:
+            raise ValueError("16-bit grey with alpha and 16-bit transparent colours are not supported; use RGBA")
+        if image.mode == "I;16":
+            return np.asarray(image).astype(np.float32) / 65535
+        # Pillow keeps the first byte of each 16-bit colour. Decoded as if they were stored the other way around, the
+        # same file gives the second bytes.
+        high = np.asarray(image).astype(np.uint16)
+        with Image.open(path) as again:
+            again.tile = [tile._replace(args=raw_mode.replace(";16B", ";16L")) for tile in again.tile]
+            low = np.asarray(again)
+        return (256 * high + low).astype(np.float32) / 65535
+    if image.mode == "CMYK":
+        raise ValueError("CMYK colours are not supported; save the file as RGB")
+    if image.has_transparency_data:
+        mode = "RGBA"
+    else:
+        mode = "L" if image.mode in ("1", "L") else "RGB"
+    return np.asarray(image.convert(mode)).astype(np.float32) / 255

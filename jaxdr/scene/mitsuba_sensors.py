@@ -1,0 +1,110 @@
+"""Sensors of Mitsuba 3 scene files, with what is inside them: films, reconstruction filters and samplers."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.film import Box, Film, Gaussian, ReconstructionFilter, Tent
+from jaxdr.scene.mitsuba_element import Element
+from jaxdr.scene.mitsuba_values import floats
+from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
+
+SAMPLER_SETTINGS = ("sample_count", "seed", "jitter")
+# How Mitsuba stores the image. Our pixels at the border always see beyond the film, as with its sample_border.
+FILM_SETTINGS = ("file_format", "component_format", "sample_border", "compensate")
+PIXEL_FORMATS = ("rgb", "rgba")  # there is no alpha channel here; the colours are the same
+SENSOR_SETTINGS = ("shutter_open", "shutter_close")  # nothing moves in time
+FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for this film format
+
+
+def _perspective(element: Element) -> Perspective:
+    properties = Properties(element)
+    for name in ("principal_point_offset_x", "principal_point_offset_y"):
+        if properties.value(name, NUMBER, 0.0) != 0:
+            element.unsupported(f"{name} other than 0 is not supported", "it is 0")
+    to_world = properties.value("to_world", "transform", np.eye(4))
+    if not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
+        raise ValueError("to_world must not scale or shear")
+    near, far = properties.value("near_clip", NUMBER, 1e-2), properties.value("far_clip", NUMBER, 1e4)
+    sampler, film = properties.at_most_one("sampler"), properties.at_most_one("film")
+    if sampler is not None:
+        read_plugin(sampler, SAMPLERS, "it has no effect")
+    properties.ignore(*SENSOR_SETTINGS)
+    fov, axis = _field_of_view(properties)
+    return Perspective(to_world, fov, _read_film(film), axis, near, far)
+
+
+def _field_of_view(properties: Properties) -> tuple[float, str]:
+    """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
+    fov = properties.value("fov", NUMBER)
+    axis = properties.value("fov_axis", "string", "x")
+    focal_length = properties.value("focal_length", "string")
+    if fov is not None:
+        if focal_length is not None:
+            raise ValueError("give either fov or focal_length, not both")
+        if not 0 < fov < 180:
+            raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+        return fov, axis
+    millimetres = floats((focal_length or "50mm").removesuffix("mm"), 1)[0]
+    if millimetres <= 0:
+        raise ValueError(f"focal_length must be positive, got {focal_length}")
+    return math.degrees(2 * math.atan(0.5 * FULL_FRAME_DIAGONAL / millimetres)), "diagonal"
+
+
+def _hdr_film(element: Element) -> Film:
+    properties = Properties(element)
+    width, height = properties.value("width", "integer", 768), properties.value("height", "integer", 576)
+    names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+    defaults = (0, 0, width, height)
+    crop = tuple(properties.value(n, "integer", d) for n, d in zip(names, defaults, strict=True))
+    pixel_format = properties.value("pixel_format", "string", "rgb")
+    if pixel_format not in PIXEL_FORMATS:
+        element.unsupported(f"pixel_format must be {' or '.join(PIXEL_FORMATS)}, got {pixel_format!r}", "it is rgb")
+    rfilter = properties.at_most_one("rfilter")
+    properties.ignore(*FILM_SETTINGS)
+    return Film(width, height, _read_filter(rfilter), None if crop == defaults else crop)
+
+
+def _gaussian(element: Element) -> Gaussian:
+    return Gaussian(Properties(element).value("stddev", NUMBER, 0.5))
+
+
+def _box(element: Element) -> Box:
+    return Box()
+
+
+def _tent(element: Element) -> Tent:
+    return Tent(Properties(element).value("radius", NUMBER, 1.0))
+
+
+def _sampler(element: Element) -> None:
+    """Random numbers change nothing in the expected image; `jaxdr.render` draws its own."""
+    Properties(element).ignore(*SAMPLER_SETTINGS)
+
+
+SENSORS: dict[str, Callable[[Element], Perspective]] = {"perspective": _perspective}
+FILMS: dict[str, Callable[[Element], Film]] = {"hdrfilm": _hdr_film}
+# Mitsuba's others (mitchell, catmullrom, lanczos) have negative lobes: no density to draw film points from.
+FILTERS: dict[str, Callable[[Element], ReconstructionFilter]] = {"box": _box, "gaussian": _gaussian, "tent": _tent}
+SAMPLERS: dict[str, Callable[[Element], None]] = dict.fromkeys(
+    ("independent", "stratified", "multijitter", "orthogonal", "ldsampler"), _sampler
+)
+
+
+def read_sensor(element: Element) -> Perspective | None:
+    """A `<sensor>`; None where it can't be read, which is noted as a problem."""
+    return read_plugin(element, SENSORS, "it is left out")
+
+
+def _read_film(element: Element | None) -> Film:
+    """A `<film>`, or Mitsuba's default."""
+    film = None if element is None else read_plugin(element, FILMS, "a film of 768 x 576 pixels takes its place")
+    return Film(768, 576) if film is None else film
+
+
+def _read_filter(element: Element | None) -> ReconstructionFilter:
+    """An `<rfilter>`, or Mitsuba's default."""
+    rfilter = None if element is None else read_plugin(element, FILTERS, "a Gaussian filter takes its place")
+    return Gaussian() if rfilter is None else rfilter
