@@ -120,9 +120,13 @@ class AttachedLines:
         in_lobe = scattered + share * emission
         sky = ~sides.valid[..., None]
         seen_at_all = scattered + jnp.where(sky, 1.0, share) * emission
+        # Directions of unused slots are not unit, and narrow lobes overflow there.
+        for_edge, for_lobe = (
+            jnp.where(valid[:, None], value * weight[:, None] * (light[0] - light[1]), 0.0)
+            for light in (seen_at_all, in_lobe)
+        )
         edge, lobe = self._motion(found, seen)
-        jump = edge[:, None] * (seen_at_all[0] - seen_at_all[1]) - lobe[:, None] * (in_lobe[0] - in_lobe[1])
-        return jnp.where(valid[:, None], value * weight[:, None], 0.0) * jump
+        return for_edge * edge[:, None] - for_lobe * lobe[:, None]
 
     def _boundary(self, drawn: LobeChords, found: Crossings) -> tuple[SeenEdges, Float[Array, "C 3"]]:
         """(the crossed edges as seen, contributions without radiance and normal velocity)."""
