@@ -58,11 +58,16 @@ def fresnel_conductor(
     larger = jnp.sqrt(jnp.where(positive, larger2, 1.0))
     a = jnp.where(positive, jnp.where(real > 0, larger, imaginary / larger), 0.0)
     term = 2.0 * cos * a
-    s = (modulus + cos2 - term) / (modulus + cos2 + term)
+    s = _ratio(modulus + cos2 - term, modulus + cos2 + term)
     sin4 = sin2 * sin2
-    below = cos2 * modulus + sin4 + term * sin2
-    p = s * (cos2 * modulus + sin4 - term * sin2) / jnp.where(below > 0, below, 1.0)
+    p = s * _ratio(cos2 * modulus + sin4 - term * sin2, cos2 * modulus + sin4 + term * sin2)
     return 0.5 * (s + p)
+
+
+def _ratio(a, b):
+    """a / b, one where both vanish."""
+    positive = b > 0
+    return jnp.where(positive, a / jnp.where(positive, b, 1.0), 1.0)
 
 
 def diffuse_reflectance(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
