@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.scene.bsdf.base import BSDF, DeltaSample
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import number
 from jaxdr.scene.sampling import choose
 
@@ -20,7 +20,7 @@ class Mask(BSDF):
     bsdf: BSDF
     delta = True
 
-    def __init__(self, opacity: ArrayLike, bsdf: BSDF):
+    def __init__(self, opacity: ArrayLike, bsdf: BSDF | TwoSided):
         if not isinstance(bsdf, BSDF):
             inside = type(bsdf).__name__
             raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, reflection
+from jaxdr.scene.bsdf import microfacet
 from tests.scene.bsdf.checks import direction, random_directions, repeated, uniform
 
+DISTRIBUTIONS = {n: microfacet.Distribution(*map(jax.jit, model)) for n, model in microfacet.DISTRIBUTIONS.items()}
+reflection = jax.jit(microfacet.reflection, static_argnums=0)
 each_distribution = pytest.mark.parametrize("name", DISTRIBUTIONS)
 ALPHAS = [0.001, 0.1, 1.0]
 
@@ -106,8 +108,7 @@ def test_float32_is_enough_for_narrow_lobes(name, alpha):
 
 
 @each_distribution
-@pytest.mark.parametrize("alpha", ALPHAS)
-def test_finite_at_the_edges(name, alpha):
+def test_finite_at_the_edges(name):
     """At the pole, at grazing angles, for directions that cancel, and outside; the samplers too."""
     near = [0.0, 1e-20, 1e-7, 1e-3]
     up, flat = [0.0, 0.0, 1.0], [[np.sqrt(1 - z * z), 0.0, z] for z in near]
@@ -120,9 +121,11 @@ def test_finite_at_the_edges(name, alpha):
         active = (wi[:, 2] > 0) & (wo[:, 2] > 0)
         return sum(part.sum() for part in reflection(name, alpha, wi, wo, active))
 
-    value, gradients = total(jnp.asarray(alpha), wi, wo)
-    assert np.isfinite(value)
-    assert all(np.all(np.isfinite(g)) for g in gradients)
+    for alpha in ALPHAS:
+        value, gradients = total(jnp.asarray(alpha), wi, wo)
+        assert np.isfinite(value)
+        assert all(np.all(np.isfinite(g)) for g in gradients)
     u = jnp.asarray([[a, b] for a in (0.0, 0.5, 1 - 2**-24) for b in (0.0, 0.5, 1 - 2**-24)])
-    m = DISTRIBUTIONS[name].sample(edges[:9, None], jnp.asarray(alpha), u[None])
-    np.testing.assert_allclose(jnp.linalg.norm(m, axis=-1), 1.0, rtol=1e-5)
+    for alpha in ALPHAS:
+        m = DISTRIBUTIONS[name].sample(edges[:9, None], jnp.asarray(alpha), u[None])
+        np.testing.assert_allclose(jnp.linalg.norm(m, axis=-1), 1.0, rtol=1e-5)
