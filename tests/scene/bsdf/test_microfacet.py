@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from jaxdr.scene.bsdf import microfacet
-from tests.scene.bsdf.checks import direction, random_directions, repeated, uniform
+from tests.scene.bsdf.checks import QUICK, direction, random_directions, repeated, uniform
 
 DISTRIBUTIONS = {n: microfacet.Distribution(*map(jax.jit, model)) for n, model in microfacet.DISTRIBUTIONS.items()}
 reflection = jax.jit(microfacet.reflection, static_argnums=0)
@@ -115,7 +115,7 @@ def test_finite_at_the_edges(name):
     edges = jnp.asarray([up, *flat, *([-x, y, z] for x, y, z in flat), [0.6, 0.0, 0.8], [0.0, 0.0, -1.0]])
     wi, wo = (x.reshape(-1, 3) for x in jnp.broadcast_arrays(edges[:, None], edges[None]))
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK)
     @functools.partial(jax.value_and_grad, argnums=(0, 1, 2))
     def total(alpha, wi, wo):
         active = (wi[:, 2] > 0) & (wo[:, 2] > 0)
