@@ -19,6 +19,7 @@ from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.film import Box, Film, Gaussian, Tent
+from jaxdr.scene.mitsuba_materials import MATERIALS
 from jaxdr.scene.mitsuba_xml import Element, Properties, Variables, floats, read_xml
 from jaxdr.scene.scene import RESERVED, Scene, Shape
 
@@ -223,7 +224,11 @@ def _two_sided(properties: Properties, reader: _Reader) -> TwoSided:
     return TwoSided(cast(BSDF, reader.bsdf(inner)))
 
 
-BSDFS: dict[str, Callable[[Properties, _Reader], BSDF | TwoSided]] = {"diffuse": _diffuse, "twosided": _two_sided}
+BSDFS: dict[str, Callable[[Properties, _Reader], BSDF | TwoSided]] = {
+    "diffuse": _diffuse,
+    "twosided": _two_sided,
+    **{name: lambda properties, _, make=make: make(properties) for name, make in MATERIALS.items()},
+}
 
 
 def _emitter(element: Element, kind: str, make: Callable):
