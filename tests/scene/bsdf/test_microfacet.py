@@ -14,7 +14,7 @@ from tests.scene.bsdf.checks import QUICK, direction, random_directions, repeate
 DISTRIBUTIONS = {n: microfacet.Distribution(*map(jax.jit, model)) for n, model in microfacet.DISTRIBUTIONS.items()}
 reflection = jax.jit(microfacet.reflection, static_argnums=0)
 each_distribution = pytest.mark.parametrize("name", DISTRIBUTIONS)
-ALPHAS = [0.001, 0.1, 1.0]
+ALPHAS = [0.001, 1.0]
 
 
 def slope_grid(alpha, reach, cells):
@@ -50,7 +50,7 @@ def test_projected_area_of_the_facets_is_that_of_the_surface(name, alpha):
 @pytest.mark.parametrize("theta", [0.0, 0.8, 1.5])
 def test_visible_facets_project_to_the_surface(name, alpha, theta):
     """G1(v) ∫ D(m) max(0, v·m) dm = v.z: the density of visible normals integrates to one (Heitz 2014, Eq. 14)."""
-    normals, area = slope_grid(alpha, 150.0 if name == "ggx" else 6.0, 1200)
+    normals, area = slope_grid(alpha, 150.0 if name == "ggx" else 6.0, 1000)
     density = visible_density(DISTRIBUTIONS[name], direction(theta, 0.3), alpha, normals)
     assert abs((density * area).sum() - 1) < 0.012 if name == "ggx" else 2e-4
 

@@ -25,7 +25,7 @@ def interaction(mitsuba, wi):
     return si
 
 
-def pairs(bsdf, count=150):
+def pairs(bsdf, count=100):
     """Directions at random, and every other `wo` sampled, so that narrow lobes are met."""
     lowest = -1.0 if bsdf.transmissive else 0.0
     wi, wo = np.asarray(random_directions(count, 0, lowest)), np.array(random_directions(count, 1))
@@ -42,7 +42,7 @@ def test_eval_and_pdf_as_in_mitsuba(mitsuba, name):
     wi, wo = pairs(bsdf)
     sides = [(interaction(mitsuba, a), b.tolist()) for a, b in zip(wi, wo, strict=True)]
     expected = np.array([list(theirs.eval(context, si, b)) for si, b in sides])
-    assert (expected > 0).any(1).sum() > 30
+    assert (expected > 0).any(1).sum() > 20
     np.testing.assert_allclose(call(bsdf, "eval", wi, wo), expected, rtol=eval_tolerance, atol=1e-5)
     if pdf_tolerance is not None:
         expected = np.array([theirs.pdf(context, si, b) for si, b in sides])
