@@ -20,7 +20,16 @@ from jaxdr.optimize.remesh import remesh as remesh
 from jaxdr.render import Moving as Moving
 from jaxdr.render import derivative_terms as derivative_terms
 from jaxdr.render import render as render
+from jaxdr.scene.bsdf import Conductor as Conductor
+from jaxdr.scene.bsdf import Dielectric as Dielectric
 from jaxdr.scene.bsdf import Diffuse as Diffuse
+from jaxdr.scene.bsdf import Mask as Mask
+from jaxdr.scene.bsdf import Plastic as Plastic
+from jaxdr.scene.bsdf import Principled as Principled
+from jaxdr.scene.bsdf import RoughConductor as RoughConductor
+from jaxdr.scene.bsdf import RoughDielectric as RoughDielectric
+from jaxdr.scene.bsdf import RoughPlastic as RoughPlastic
+from jaxdr.scene.bsdf import ThinDielectric as ThinDielectric
 from jaxdr.scene.bsdf import TwoSided as TwoSided
 from jaxdr.scene.camera import Perspective as Perspective
 from jaxdr.scene.camera import look_at as look_at

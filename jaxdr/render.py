@@ -150,6 +150,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
     distribution = prepared = None
     if with_boundary:
+        _check_opaque(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
         distribution = edge_distribution(packed, shapes, pilot_key)
@@ -171,6 +172,16 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
     start = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(chunk, packed, 0))
     return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
+
+
+def _check_opaque(packed: PackedScene) -> None:
+    """Raises ValueError where light passes through surfaces: boundary terms look for it on one side only."""
+    for group in packed.bsdfs:
+        if group.bsdf.transmissive:
+            raise ValueError(
+                f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
+                "opaque BSDF, differentiate nothing that moves, or boundary=None for the interior term alone"
+            )
 
 
 def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key, spp, integrator) -> dict:

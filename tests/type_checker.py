@@ -6,4 +6,4 @@ ArrayLike is written for static checkers: at run time it refuses floats and tupl
 from beartype import BeartypeConf, FrozenDict, beartype
 from numpy.typing import ArrayLike
 
-check = beartype(conf=BeartypeConf(hint_overrides=FrozenDict({ArrayLike: object})))
+check = beartype(conf=BeartypeConf(hint_overrides=FrozenDict({ArrayLike: object, ArrayLike | None: object})))

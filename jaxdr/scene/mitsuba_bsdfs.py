@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.mitsuba_element import Element
+from jaxdr.scene.mitsuba_materials import MATERIALS
 from jaxdr.scene.mitsuba_textures import color
 from jaxdr.scene.mitsuba_xml import Properties, read_plugin
 
@@ -27,7 +28,11 @@ def _two_sided(element: Element) -> TwoSided:
     return TwoSided(bsdf)
 
 
-BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {"diffuse": _diffuse, "twosided": _two_sided}
+BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
+    "diffuse": _diffuse,
+    "twosided": _two_sided,
+    **{name: lambda element, make=make: make(Properties(element)) for name, make in MATERIALS.items()},
+}
 
 
 def read_bsdf(element: Element) -> BSDF | TwoSided:

@@ -104,7 +104,14 @@ class PackedScene(eqx.Module):
 
 
 def pack(scene: Scene) -> PackedScene:
-    """Flat tables of a scene; traceable in all its float parameters."""
+    """Flat tables of a scene; traceable in all its float parameters.
+
+    Raises ValueError for a BSDF with delta lobes: paths can't follow them yet.
+    """
+    for name, shape in scene.shapes.items():
+        if unwrap(shape.bsdf).delta:
+            kind = type(unwrap(shape.bsdf)).__name__
+            raise ValueError(f"{name}: {kind} has delta lobes, which can't be rendered yet; take a rough model")
     shapes = list(scene.shapes.values())
     meshes = [shape.mesh for shape in shapes]
     first_vertex = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])

@@ -1,9 +1,9 @@
-"""Maps from uniform numbers in [0, 1)^2 to directions and triangles, with their densities."""
+"""Maps from uniform numbers in [0, 1)^2 to directions and triangles, with their densities, and choices by them."""
 
 import math
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 
 def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
@@ -27,3 +27,14 @@ def uniform_triangle(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     b0 = jnp.where(upper, 0.5 * x, x - 0.5 * y)
     b1 = jnp.where(upper, y - 0.5 * x, 0.5 * y)
     return jnp.stack([b0, b1, 1.0 - b0 - b1], -1)
+
+
+def choose(
+    u: Float[Array, "*#n 2"], probability: Float[Array, "*#n"]
+) -> tuple[Bool[Array, "*#n"], Float[Array, "*#n 2"]]:
+    """(whether the first of two is chosen, with `probability`; uniform numbers in [0, 1)^2 that are left)."""
+    first = u[..., 0] < probability
+    start, width = jnp.where(first, 0.0, probability), jnp.where(first, probability, 1.0 - probability)
+    stretched = (u[..., 0] - start) / jnp.where(width > 0, width, 1.0)
+    below_one = 1.0 - jnp.finfo(u.dtype).epsneg  # the quotient may round to 1
+    return first, jnp.stack([jnp.minimum(stretched, below_one), jnp.broadcast_to(u[..., 1], first.shape)], -1)

@@ -1,6 +1,16 @@
 """BSDFs, one model a file. Adding one: a file with a `BSDF` subclass, and its name here."""
 
 from jaxdr.scene.bsdf.base import BSDF as BSDF
+from jaxdr.scene.bsdf.base import DeltaSample as DeltaSample
 from jaxdr.scene.bsdf.base import TwoSided as TwoSided
 from jaxdr.scene.bsdf.base import turn_with_reflection as turn_with_reflection
+from jaxdr.scene.bsdf.conductor import Conductor as Conductor
+from jaxdr.scene.bsdf.dielectric import Dielectric as Dielectric
 from jaxdr.scene.bsdf.diffuse import Diffuse as Diffuse
+from jaxdr.scene.bsdf.mask import Mask as Mask
+from jaxdr.scene.bsdf.plastic import Plastic as Plastic
+from jaxdr.scene.bsdf.principled import Principled as Principled
+from jaxdr.scene.bsdf.rough_conductor import RoughConductor as RoughConductor
+from jaxdr.scene.bsdf.rough_dielectric import RoughDielectric as RoughDielectric
+from jaxdr.scene.bsdf.rough_plastic import RoughPlastic as RoughPlastic
+from jaxdr.scene.bsdf.thin_dielectric import ThinDielectric as ThinDielectric

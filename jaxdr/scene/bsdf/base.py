@@ -1,10 +1,11 @@
 """The interface of a BSDF, in the local frame of a surface point (z along the shading normal).
 
 All directions point away from the surface. A BSDF is written for points with a leading batch shape: fields carry
-one row for every point when its methods are called (`Scene` gathers them by shape).
+one row for every point when its methods are called (`Scene` gathers them by shape). Choices are static fields.
 """
 
 import abc
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,12 +15,37 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.geometry.vector import normalize
 
 
+class DeltaSample(NamedTuple):
+    """One delta lobe of a BSDF: all light of one direction `wo` (unit), scattered into one direction.
+
+    `weight` (RGB, no unit) is the radiance that leaves towards wi over that which arrives from `wo`; `probability` that
+    this lobe is chosen, zero where the rest of the BSDF is (then `wo` and `weight` mean nothing). `wo` and `weight` are
+    differentiable in wi and in the fields; the estimate is weight / probability, with the probability detached.
+    """
+
+    wo: Float[Array, "*n 3"]
+    weight: Float[Array, "*n 3"]
+    probability: Float[Array, "*n"]
+
+
 class BSDF(eqx.Module):
-    """Bidirectional scattering distribution function of one surface."""
+    """Bidirectional scattering distribution function of one surface.
+
+    `transmissive`: it tells the inside (wi.z < 0) from the outside and scatters through the surface; else it is black
+    from behind. `delta`: it has delta lobes; `eval` and `pdf` leave them out, and `pdf` integrates to the probability
+    that `sample_delta` chooses none of them, or to less where sampling fails.
+    """
+
+    transmissive: ClassVar[bool] = False
+    delta: ClassVar[bool] = False
 
     @abc.abstractmethod
     def eval(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """f_s(wi, wo) |cos wo|, RGB; `wi` towards the previous vertex, `wo` the sampled side. Unit: 1/sr."""
+        """f_s(wi, wo) |cos wo|, RGB; `wi` towards the previous vertex, `wo` the sampled side. Unit: 1/sr.
+
+        For radiance that arrives from `wo`, as a path from the camera meets it: what is refracted is scaled by the
+        squared ratio of indices (Veach 1997, 5.2).
+        """
 
     @abc.abstractmethod
     def pdf(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -27,12 +53,20 @@ class BSDF(eqx.Module):
 
     @abc.abstractmethod
     def sample(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
-        """Unit direction `wo` drawn from `pdf`."""
+        """Unit direction `wo` drawn from `pdf`; the zero vector, whose `pdf` is zero, where a sampler fails.
+
+        Where `sample_delta` chooses a delta lobe for the same `u`, the direction means nothing.
+        """
+
+    def sample_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
+        """The delta lobe that `u` chooses, if it chooses one; for models with `delta`."""
+        return no_delta(wi)
 
     def lobe_width(self, wi: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Angle (radians) over which `eval` and `pdf` change little around a sampled direction; at most 1.
 
-        A matter of noise alone: how far from sampled directions line sampling looks for silhouettes.
+        A matter of noise alone: how far from sampled directions line sampling looks for silhouettes. A model with
+        several lobes gives the narrowest. Delta lobes don't count.
         """
         return jnp.ones_like(wi[..., 0])
 
@@ -46,6 +80,25 @@ class BSDF(eqx.Module):
         return wo
 
 
+class DeltaBSDF(BSDF):
+    """A BSDF of delta lobes alone."""
+
+    delta: ClassVar[bool] = True
+
+    def eval(self, wi, wo):
+        return jnp.zeros_like(wo)
+
+    def pdf(self, wi, wo):
+        return jnp.zeros_like(wo[..., 0])
+
+    def sample(self, wi, u):
+        return jnp.zeros_like(wi)
+
+    @abc.abstractmethod
+    def sample_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
+        """The delta lobe that `u` chooses."""
+
+
 class TwoSided(eqx.Module):
     """Adapter: the BSDF acts alike on both sides of the surface. Parameter names pass through it."""
 
@@ -54,6 +107,8 @@ class TwoSided(eqx.Module):
     def __check_init__(self):
         if isinstance(self.bsdf, TwoSided):
             raise ValueError("TwoSided: the BSDF inside is two-sided already")
+        if self.bsdf.transmissive:
+            raise ValueError(f"TwoSided: {type(self.bsdf).__name__} lets light through and has two sides of its own")
 
 
 def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
@@ -61,8 +116,18 @@ def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array
     return (wi[..., 2] > 0) & (wo[..., 2] > 0)
 
 
+def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """`wi` mirrored at the normal."""
+    return wi * jnp.asarray([-1.0, -1.0, 1.0], wi.dtype)
+
+
+def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
+    """No delta lobe chosen."""
+    return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros_like(wi[..., 0]))
+
+
 def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """`BSDF.turn` of lobes around the mirror direction: the least rotation that takes that along, to first order."""
-    mirror = wi * jnp.asarray([-1.0, -1.0, 1.0], wi.dtype)
-    axis = jnp.cross(stop_gradient(mirror), mirror)
+    reflected = mirror(wi)
+    axis = jnp.cross(stop_gradient(reflected), reflected)
     return normalize(wo + jnp.cross(axis, wo))

@@ -1,0 +1,38 @@
+"""Smooth metal: a mirror."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
+from jaxdr.scene.bsdf.fresnel import fresnel_conductor
+from jaxdr.scene.bsdf.parameters import complex_index, rgb
+
+
+class Conductor(DeltaBSDF):
+    """Mirror reflection at a metal with complex index `eta` - i `k` (RGB); black from behind.
+
+    Given by the name of a `material` ("Au", "Al", …) or by eta and k; a perfect mirror if by neither.
+    `specular_reflectance` (RGB in [0, 1]) scales it.
+    """
+
+    eta: Float[Array, "*n 3"]
+    k: Float[Array, "*n 3"]
+    specular_reflectance: Float[Array, "*n 3"]
+
+    def __init__(
+        self,
+        material: str | None = None,
+        *,
+        eta: ArrayLike | None = None,
+        k: ArrayLike | None = None,
+        specular_reflectance: ArrayLike = 1.0,
+    ):
+        self.eta, self.k = complex_index(material, eta, k, "Conductor")
+        self.specular_reflectance = rgb(specular_reflectance, "Conductor: specular_reflectance")
+
+    def sample_delta(self, wi, u):
+        above = wi[..., 2] > 0
+        reflectance = fresnel_conductor(jnp.abs(wi[..., 2]), self.eta, self.k)
+        weight = jnp.where(above[..., None], self.specular_reflectance * reflectance, 0.0)
+        return DeltaSample(mirror(wi), weight, jnp.where(above, 1.0, 0.0).astype(wi.dtype))

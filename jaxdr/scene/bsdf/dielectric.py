@@ -1,0 +1,49 @@
+"""Smooth glass: a mirror and refraction."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
+from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
+from jaxdr.scene.bsdf.parameters import relative_index, rgb
+
+
+class Dielectric(DeltaBSDF):
+    """Smooth interface of two dielectrics; the normal points to the exterior.
+
+    `eta` = int_ior / ext_ior; each of the two is a number or a name ("bk7", "water", …). `specular_reflectance` and
+    `specular_transmittance` (RGB in [0, 1]) scale the two lobes. Refracted radiance is scaled by the squared ratio of
+    indices.
+    """
+
+    eta: Float[Array, "*n"]
+    specular_reflectance: Float[Array, "*n 3"]
+    specular_transmittance: Float[Array, "*n 3"]
+    transmissive = True
+
+    def __init__(
+        self,
+        int_ior: ArrayLike | str = "bk7",
+        ext_ior: ArrayLike | str = "air",
+        *,
+        specular_reflectance: ArrayLike = 1.0,
+        specular_transmittance: ArrayLike = 1.0,
+    ):
+        self.eta = relative_index(int_ior, ext_ior, "Dielectric")
+        self.specular_reflectance = rgb(specular_reflectance, "Dielectric: specular_reflectance")
+        self.specular_transmittance = rgb(specular_transmittance, "Dielectric: specular_transmittance")
+
+    def sample_delta(self, wi, u):
+        interface = fresnel_dielectric(wi[..., 2], self.eta)
+        reflectance, eta_ti = interface.reflectance, interface.eta_ti
+        reflected = u[..., 0] < reflectance
+        across = -eta_ti[..., None] * wi[..., :2]
+        refracted = jnp.concatenate([across, (-jnp.sign(wi[..., 2]) * interface.cos_t)[..., None]], -1)
+        weight = jnp.where(
+            reflected[..., None],
+            self.specular_reflectance * reflectance[..., None],
+            self.specular_transmittance * ((1.0 - reflectance) * eta_ti * eta_ti)[..., None],
+        )
+        wo = jnp.where(reflected[..., None], mirror(wi), refracted)
+        return DeltaSample(wo, weight, jnp.where(reflected, reflectance, 1.0 - reflectance))

@@ -1,0 +1,56 @@
+"""Holes in a surface."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
+from jaxdr.scene.bsdf.parameters import number
+from jaxdr.scene.sampling import choose
+
+
+class Mask(BSDF):
+    """A BSDF on the share `opacity` of the surface; through the rest light goes straight on, from both sides.
+
+    For a two-sided one: `TwoSided(Mask(opacity, bsdf))`. What goes through is sampled in proportion to 1 - opacity, so
+    at an opacity of exactly 1 its derivative is missed, and at exactly 0 that of the BSDF inside.
+    """
+
+    opacity: Float[Array, "*n"]
+    bsdf: BSDF
+    delta = True
+
+    def __init__(self, opacity: ArrayLike, bsdf: BSDF | TwoSided):
+        if not isinstance(bsdf, BSDF):
+            inside = type(bsdf).__name__
+            raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")
+        self.opacity = number(opacity, "Mask: opacity", 0.0, 1.0)
+        self.bsdf = bsdf
+
+    @property
+    def transmissive(self) -> bool:
+        """As the BSDF inside: what the holes let through does not tell the sides apart."""
+        return self.bsdf.transmissive
+
+    def eval(self, wi, wo):
+        return self.opacity[..., None] * self.bsdf.eval(wi, wo)
+
+    def pdf(self, wi, wo):
+        return self.opacity * self.bsdf.pdf(wi, wo)
+
+    def sample(self, wi, u):
+        return self.bsdf.sample(wi, choose(u, 1.0 - self.opacity)[1])
+
+    def sample_delta(self, wi, u):
+        hole, left = choose(u, 1.0 - self.opacity)
+        share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
+        through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones_like(wi[..., 0]))
+        inside = self.bsdf.sample_delta(wi, left)
+        wo, weight = (
+            jnp.where(hole[..., None], a, b) for a, b in ((through.wo, inside.wo), (through.weight, inside.weight))
+        )
+        probability = jnp.where(hole, through.probability, inside.probability)
+        return DeltaSample(wo, share[..., None] * weight, share * probability)
+
+    def lobe_width(self, wi):
+        return self.bsdf.lobe_width(wi)

@@ -1,0 +1,182 @@
+"""Microfacet distributions (GGX, Beckmann) in the local frame, isotropic, with Smith's separable masking.
+
+Normal densities D are per solid angle of microfacet normals m and satisfy ∫ D(m) cos(m) dm = 1. Masking is returned
+over the cosine, G1(v) / |cos v|, which stays finite at grazing angles, where models divide by that cosine.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import erf_inv, stop_gradient
+from jax.scipy.special import erf
+from jaxtyping import Array, Bool, Float
+
+from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
+
+NEWTON_STEPS = 5  # the worst angle takes four to the rounding of float32
+
+
+class Distribution(NamedTuple):
+    """One distribution of microfacet normals; `alpha` [*n] is its roughness.
+
+    `density(m, alpha)` = D(m), 1/sr, for unit m with m.z ≥ 0. `masking(v, alpha)` = G1(v) / |v.z| for unit v on either
+    side. `sample(v, alpha, u)`: unit m with density D(m) G1(v) max(0, v·m) / v.z (visible normals), for v.z > 0.
+    """
+
+    density: Callable
+    masking: Callable
+    sample: Callable
+
+
+def _ggx_density(m: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
+    """Walter et al. 2007, Eq. 33, written with x and y: 1 - cos² would lose all digits for small alpha in float32."""
+    x, y, z = m[..., 0] / alpha, m[..., 1] / alpha, m[..., 2]
+    stretched = x * x + y * y + z * z
+    return 1.0 / (math.pi * jnp.square(alpha * stretched))
+
+
+def _ggx_masking(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
+    """Walter et al. 2007, Eq. 34, over the cosine."""
+    x, y, z = alpha * v[..., 0], alpha * v[..., 1], v[..., 2]
+    return 2.0 / (jnp.abs(z) + jnp.sqrt(x * x + y * y + z * z))
+
+
+def _ggx_sample(
+    v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"], u: Float[Array, "*#n 2"]
+) -> Float[Array, "*#n 3"]:
+    """Heitz 2018's density by the simpler map of Dupuy and Benyoub 2023: a spherical cap, shifted by v."""
+    v = _stretch(v, alpha)
+    angle = 2 * math.pi * u[..., 1]
+    up = 1.0 + v[..., 2]
+    z = (1.0 - u[..., 0]) * up  # of the sum below, without its cancellation
+    radius = jnp.sqrt(u[..., 0] * up * (2.0 - u[..., 0] * up))
+    m = jnp.stack([radius * jnp.cos(angle) + v[..., 0], radius * jnp.sin(angle) + v[..., 1], z], -1)
+    return _stretch(m, alpha)
+
+
+def _beckmann_density(m: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
+    """Walter et al. 2007, Eq. 25; zero where the exponential underflows in float32."""
+    z2 = jnp.square(m[..., 2])
+    slope2 = jnp.square(m[..., 0] / alpha) + jnp.square(m[..., 1] / alpha)
+    inside = slope2 < 80.0 * z2
+    z2 = jnp.where(inside, z2, 1.0)
+    exponent = jnp.where(inside, slope2, 0.0) / z2
+    return jnp.where(inside, jnp.exp(-exponent) / (math.pi * jnp.square(alpha * z2)), 0.0)
+
+
+def _beckmann_masking(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
+    """Smith's exact integral over the cosine (Walter et al. 2007, before Eq. 27).
+
+    Mitsuba takes the rational approximation, which is up to 0.4 % off, and so is the density of its sampler.
+    """
+    z, wide = jnp.abs(v[..., 2]), alpha * norm(v[..., :2])
+    shadows = 10.0 * wide > z  # elsewhere G1 is 1 to the last bit
+    wide = jnp.where(shadows, wide, 1.0)
+    a = jnp.where(shadows, z / wide, 1.0)
+    below = z * (1.0 + erf(a)) + wide * jnp.exp(-a * a) / math.sqrt(math.pi)
+    return 2.0 / jnp.where(shadows, below, 2.0 * jnp.where(shadows, 1.0, z))
+
+
+def _beckmann_sample(
+    v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"], u: Float[Array, "*#n 2"]
+) -> Float[Array, "*#n 3"]:
+    """Heitz and d'Eon 2014 with the inversion of Jakob 2014: Newton's method for erf(slope)."""
+    v = _stretch(v, alpha)
+    cos, sin = v[..., 2], norm(v[..., :2])
+    tilted = sin > 0
+    sin_or_one = jnp.where(tilted, sin, 1.0)
+    cos_phi, sin_phi = jnp.where(tilted, v[..., 0], 1.0) / sin_or_one, jnp.where(tilted, v[..., 1], 0.0) / sin_or_one
+    steepest = jnp.where(tilted, cos / sin_or_one, 10.0)  # slope of normals perpendicular to v; 10 stands for infinity
+    steepest = jnp.minimum(steepest, 10.0)
+    one = 1.0 - jnp.finfo(v.dtype).epsneg
+    top = jnp.minimum(erf(steepest), one)
+    share = u[..., 0] * (cos * (1.0 + top) + sin * jnp.exp(-jnp.square(steepest)) / math.sqrt(math.pi))
+
+    def residual(x):
+        """(distribution function of slopes at erf(slope) = x, less the share; its derivative), times cos."""
+        slope = erf_inv(x)
+        value = cos * (1.0 + x) + sin * jnp.exp(-slope * slope) / math.sqrt(math.pi) - share
+        return value, cos - slope * sin
+
+    # The function of x is concave: from its second step on, Newton's method approaches the root from below.
+    guess = top - (1.0 + top) * erf(jnp.sqrt(-jnp.log(jnp.maximum(u[..., 0], jnp.finfo(u.dtype).tiny))))
+    fixed = stop_gradient
+    x = jnp.clip(fixed(guess), -one, fixed(top))
+    for _ in range(NEWTON_STEPS):
+        value, slope = (fixed(part) for part in residual(x))
+        x = jnp.clip(x - value / jnp.where(slope > 0, slope, 1.0), -one, fixed(top))
+    # One more step from a fixed point carries the derivative (implicit function theorem).
+    value, slope = residual(fixed(x))
+    x = x - jnp.where(slope > 0, value - fixed(value), 0.0) / jnp.where(slope > 0, fixed(slope), 1.0)
+
+    along, across = erf_inv(x), erf_inv(jnp.clip(2.0 * u[..., 1] - 1.0, -one, one))
+    m = jnp.stack([-(cos_phi * along - sin_phi * across), -(sin_phi * along + cos_phi * across)], -1)
+    return _stretch(jnp.concatenate([m, jnp.ones_like(m[..., :1])], -1), alpha)
+
+
+def _stretch(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n 3"]:
+    """Scale x and y by alpha: directions to the space where alpha is 1, and normals back from it. Unit vectors."""
+    return normalize(jnp.stack([alpha, alpha, jnp.ones_like(alpha)], -1) * v)
+
+
+DISTRIBUTIONS = {
+    "ggx": Distribution(_ggx_density, _ggx_masking, _ggx_sample),
+    "beckmann": Distribution(_beckmann_density, _beckmann_masking, _beckmann_sample),
+}
+
+
+def reflect(wi: Float[Array, "*#n 3"], m: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+    """`wi` mirrored at the plane with unit normal m."""
+    return 2.0 * dot(wi, m)[..., None] * m - wi
+
+
+def refract(
+    wi: Float[Array, "*#n 3"], m: Float[Array, "*#n 3"], eta: Float[Array, "*#n"]
+) -> tuple[Float[Array, "*n 3"], Bool[Array, "*n"]]:
+    """`wi` refracted at a facet with unit normal m on its side, and whether it is not reflected totally.
+
+    `eta` is the index beyond the facet over that on the side of wi (Walter et al. 2007, Eq. 40).
+    """
+    cosine = dot(wi, m)
+    interface = fresnel_dielectric(jnp.abs(cosine), eta)
+    along = interface.eta_ti * cosine - interface.cos_t
+    return along[..., None] * m - interface.eta_ti[..., None] * wi, interface.cos_t > 0
+
+
+def mirrored_width(alpha: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Width (radians, at most 1) of the lobe that facets of roughness alpha reflect: mirroring doubles their angles."""
+    return jnp.minimum(2.0 * alpha, 1.0)
+
+
+class Reflection(NamedTuple):
+    """Microfacet reflection without its Fresnel factor (Walter et al. 2007, Eq. 20), zero where it is impossible.
+
+    `value` = D G1(wi) G1(wo) / (4 |cos wi|), 1/sr, counts |cos wo|; `pdf` is the density (1/sr) of directions mirrored
+    at visible normals; `cosine` = wi·h, between wi and the half-vector.
+    """
+
+    value: Float[Array, "*n"]
+    pdf: Float[Array, "*n"]
+    cosine: Float[Array, "*n"]
+
+
+def reflection(
+    distribution: str,
+    alpha: Float[Array, "*#n"],
+    wi: Float[Array, "*n 3"],
+    wo: Float[Array, "*n 3"],
+    active: Bool[Array, "*n"],
+) -> Reflection:
+    """Reflection from wi to wo, both above the surface where `active`."""
+    model = DISTRIBUTIONS[distribution]
+    active = active & (dot(wi + wo, wi + wo) > 0)  # two grazing directions can cancel to the last bit
+    up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
+    wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, up)
+    half = normalize(wi + wo)
+    pdf = 0.25 * model.density(half, alpha) * model.masking(wi, alpha)
+    value = pdf * wo[..., 2] * model.masking(wo, alpha)
+    zero = jnp.zeros_like(value)
+    return Reflection(jnp.where(active, value, zero), jnp.where(active, pdf, zero), dot(wi, half))

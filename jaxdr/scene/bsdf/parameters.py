@@ -1,0 +1,79 @@
+"""Parameters of BSDFs: their shapes and ranges, checked when a model is made. Traced values have no range to check."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxdr.scene.bsdf.materials import DIELECTRICS, METALS
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS
+from jaxdr.scene.color import as_rgb
+
+SMOOTHEST = 1e-4  # alpha; half-vectors in float32 are too coarse for less
+
+
+def number(value, name: str, low: float, high: float) -> Float[Array, ""]:
+    """A number in [low, high]; ValueError names the parameter otherwise."""
+    array = jnp.asarray(value, float)
+    if array.shape != ():
+        raise ValueError(f"{name} must be a number, got shape {array.shape}")
+    _check_range(array, name, low, high)
+    return array
+
+
+def rgb(value, name: str, low: float = 0.0, high: float = 1.0) -> Float[Array, "3"]:
+    """A number or three numbers in [low, high]; ValueError names the parameter otherwise."""
+    array = as_rgb(value, name)
+    _check_range(array, name, low, high)
+    return array
+
+
+def _check_range(array, name, low, high):
+    if isinstance(array, jax.core.Tracer):
+        return
+    values = np.asarray(array)
+    if not np.all((values >= low) & (values <= high) & np.isfinite(values)):
+        expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
+        raise ValueError(f"{name} must be {expected}, got {values.tolist()}")
+
+
+def roughness(value, model: str) -> Float[Array, ""]:
+    """The alpha of a microfacet distribution."""
+    return number(value, f"{model}: alpha", SMOOTHEST, 1.0)
+
+
+def distribution_name(name: str, model: str) -> str:
+    """A known microfacet distribution."""
+    if name not in DISTRIBUTIONS:
+        raise ValueError(f"{model}: distribution must be {' or '.join(DISTRIBUTIONS)}, got {name!r}")
+    return name
+
+
+def relative_index(int_ior, ext_ior, model: str, low: float = 0.0, high: float = np.inf) -> Float[Array, ""]:
+    """Interior index of refraction over the exterior one; each is a number or the name of a dielectric."""
+    inside, outside = (_index(v, f"{model}: {n}") for v, n in ((int_ior, "int_ior"), (ext_ior, "ext_ior")))
+    return number(inside / outside, f"{model}: int_ior / ext_ior", low, high)
+
+
+def _index(value, name) -> Float[Array, ""]:
+    if isinstance(value, str):
+        if value.lower() not in DIELECTRICS:
+            raise ValueError(f"{name}: unknown material {value!r}; known: {', '.join(DIELECTRICS)}")
+        value = DIELECTRICS[value.lower()]
+    return number(value, name, 0.1, 100.0)
+
+
+def complex_index(material, eta, k, model: str) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """(eta, k), RGB, of a named metal or as given; of a perfect mirror when nothing is given."""
+    if (eta is None) != (k is None):
+        raise ValueError(f"{model}: give both eta and k, or neither")
+    if eta is not None:
+        if material is not None:
+            raise ValueError(f"{model}: give either a material or eta and k, not both")
+        return rgb(eta, f"{model}: eta", 0.0, np.inf), rgb(k, f"{model}: k", 0.0, np.inf)
+    if material is None:
+        return jnp.zeros(3), jnp.ones(3)
+    if material not in METALS:
+        raise ValueError(f"{model}: unknown material {material!r}; known: {', '.join(METALS)}")
+    eta, k = METALS[material]
+    return jnp.asarray(eta), jnp.asarray(k)

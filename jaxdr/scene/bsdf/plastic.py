@@ -1,0 +1,83 @@
+"""Smooth plastic: a diffuse base below a smooth dielectric coat."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
+from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric
+from jaxdr.scene.bsdf.parameters import relative_index, rgb
+from jaxdr.scene.sampling import choose, cosine_hemisphere
+
+
+class Plastic(BSDF):
+    """Mirror reflection at a dielectric coat, diffuse reflection below it; black from behind (Mitsuba 3's `plastic`).
+
+    `diffuse_reflectance` (RGB in [0, 1]) of the base; light is reflected between it and the coat any number of times.
+    That shifts colours only if `nonlinear`; else every colour gains as much as white would. `eta` = int_ior / ext_ior,
+    each a number or a name. `specular_reflectance` (RGB in [0, 1]) scales the mirror.
+    """
+
+    diffuse_reflectance: Float[Array, "*n 3"]
+    eta: Float[Array, "*n"]
+    specular_reflectance: Float[Array, "*n 3"]
+    nonlinear: bool = eqx.field(static=True)
+    delta = True
+
+    def __init__(
+        self,
+        diffuse_reflectance: ArrayLike = 0.5,
+        int_ior: ArrayLike | str = "polypropylene",
+        ext_ior: ArrayLike | str = "air",
+        *,
+        specular_reflectance: ArrayLike = 1.0,
+        nonlinear: bool = False,
+    ):
+        self.diffuse_reflectance = rgb(diffuse_reflectance, "Plastic: diffuse_reflectance")
+        self.eta = relative_index(int_ior, ext_ior, "Plastic")
+        self.specular_reflectance = rgb(specular_reflectance, "Plastic: specular_reflectance")
+        self.nonlinear = nonlinear
+
+    def eval(self, wi, wo):
+        above = both_above(wi, wo)
+        entering, leaving = (1.0 - fresnel_dielectric(jnp.abs(w[..., 2]), self.eta).reflectance for w in (wi, wo))
+        internal = diffuse_reflectance(1.0 / self.eta)
+        base = coated(self.diffuse_reflectance, internal, self.nonlinear)
+        share = entering * leaving * wo[..., 2] / (math.pi * self.eta * self.eta)
+        return base * jnp.where(above, share, 0.0)[..., None]
+
+    def pdf(self, wi, wo):
+        cosine = jnp.where(both_above(wi, wo), wo[..., 2], 0.0)
+        return (1.0 - self._mirror_probability(wi)) * cosine / math.pi
+
+    def sample(self, wi, u):
+        return cosine_hemisphere(choose(u, self._mirror_probability(wi))[1])
+
+    def sample_delta(self, wi, u):
+        probability = self._mirror_probability(wi)
+        chosen = (u[..., 0] < probability) & (wi[..., 2] > 0)
+        reflectance = fresnel_dielectric(jnp.abs(wi[..., 2]), self.eta).reflectance
+        weight = self.specular_reflectance * jnp.where(chosen, reflectance, 0.0)[..., None]
+        return DeltaSample(mirror(wi), weight, jnp.where(chosen, probability, 0.0))
+
+    def _mirror_probability(self, wi) -> Float[Array, "*n"]:
+        reflectance = fresnel_dielectric(jnp.abs(wi[..., 2]), self.eta).reflectance
+        return coat_probability(reflectance, self.specular_reflectance, self.diffuse_reflectance)
+
+
+def coated(base: Float[Array, "*#n 3"], internal: Float[Array, "*#n"], nonlinear: bool) -> Float[Array, "*n 3"]:
+    """Reflectance of a diffuse base with all reflections between it and a coat, which reflects the share `internal`."""
+    internal = internal[..., None]
+    return base / (1.0 - (base * internal if nonlinear else internal))
+
+
+def coat_probability(
+    reflectance: Float[Array, "*#n"], specular: Float[Array, "*#n 3"], diffuse: Float[Array, "*#n 3"]
+) -> Float[Array, "*n"]:
+    """Probability of sampling the coat rather than the base, by what the two reflect."""
+    coat, base = reflectance * specular.mean(-1), (1.0 - reflectance) * diffuse.mean(-1)
+    total = coat + base
+    return jnp.where(total > 0, coat / jnp.where(total > 0, total, 1.0), 0.5)

@@ -1,0 +1,84 @@
+"""The reflecting part of Disney's principled model, with the parameters that glTF's materials carry."""
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
+from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
+from jaxdr.scene.bsdf.parameters import number, rgb
+from jaxdr.scene.sampling import choose, cosine_hemisphere
+
+SHARPEST = 1e-3  # alpha, as in Mitsuba
+
+
+class Principled(BSDF):
+    """Burley 2012 (with the Fresnel term of Burley 2015) as Mitsuba 3's `principled`; black from behind.
+
+    `base_color` (RGB), `metallic`, `roughness` and `specular`, all in [0, 1]; Mitsuba's other parameters are zero here.
+    GGX with alpha = roughness², at least 0.001; the index is that of normal reflectance 0.08 specular (the default
+    0.5: 4 %, glTF's). Where `specular` is exactly zero its derivative is taken as zero: that of the index is infinite.
+    """
+
+    base_color: Float[Array, "*n 3"]
+    metallic: Float[Array, "*n"]
+    roughness: Float[Array, "*n"]
+    specular: Float[Array, "*n"]
+
+    def __init__(
+        self,
+        base_color: ArrayLike = 0.5,
+        metallic: ArrayLike = 0.0,
+        roughness: ArrayLike = 0.5,
+        specular: ArrayLike = 0.5,
+    ):
+        self.base_color = rgb(base_color, "Principled: base_color")
+        self.metallic = number(metallic, "Principled: metallic", 0.0, 1.0)
+        self.roughness = number(roughness, "Principled: roughness", 0.0, 1.0)
+        self.specular = number(specular, "Principled: specular", 0.0, 1.0)
+
+    def eval(self, wi, wo):
+        above = both_above(wi, wo)
+        facets = reflection("ggx", self._alpha(), wi, wo, above)
+        dielectric = fresnel_dielectric(facets.cosine, self._eta()).reflectance
+        metal = self.base_color + (1.0 - self.base_color) * schlick_weight(facets.cosine)[..., None]
+        metallic = self.metallic[..., None]
+        fresnel = (1.0 - metallic) * dielectric[..., None] + metallic * metal
+        # Burley 2012, 5.3, in the form of Burley 2015, Eq. 4: a diffuse lobe and retro-reflection.
+        weight_i, weight_o = schlick_weight(wi[..., 2]), schlick_weight(wo[..., 2])
+        retro = 2.0 * self.roughness * facets.cosine * facets.cosine
+        diffuse = (1.0 - 0.5 * weight_i) * (1.0 - 0.5 * weight_o)
+        diffuse += retro * (weight_o + weight_i + weight_o * weight_i * (retro - 1.0))
+        diffuse = jnp.where(above, (1.0 - self.metallic) * diffuse * wo[..., 2] / math.pi, 0.0)
+        return fresnel * facets.value[..., None] + self.base_color * diffuse[..., None]
+
+    def pdf(self, wi, wo):
+        above, chance = both_above(wi, wo), self._facet_probability()
+        facets = reflection("ggx", self._alpha(), wi, wo, above)
+        return chance * facets.pdf + (1.0 - chance) * jnp.where(above, wo[..., 2], 0.0) / math.pi
+
+    def sample(self, wi, u):
+        facets, left = choose(u, jnp.broadcast_to(self._facet_probability(), wi[..., 2].shape))
+        mirrored = reflect(wi, DISTRIBUTIONS["ggx"].sample(wi, self._alpha(), left))
+        return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
+
+    def turn(self, wi, wo):
+        return turn_with_reflection(wi, wo)
+
+    def lobe_width(self, wi):
+        """Of the facets, whatever share of the light they reflect."""
+        return jnp.broadcast_to(mirrored_width(self._alpha()), wi[..., 2].shape)
+
+    def _alpha(self) -> Float[Array, "*n"]:
+        return jnp.maximum(self.roughness * self.roughness, SHARPEST)
+
+    def _eta(self) -> Float[Array, "*n"]:
+        amplitude = 0.08 * self.specular
+        positive = amplitude > 0
+        return 2.0 / (1.0 - jnp.where(positive, jnp.sqrt(jnp.where(positive, amplitude, 1.0)), 0.0)) - 1.0
+
+    def _facet_probability(self) -> Float[Array, "*n"]:
+        return 1.0 / (2.0 - self.metallic)

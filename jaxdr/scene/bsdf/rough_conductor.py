@@ -1,0 +1,57 @@
+"""Rough metal: microfacet reflection."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
+from jaxdr.scene.bsdf.fresnel import fresnel_conductor
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
+from jaxdr.scene.bsdf.parameters import complex_index, distribution_name, rgb, roughness
+
+
+class RoughConductor(BSDF):
+    """Metal of mirror-like microfacets (Walter et al. 2007, Eq. 20); black from behind.
+
+    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"), isotropic; `material`, `eta`, `k`
+    and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost, as in Mitsuba 3.
+    """
+
+    alpha: Float[Array, "*n"]
+    eta: Float[Array, "*n 3"]
+    k: Float[Array, "*n 3"]
+    specular_reflectance: Float[Array, "*n 3"]
+    distribution: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        alpha: ArrayLike = 0.1,
+        material: str | None = None,
+        *,
+        eta: ArrayLike | None = None,
+        k: ArrayLike | None = None,
+        specular_reflectance: ArrayLike = 1.0,
+        distribution: str = "ggx",
+    ):
+        self.alpha = roughness(alpha, "RoughConductor")
+        self.eta, self.k = complex_index(material, eta, k, "RoughConductor")
+        self.specular_reflectance = rgb(specular_reflectance, "RoughConductor: specular_reflectance")
+        self.distribution = distribution_name(distribution, "RoughConductor")
+
+    def eval(self, wi, wo):
+        facets = reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo))
+        fresnel = fresnel_conductor(facets.cosine, self.eta, self.k)
+        return self.specular_reflectance * fresnel * facets.value[..., None]
+
+    def pdf(self, wi, wo):
+        return reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo)).pdf
+
+    def sample(self, wi, u):
+        return reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, u))
+
+    def turn(self, wi, wo):
+        return turn_with_reflection(wi, wo)
+
+    def lobe_width(self, wi):
+        return jnp.broadcast_to(mirrored_width(self.alpha), wi[..., 2].shape)

@@ -1,0 +1,130 @@
+"""Rough glass: microfacet reflection and refraction."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.vector import dot, normalize
+from jaxdr.scene.bsdf.base import BSDF
+from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection, refract
+from jaxdr.scene.bsdf.parameters import distribution_name, relative_index, rgb, roughness
+from jaxdr.scene.sampling import choose
+
+# Uniform numbers of the facets that decide how often reflection is chosen; half of them, by symmetry.
+PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
+LEAST = 0.05  # probability of either lobe: the pilots may all see total internal reflection where other facets don't
+
+
+class RoughDielectric(BSDF):
+    """Interface of two dielectrics with microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
+
+    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"); the other parameters are those of
+    `Dielectric`. Scatters on both sides; refracted radiance is scaled by the squared ratio of indices.
+    """
+
+    alpha: Float[Array, "*n"]
+    eta: Float[Array, "*n"]
+    specular_reflectance: Float[Array, "*n 3"]
+    specular_transmittance: Float[Array, "*n 3"]
+    distribution: str = eqx.field(static=True)
+    transmissive = True
+
+    def __init__(
+        self,
+        alpha: ArrayLike = 0.1,
+        int_ior: ArrayLike | str = "bk7",
+        ext_ior: ArrayLike | str = "air",
+        *,
+        specular_reflectance: ArrayLike = 1.0,
+        specular_transmittance: ArrayLike = 1.0,
+        distribution: str = "ggx",
+    ):
+        self.alpha = roughness(alpha, "RoughDielectric")
+        self.eta = relative_index(int_ior, ext_ior, "RoughDielectric")
+        if not isinstance(self.eta, jax.core.Tracer) and self.eta == 1:
+            raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
+        self.specular_reflectance = rgb(specular_reflectance, "RoughDielectric: specular_reflectance")
+        self.specular_transmittance = rgb(specular_transmittance, "RoughDielectric: specular_transmittance")
+        self.distribution = distribution_name(distribution, "RoughDielectric")
+
+    def eval(self, wi, wo):
+        wi, wo, eta = self._seen_from_above(wi, wo)
+        facets = reflection(self.distribution, self.alpha, wi, wo, (wi[..., 2] > 0) & (wo[..., 2] > 0))
+        reflected = fresnel_dielectric(facets.cosine, eta).reflectance * facets.value
+        transmitted = self._transmission(wi, wo, eta).value
+        colours = self.specular_reflectance, self.specular_transmittance
+        return colours[0] * reflected[..., None] + colours[1] * transmitted[..., None]
+
+    def pdf(self, wi, wo):
+        wi, wo, eta = self._seen_from_above(wi, wo)
+        chance = self._reflection_probability(wi, eta)
+        facets = reflection(self.distribution, self.alpha, wi, wo, (wi[..., 2] > 0) & (wo[..., 2] > 0))
+        return chance * facets.pdf + (1.0 - chance) * self._transmission(wi, wo, eta).pdf
+
+    def sample(self, wi, u):
+        side = jnp.where(wi[..., 2:] < 0, -1.0, 1.0).astype(wi.dtype)
+        wi, _, eta = self._seen_from_above(wi, wi)
+        reflects, left = choose(u, self._reflection_probability(wi, eta))
+        m = DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, left)
+        mirrored = reflect(wi, m)
+        refracted, passes = refract(wi, m, eta)
+        # A facet may send light to the wrong side: that light is lost, and the other lobe's density is not its own.
+        valid = jnp.where(reflects, mirrored[..., 2] > 0, passes & (refracted[..., 2] < 0))
+        wo = side * jnp.where(reflects[..., None], mirrored, refracted)
+        return jnp.where(valid[..., None], wo, 0.0)
+
+    def lobe_width(self, wi):
+        """Of the narrower lobe: a facet turned by an angle turns refracted light by |1 - eta_i / eta_t| times that."""
+        relative = jnp.where(wi[..., 2] > 0, 1.0 / self.eta, self.eta)
+        return jnp.minimum(mirrored_width(self.alpha), self.alpha * jnp.abs(1.0 - relative))
+
+    def _seen_from_above(self, wi, wo):
+        """(wi, wo, index beyond the surface over that on wi's side); both mirrored at the point where wi is below."""
+        below = wi[..., 2] < 0
+        side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)[..., None]
+        return side * wi, side * wo, jnp.where(below, 1.0 / self.eta, self.eta)
+
+    def _reflection_probability(self, wi, eta) -> Float[Array, "*n"]:
+        """Mean Fresnel reflectance of a few visible facets (of GGX: it need not be exact), kept away from 0 and 1."""
+        pilots = jnp.asarray(PILOTS, wi.dtype)
+        above = wi[..., 2:] > 0  # the zero vector and grazing directions see no facets
+        wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
+        m = DISTRIBUTIONS["ggx"].sample(wi, self.alpha[..., None], pilots)
+        mean = fresnel_dielectric(jnp.abs(dot(wi, m)), eta[..., None]).reflectance.mean(-1)
+        return LEAST + (1.0 - 2.0 * LEAST) * mean
+
+    def _transmission(self, wi, wo, eta) -> "_Transmission":
+        """Refraction by facets, zero where impossible; wi above the surface, `eta` the index beyond it over this one's.
+
+        `value` is Walter et al. 2007, Eq. 21, times |cos wo| and, for radiance, 1 / eta²; `pdf` is Eq. 17 times the
+        density of visible normals.
+        """
+        model = DISTRIBUTIONS[self.distribution]
+        up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
+        active = (wi[..., 2] > 0) & (wo[..., 2] < 0)
+        wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, -up)
+        half = wi + eta[..., None] * wo
+        length2 = dot(half, half)  # = (wi·m + eta wo·m)²
+        active &= length2 > 0
+        m = normalize(half) * jnp.where(half[..., 2:] < 0, -1.0, 1.0).astype(wi.dtype)
+        cos_i, cos_o = dot(wi, m), -dot(wo, m)
+        active &= (cos_i > 0) & (cos_o > 0)  # a facet is seen from the sides that the surface is seen from
+        m = jnp.where(active[..., None], m, up)
+        density = model.density(m, self.alpha) * model.masking(wi, self.alpha) * cos_i * cos_o
+        density = density / jnp.where(active, length2, 1.0)
+        passing = (1.0 - fresnel_dielectric(jnp.abs(cos_i), eta).reflectance) * -wo[..., 2]
+        value = density * passing * model.masking(wo, self.alpha)
+        return _Transmission(jnp.where(active, value, 0.0), jnp.where(active, density * eta * eta, 0.0))
+
+
+class _Transmission(NamedTuple):
+    """Value (1/sr, without colour) and density (1/sr) of microfacet refraction."""
+
+    value: Float[Array, "*n"]
+    pdf: Float[Array, "*n"]
