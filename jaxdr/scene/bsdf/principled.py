@@ -16,7 +16,7 @@ SHARPEST = 1e-3  # alpha, as in Mitsuba
 
 
 class Principled(BSDF):
-    """Burley 2012 (with the Fresnel term of Burley 2015) as Mitsuba 3's `principled`; black from behind.
+    """Burley 2012 with the true Fresnel term for what is not metal, as Mitsuba 3's `principled`; black from behind.
 
     `base_color` (RGB), `metallic`, `roughness` and `specular`, all in [0, 1]; Mitsuba's other parameters are zero here.
     GGX with alpha = roughness², at least 0.001; the index is that of normal reflectance 0.08 specular (the default
@@ -47,11 +47,9 @@ class Principled(BSDF):
         metal = self.base_color + (1.0 - self.base_color) * schlick_weight(facets.cosine)[..., None]
         metallic = self.metallic[..., None]
         fresnel = (1.0 - metallic) * dielectric[..., None] + metallic * metal
-        # Burley 2012, 5.3, in the form of Burley 2015, Eq. 4: a diffuse lobe and retro-reflection.
-        weight_i, weight_o = schlick_weight(wi[..., 2]), schlick_weight(wo[..., 2])
-        retro = 2.0 * self.roughness * facets.cosine * facets.cosine
-        diffuse = (1.0 - 0.5 * weight_i) * (1.0 - 0.5 * weight_o)
-        diffuse += retro * (weight_o + weight_i + weight_o * weight_i * (retro - 1.0))
+        # Burley 2012, 5.3: a diffuse lobe with retro-reflection, by the factor 1 + `extreme` at grazing angles.
+        extreme = 2.0 * self.roughness * facets.cosine * facets.cosine - 0.5
+        diffuse = (1.0 + extreme * schlick_weight(wi[..., 2])) * (1.0 + extreme * schlick_weight(wo[..., 2]))
         diffuse = jnp.where(above, (1.0 - self.metallic) * diffuse * wo[..., 2] / math.pi, 0.0)
         return fresnel * facets.value[..., None] + self.base_color * diffuse[..., None]
 

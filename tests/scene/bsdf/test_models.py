@@ -201,6 +201,17 @@ def test_normal_incidence():
     np.testing.assert_allclose(call(metal, "eval", up, up)[0], np.multiply(COLOUR, peak), rtol=1e-5)
 
 
+def test_principled_diffuse():
+    """Without a dielectric lobe only Burley 2012's diffuse formula is left, here at grazing angles."""
+    roughness, cosines = 0.8, np.cos([1.4, 1.3])
+    wi, wo = (jnp.asarray(direction(theta, phi), float)[None] for theta, phi in ((1.4, 0.2), (1.3, 0.5)))
+    half = np.asarray(wi + wo)[0] / np.linalg.norm(wi + wo)
+    f_d90 = 0.5 + 2 * roughness * np.dot(half, wi[0]) ** 2
+    first, second = 1 + (f_d90 - 1) * (1 - cosines) ** 5
+    expected = np.multiply(COLOUR, first * second * cosines[1] / np.pi)
+    np.testing.assert_allclose(call(jd.Principled(COLOUR, 0, roughness, 0), "eval", wi, wo)[0], expected, rtol=1e-4)
+
+
 def energy(bsdf, wi, eta):
     """Share of the light that arrives from wi, from outside, and is scattered: without the scaling of radiance."""
 
