@@ -6,6 +6,7 @@ The tables are in `coat.npz`; `python -m jaxdr.scene.bsdf.coat` computes them an
 import functools
 import itertools
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -73,9 +74,9 @@ def _interpolate(table, places):
     dtype = places[0][1].dtype
     flat, strides = jnp.asarray(table.ravel(), dtype), np.cumprod([1, *table.shape[:0:-1]])[::-1]
     first = sum(int(stride) * node for stride, (node, _) in zip(strides, places, strict=True))
-    total = 0.0
+    total = jnp.zeros((), dtype)
     for corner in itertools.product((0, 1), repeat=len(places)):
-        weight = 1.0
+        weight = jnp.ones((), dtype)
         for step, (_, share) in zip(corner, places, strict=True):
             weight = weight * (share if step else 1.0 - share)
         total = total + weight * flat[first + int(np.dot(strides, corner))]
@@ -109,9 +110,9 @@ def compute_transmittance(distribution: str, alpha, eta, cosine, nodes=(40, 24))
     return jnp.stack([(weights * share).sum(-1) for share in shares], -1)
 
 
-def compute_tables() -> dict[str, Float[np.ndarray, "..."]]:
+def compute_tables() -> dict[str, Any]:
     """All tables, float32, computed in float64 in about a minute."""
-    tables = {}
+    tables: dict[str, Any] = {}
     nodes, weights = np.polynomial.legendre.leggauss(300)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     with jax.enable_x64(True):

@@ -1,8 +1,8 @@
 """Parameters of BSDFs: their shapes and ranges, checked when a model is made. Traced values have no range to check."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxdr.scene.bsdf.materials import DIELECTRICS, METALS
@@ -29,7 +29,7 @@ def rgb(value, name: str, low: float = 0.0, high: float = 1.0) -> Float[Array, "
 
 
 def _check_range(array, name, low, high):
-    if isinstance(array, jax.core.Tracer):
+    if isinstance(array, Tracer):
         return
     values = np.asarray(array)
     if not np.all((values >= low) & (values <= high) & np.isfinite(values)):

@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
@@ -47,7 +47,7 @@ class RoughDielectric(BSDF):
     ):
         self.alpha = roughness(alpha, "RoughDielectric")
         self.eta = relative_index(int_ior, ext_ior, "RoughDielectric")
-        if not isinstance(self.eta, jax.core.Tracer) and self.eta == 1:
+        if not isinstance(self.eta, Tracer) and self.eta == 1:
             raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
         self.specular_reflectance = rgb(specular_reflectance, "RoughDielectric: specular_reflectance")
         self.specular_transmittance = rgb(specular_transmittance, "RoughDielectric: specular_transmittance")
