@@ -83,6 +83,7 @@ class AttachedLines:
         # How what is behind an edge moves does not matter.
         moves = apex_moves(packed, prepared, paths, jnp.maximum(chosen.vertex, 0))
         needed, rays = jnp.where(moves, BOUNDS, MOVES), self.settings.rays
+        assert prepared.folds is not None  # made wherever lobes may be narrow
         found = find_crossings(
             packed, prepared.folds, prepared.group, chosen, needed, apex, chords, key_seed, room, rays
         )

@@ -1,6 +1,6 @@
 """Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -57,6 +57,26 @@ class Crossings(NamedTuple):
     edge: Int[Array, " C"]
     along: Float[Array, " C"]
     valid: Bool[Array, " C"]
+
+
+class Lines(Protocol):
+    """One kind of chords. What `search` draws, `score` and `value` get back.
+
+    `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
+    """
+
+    traces_paths: bool
+    paths: PathSegments
+
+    def search(
+        self, chosen: Chosen, key: Any, room: int
+    ) -> tuple[Any, Crossings, Float[Array, ""], Int[Array, ""]]: ...
+
+    def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]: ...
+
+    def value(
+        self, drawn: Any, found: Crossings, number: Int[Array, " C"], weight: Float[Array, " C"], key: Any
+    ) -> Float[Array, "C 3"]: ...
 
 
 def draw_lobe_chords(

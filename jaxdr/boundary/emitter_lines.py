@@ -134,10 +134,10 @@ class EmitterLines:
         return density / jnp.where(total > 0, total, 1.0)
 
 
-def _projected(lines: EmitterLines, found: Crossings, target: SurfacePoint) -> Float[Array, "C 3"]:
+def _projected(lines: EmitterLines, found: Crossings, centre: SurfacePoint) -> Float[Array, "C 3"]:
     """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
     apex = stop_gradient(lines.paths.apex(found.vertex).position)
-    target, normal = stop_gradient(target.position)[found.chord], stop_gradient(target.normal)[found.chord]
+    target, normal = stop_gradient(centre.position)[found.chord], stop_gradient(centre.normal)[found.chord]
     ends = stop_gradient(lines.packed.vertices)[lines.packed.edges.vertices[found.edge]]
     offset = ends[:, 0] + found.along[:, None] * (ends[:, 1] - ends[:, 0]) - apex
     slope = dot(normal, offset)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.attached_lines import AttachedLines, folded_edges
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Prepared, RankedEdges, luminance
+from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges, luminance
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lobe_lines import LobeLines
@@ -23,9 +23,6 @@ from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 
 ROW = 64  # crossings among which some are kept are rounded together
-
-
-Lines = EmitterLines | LobeLines | AttachedLines
 
 
 class Spread(NamedTuple):
@@ -108,23 +105,23 @@ class LineSampling(eqx.Module):
         key_emitters, key_lobes = jax.random.split(key)
         carries = luminance(paths.table.throughput)
         emitters = lobes = attached = None
+        emitter_lines = EmitterLines(packed, prepared, paths, settings)
+        lobe_lines = LobeLines(packed, prepared, paths, settings, self.reach)
         if packed.has_area_emitters:
-            lines = EmitterLines(packed, prepared, paths, settings)
-            emitters = self._spread(lines, carries, key_emitters)
+            emitters = self._spread(emitter_lines, carries, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
             if paths.vertices is not None:
                 carries = jnp.where(paths.vertices.narrow, 0.0, carries)
-            lines = LobeLines(packed, prepared, paths, settings, self.reach)
-            lobes = self._spread(lines, carries, key_lobes)
+            lobes = self._spread(lobe_lines, carries, key_lobes)
         if paths.vertices is not None:
             lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
             carries = jnp.where(paths.vertices.narrow, luminance(paths.table.throughput), 0.0)
             attached = self._spread(lines, carries, jax.random.fold_in(key, 2))
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
-            emitters.lines.both = lobes.lines.both = both
+            emitter_lines.both = lobe_lines.both = both
         for spread in (emitters, lobes, attached):
             if spread is not None:
                 total = total + self._term(spread)
@@ -180,7 +177,7 @@ class LineSampling(eqx.Module):
 
         return sum_over_blocks(values, (found, weight), used)
 
-    def _kept(self, lines: LobeLines | AttachedLines, drawn, found: Crossings, weight, used, key):
+    def _kept(self, lines: Lines, drawn, found: Crossings, weight, used, key):
         """Crossings drawn in proportion to what they should contribute, their weights, and their number.
 
         The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.

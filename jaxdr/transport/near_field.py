@@ -64,7 +64,8 @@ def footprint(camera: Perspective, position: Float[Array, "N 3"], normal: Float[
     """Footprint of a pixel of a smooth filter, at points with the unit normals `normal`."""
     offset = position - camera.position
     distance2 = dot(offset, offset)
-    size2 = distance2 * (camera.film.filter.stddev / camera.pixels_per_tangent) ** 2
+    stddev = camera.film.filter.stddev  # pyright: ignore[reportAttributeAccessIssue]: smooth filters have one
+    size2 = distance2 * (stddev / camera.pixels_per_tangent) ** 2
     return Footprint(size2, dot(normal, offset) ** 2 / jnp.where(distance2 > 0, distance2, 1.0))
 
 

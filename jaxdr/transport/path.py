@@ -164,8 +164,8 @@ def trace_jump(
     bounces = settings.max_depth - 1
     if bounces == 0:
         return radiance
-    sides = (Scatterer(packed, side, -direction) for side in (one, two))
-    jump = ScatteringJump(*sides, near, settings.attached)
+    first, second = Scatterer(packed, one, -direction), Scatterer(packed, two, -direction)
+    jump = ScatteringJump(first, second, near, settings.attached)
     parts = _gather(packed, jump, bounces, u, key, settings, None)
     return radiance + parts.light.sum(0) + parts.emission.sum(0)
 
