@@ -1,6 +1,6 @@
 """Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,7 @@ class Crossings(NamedTuple):
     valid: Bool[Array, " C"]
 
 
+@runtime_checkable
 class Lines(Protocol):
     """One kind of chords. What `search` draws, `score` and `value` get back.
 

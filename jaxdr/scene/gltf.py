@@ -14,7 +14,7 @@ import trimesh
 from jaxtyping import Float
 
 from jaxdr.geometry.load import Part, is_triangles, joined
-from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
+from jaxdr.scene.bsdf import BSDF, Principled, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.film import Film
@@ -35,15 +35,15 @@ def load_gltf(
 ) -> Scene:
     """The scene in a glTF 2.0 file, y up, in its units: one shape for each mesh primitive of each node.
 
-    Shapes are named by their nodes, with a number where names repeat. Base colours become diffuse BSDFs, two-sided
-    where the material is; emissive factors become area emitters; where nothing emits, a constant environment of
-    radiance 1 does. Normals are those of the file's smoothing groups (`load_mesh`, shading "file"). The first camera is
-    taken, or one that shows the whole scene from the front. The film is `width` pixels wide and, unless `height` is
-    given, as high as the camera's aspect ratio asks for (square without one).
+    Shapes are named by their nodes, with a number where names repeat. Base colour, metallic and roughness become a
+    `Principled` BSDF, two-sided where the material is; emissive factors become area emitters; where nothing emits, a
+    constant environment of radiance 1 does. Normals are those of the file's smoothing groups (`load_mesh`, shading
+    "file"). The first camera is taken, or one that shows the whole scene from the front. The film is `width` pixels
+    wide and, unless `height` is given, as high as the camera's aspect ratio asks for (square without one).
 
-    Metallic and roughness have no effect yet, with a warning. Raises one ValueError that lists whatever else is not
-    supported (textures, vertex colours, transparency, lights, animations, other extensions); with `ignore_unsupported`
-    that becomes warnings and the rest is loaded. Raises ValueError for a missing or damaged file.
+    Raises one ValueError that lists whatever else is not supported (textures, vertex colours, transparency, lights,
+    animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded. Raises
+    ValueError for a missing or damaged file.
     """
     path = Path(path)
     if path.suffix.lower() not in EXTENSIONS:
@@ -62,9 +62,6 @@ def load_gltf(
         raise ValueError(f"load_gltf: {path} has no triangles")
     with _readable(path):
         camera = _camera(header, nodes, shapes, width, height)
-    materials = header.get("materials", [])
-    if any(material.get("pbrMetallicRoughness", {}).get("metallicFactor", 1) > 0 for material in materials):
-        warnings.warn(f"{path}: metallic and roughness have no effect yet; materials are diffuse", stacklevel=2)
     glows = any(shape.emitter is not None for shape in shapes.values())
     return Scene(shapes=shapes, camera=camera, environment=None if glows else ConstantEnvironment(1.0))
 
@@ -152,9 +149,10 @@ def _shapes(header: dict, nodes: list, primitives: list) -> Iterator[tuple[str, 
 
 
 def _bsdf(material: dict) -> BSDF | TwoSided:
-    """The BSDF of a glTF material: its base colour, diffuse. Metallic and roughness belong here, too."""
-    base_color = material.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
-    bsdf = Diffuse(base_color[:3])
+    """The BSDF of a glTF material: metallic and roughness as the principled model has them, of index 1.5."""
+    factors = material.get("pbrMetallicRoughness", {})
+    base_color = factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
+    bsdf = Principled(base_color[:3], factors.get("metallicFactor", 1.0), factors.get("roughnessFactor", 1.0))
     return TwoSided(bsdf) if material.get("doubleSided", False) else bsdf
 
 

@@ -10,7 +10,7 @@ import trimesh
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from jaxdr.scene.bsdf import Diffuse, TwoSided
+from jaxdr.scene.bsdf import Principled, TwoSided
 from jaxdr.scene.gltf import load_gltf
 
 
@@ -58,8 +58,8 @@ def test_nodes_become_shapes_with_materials(write):
     assert list(scene.shapes) == ["grey", "lamp_1"]
     assert bounds(scene.shapes["grey"]) == [[0.5, -0.5, -0.5], [1.5, 0.5, 0.5]]
     assert bounds(scene.shapes["lamp_1"]) == [[-1, 2, -0.25], [1, 4, 0.25]]
-    assert isinstance(scene.shapes["grey"].bsdf, TwoSided) and isinstance(scene.shapes["lamp_1"].bsdf, Diffuse)
-    np.testing.assert_allclose(scene.parameters()["grey.bsdf.reflectance"], [0.2, 0.4, 0.6], atol=2e-3)
+    assert isinstance(scene.shapes["grey"].bsdf, TwoSided) and isinstance(scene.shapes["lamp_1"].bsdf, Principled)
+    np.testing.assert_allclose(scene.parameters()["grey.bsdf.base_color"], [0.2, 0.4, 0.6], atol=2e-3)
     np.testing.assert_allclose(scene.parameters()["lamp_1.emitter.radiance"], [1, 0.5, 0.25])
     assert scene.shapes["grey"].emitter is None and scene.environment is None
     assert scene.shapes["grey"].mesh.closed  # vertices that the file splits are one again
@@ -77,7 +77,7 @@ def test_base_colours_are_read_in_full_precision_and_emission_has_a_strength(wri
         header["extensionsRequired"] = ["KHR_materials_emissive_strength"]
 
     scene = load_gltf(write({"a": box(baseColorFactor=[1, 1, 1, 1.0], emissiveFactor=[0.1, 0.2, 0.3])}, change))
-    np.testing.assert_allclose(scene.parameters()["a.bsdf.reflectance"], [0.001, 0.002, 0.003])
+    np.testing.assert_allclose(scene.parameters()["a.bsdf.base_color"], [0.001, 0.002, 0.003])
     np.testing.assert_allclose(scene.parameters()["a.emitter.radiance"], [2, 4, 6], rtol=1e-6)
 
 
@@ -145,11 +145,12 @@ def test_without_a_camera_everything_is_in_view(write, size):
     assert np.ptp(film[:, 1]) > 0.3 * min(size)  # and not from far away
 
 
-def test_metallic_materials_warn(write):
+def test_metallic_and_roughness(write):
     metal = box(baseColorFactor=[1, 1, 1, 1.0])
     metal.visual.material.metallicFactor = 1.0
-    with pytest.warns(UserWarning, match=r"scene\.glb: metallic and roughness have no effect yet"):
-        load_gltf(write({"a": metal}))
+    metal.visual.material.roughnessFactor = 0.25
+    bsdf = load_gltf(write({"a": metal})).shapes["a"].bsdf
+    assert isinstance(bsdf, Principled) and float(bsdf.metallic) == 1.0 and float(bsdf.roughness) == 0.25
 
 
 def unsupported(header):
