@@ -73,6 +73,7 @@ def whole():
     return [np.stack(x) for x in zip(*(derivative(scene(), key) for key in KEYS), strict=True)]
 
 
+@pytest.mark.slow
 def test_crop_is_a_window_of_the_image():
     window = [np.stack(x) for x in zip(*(derivative(scene((4, 0, 8, 8)), key) for key in KEYS), strict=True)]
     assert window[0].shape == (12, 8, 8, 3)

@@ -39,6 +39,7 @@ def test_every_derivative_is_the_closed_form(corners):
     check_derivatives(sheet(corners, 0.1), LINES, tolerance=0.001, sampling="mis")
 
 
+@pytest.mark.slow
 def test_closed_blocker():
     check_derivatives(BOX, LINES, tolerance=0.001)
 

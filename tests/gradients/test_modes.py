@@ -89,6 +89,7 @@ def test_same_key_same_bits():
         assert np.any(a != c)
 
 
+@pytest.mark.slow
 def test_jit_changes_rounding_only():
     scene = small_scene()
     for plain, compiled_too in zip(

@@ -63,6 +63,7 @@ def test_closed_form_in_float64():
         check_derivatives(sheet(QUADRANGLE, 0.1), SHEET)
 
 
+@pytest.mark.slow
 def test_closed_blocker():
     check_derivatives(BOX, CLOSED)
 

@@ -59,7 +59,13 @@ def differences():
     return np.array([float(difference(key, 0.01)) for key in KEYS])
 
 
-@pytest.mark.parametrize("boundary", [jd.KernelDensity(), jd.LineSampling()], ids=["kernel density", "lines"])
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        pytest.param(jd.KernelDensity(), marks=pytest.mark.slow, id="kernel density"),
+        pytest.param(jd.LineSampling(), id="lines"),
+    ],
+)
 def test_terminator_of_a_coarse_ball(boundary):
     """The faces' horizons turn with the ball: as creases in the picture, and across the lamp as boundaries.
 
