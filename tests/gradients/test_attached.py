@@ -39,7 +39,7 @@ def test_a_lamp_in_the_lobe():
 @pytest.mark.slow
 def test_a_lamp_behind_something():
     """Emitter samples that are occluded: what chords on the lamp find counts by their share of its light."""
-    check("eclipse", PLAIN, alone=True, quick=True, keys=24, spp=128)
+    check("eclipse", PLAIN, alone=True, quick=True, keys=64, spp=128)
 
 
 def test_directions_turn_rigidly_with_the_lobe():
