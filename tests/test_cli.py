@@ -133,7 +133,7 @@ def test_render_a_glb_under_a_white_sky(workplace, capsys):
     assert cli.main(["render", "box.glb", "-o", "out.npy", *size, "--spp", "64", "--max-depth", "2"]) == 0
     image = np.load("out.npy")
     assert image.shape == (6, 8, 3)
-    # The base scatters half of it; the surface of index 1.5 reflects another 4 %, more at an angle, less for its facets.
+    # The base scatters half of it; the surface (index 1.5) reflects 4 % more, and more still at an angle.
     assert np.all((image[2:4, 3:5] > 0.5) & (image[2:4, 3:5] < 0.58))
     np.testing.assert_allclose(image[0, 0], 1, rtol=0.03)
     assert cli.main(["render", "box.glb", "-o", "out.npy", "--set", "kind=3"]) == 2
