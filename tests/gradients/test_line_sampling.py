@@ -44,6 +44,7 @@ def test_closed_blocker():
     check_derivatives(BOX, LINES, tolerance=0.001)
 
 
+@pytest.mark.slow
 def test_hidden_and_concave_edges():
     """What other parts of the blocker hide does not count, however near it is."""
     check_derivatives(arrowhead(concave=0.02, hidden=0.02), LINES, tolerance=0.002)

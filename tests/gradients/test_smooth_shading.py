@@ -63,7 +63,7 @@ def differences():
     "boundary",
     [
         pytest.param(jd.KernelDensity(), marks=pytest.mark.slow, id="kernel density"),
-        pytest.param(jd.LineSampling(), id="lines"),
+        pytest.param(jd.LineSampling(), marks=pytest.mark.slow, id="lines"),
     ],
 )
 def test_terminator_of_a_coarse_ball(boundary):
