@@ -9,12 +9,11 @@ from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.parameters import relative_index, rgb
 
 
-class Dielectric(DeltaBSDF):
-    """Smooth interface of two dielectrics; the normal points to the exterior.
+class SmoothInterface(DeltaBSDF):
+    """Parameters of smooth dielectrics, one lobe on either side; the normal points to the exterior.
 
     `eta` = int_ior / ext_ior; each of the two is a number or a name ("bk7", "water", …). `specular_reflectance` and
-    `specular_transmittance` (RGB in [0, 1]) scale the two lobes. Refracted radiance is scaled by the squared ratio of
-    indices.
+    `specular_transmittance` (RGB in [0, 1]) scale the two lobes.
     """
 
     eta: Float[Array, "*n"]
@@ -30,9 +29,17 @@ class Dielectric(DeltaBSDF):
         specular_reflectance: ArrayLike = 1.0,
         specular_transmittance: ArrayLike = 1.0,
     ):
-        self.eta = relative_index(int_ior, ext_ior, "Dielectric")
-        self.specular_reflectance = rgb(specular_reflectance, "Dielectric: specular_reflectance")
-        self.specular_transmittance = rgb(specular_transmittance, "Dielectric: specular_transmittance")
+        model = type(self).__name__
+        self.eta = relative_index(int_ior, ext_ior, model)
+        self.specular_reflectance = rgb(specular_reflectance, f"{model}: specular_reflectance")
+        self.specular_transmittance = rgb(specular_transmittance, f"{model}: specular_transmittance")
+
+
+class Dielectric(SmoothInterface):
+    """Smooth interface of two dielectrics. Refracted radiance is scaled by the squared ratio of indices.
+
+    Parameters are those of `SmoothInterface`.
+    """
 
     def sample_delta(self, wi, u):
         interface = fresnel_dielectric(wi[..., 2], self.eta)
