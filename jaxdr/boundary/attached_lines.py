@@ -27,11 +27,11 @@ from jaxdr.boundary.crossings import (
     apex_moves,
     draw_lobe_chords,
     find_crossings,
-    luminance,
 )
 from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance

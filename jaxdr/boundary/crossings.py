@@ -10,7 +10,7 @@ from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.scene.packed import LUMINANCE, PackedScene
+from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import leave
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
@@ -155,8 +155,3 @@ def silhouette_crossings(
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
     return find_crossings(packed, prepared.edges, prepared.group, chosen, needed, apex, chords, key, room, rays)
-
-
-def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """Of linear RGB."""
-    return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)

@@ -8,10 +8,11 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxdr.boundary.chords import EmitterChords, emitter_chords, emitter_rate, emitter_weight, lobe_rate
-from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, luminance, silhouette_crossings
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import dot, normalize
+from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings

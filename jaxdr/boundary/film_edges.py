@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
-from jaxdr.scene.packed import LUMINANCE, PackedScene
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import SurfacePoint, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
@@ -136,7 +137,7 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
         squared = jnp.maximum(dot(offset, offset), 1e-30)
         direction = jnp.where(sample.infinite[i], sample.direction[i], offset / jnp.sqrt(squared)[:, None])
         facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / squared
-        power = (sample.radiance[i] @ jnp.asarray(LUMINANCE, corner.dtype)) / sample.pdf[i] / PILOTS
+        power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
         cosine = dot(direction, normal)
         cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
         received = received + cosine * jnp.where(sample.infinite[i], 1.0, facing) * power

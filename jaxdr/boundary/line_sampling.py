@@ -12,12 +12,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.attached_lines import AttachedLines, folded_edges
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges, luminance
+from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lobe_lines import LobeLines
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes
 from jaxdr.geometry import queries
+from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples

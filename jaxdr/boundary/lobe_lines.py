@@ -7,9 +7,10 @@ from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import background_term, seen_edges
 from jaxdr.boundary.chords import LobeChords, lobe_weight
-from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, luminance, silhouette_crossings
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
 from jaxdr.boundary.emitter_lines import Centres
 from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.shading import emitted

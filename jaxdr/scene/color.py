@@ -1,7 +1,14 @@
-"""RGB parameters."""
+"""RGB: parameters and luminance."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """Of linear RGB (Rec. 709 primaries)."""
+    return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)
 
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:

@@ -18,10 +18,9 @@ from jaxdr.geometry.edges import INTERIOR
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.camera import Perspective
+from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import ConstantEnvironment
 from jaxdr.scene.scene import Scene, unwrap
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 class PackedEdges(eqx.Module):
@@ -98,7 +97,7 @@ class PackedScene(eqx.Module):
         """
         area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
         radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
-        power = area * (radiance @ jnp.asarray(LUMINANCE, radiance.dtype))
+        power = area * luminance(radiance)
         cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
         return cumulative / cumulative[-1]
 
