@@ -91,16 +91,46 @@ def emitter_rate(
     On the emitter that is pdf x length / pi; lengths, areas and angles there are those on the sphere mapped by M, of
     determinant d^2 / cos, which stretches the chord by m: |sin| dl dphi is det(M)^2 / m^3 times as much.
     """
+    distance2, slope, usable, towards = _slope(apex, point, normal)
+    stretch2 = 1.0 + _tilt(normal, slope, jnp.cross(plane, towards)) ** 2
+    area = distance2 / slope
+    return jnp.where(usable, pdf * length / math.pi * area**2 / (distance2 * stretch2) ** 1.5, 0.0)
+
+
+def angle_ratio(
+    apex: Float[Array, "M 3"],
+    point: Float[Array, "M 3"],
+    normal: Float[Array, "M 3"],
+    plane: Float[Array, "M 3"],
+    tangent: Float[Array, "M 3"],
+) -> Float[Array, " M"]:
+    """|sin(phi - phi_l)| dphi on an emitter's plane over that on the sphere of directions around the apex.
+
+    phi is the angle of a chord through `point`, in the plane with normal `plane`; phi_l that of the boundary, the image
+    of a line along `tangent`. Each is the share of the chords' angles in a boundary point's integral in one measure;
+    it is det(M)^2 / (m^3 l) with the names of `emitter_rate` and l, by which M stretches the boundary. Positive.
+    """
+    _, slope, _, towards = _slope(apex, point, normal)
+    seen = normalize(tangent - dot(tangent, towards)[:, None] * towards)
+    chord2 = 1.0 + _tilt(normal, slope, jnp.cross(plane, towards)) ** 2
+    boundary2 = 1.0 + _tilt(normal, slope, seen) ** 2
+    return 1.0 / (slope**2 * chord2**1.5 * boundary2**0.5)
+
+
+def _slope(apex, point, normal):
+    """(squared distance, cosine at an emitter's point, whether that is usable, unit direction to the point)."""
     offset = point - apex
     distance2 = dot(offset, offset)
     distance2 = jnp.where(distance2 > 0, distance2, 1.0)
     towards = offset / jnp.sqrt(distance2)[:, None]
     slope = dot(normal, towards)
     usable = slope != 0
-    slope = jnp.where(usable, slope, 1.0)
-    tilt = dot(normal, jnp.cross(plane, towards)) / slope
-    area = distance2 / slope
-    return jnp.where(usable, pdf * length / math.pi * area**2 / (distance2 * (1.0 + tilt**2)) ** 1.5, 0.0)
+    return distance2, jnp.where(usable, slope, 1.0), usable, towards
+
+
+def _tilt(normal, slope, along):
+    """Slope of the emitter along directions on the sphere: M stretches them by distance x sqrt(1 + tilt^2)."""
+    return dot(normal, along) / slope
 
 
 class LobeChords(NamedTuple):

@@ -7,7 +7,14 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.boundary.chords import EmitterChords, emitter_chords, emitter_rate, emitter_weight, lobe_rate
+from jaxdr.boundary.chords import (
+    EmitterChords,
+    angle_ratio,
+    emitter_chords,
+    emitter_rate,
+    emitter_weight,
+    lobe_rate,
+)
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
@@ -24,6 +31,10 @@ class Centres(NamedTuple):
     """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
 
     `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n].
+
+    A crossing is a boundary point and a chord's angle there. Shares depend on both, so both kinds must mean the same by
+    the integral over the angle: each has |sin(phi - phi_l)| dphi / 2 of its own measure, and what is integrated here is
+    their mean, with weights that depend on the boundary point alone.
     """
 
     packed: PackedScene
@@ -33,33 +44,49 @@ class Centres(NamedTuple):
     emitters: Float[Array, "B P n"]
     lobes: Float[Array, "B P n"]
 
-    def share_of_emitters(
-        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
+    def weight_of_emitters(
+        self, found: Crossings, plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
     ) -> Float[Array, " C"]:
-        """Share of chords on emitters in finding boundary points of emitters, in planes with the normals `plane`.
+        """What crossings of chords on emitters, in planes with the normals `plane`, weigh beside the other kind.
 
-        `pdf` of their centres, per area, and their `length`.
+        `pdf` of their centres, per area, and their `length`; `point` on the emitter.
         """
-        scatterer = self.paths.scatterer(vertex)
-        position, normal = stop_gradient(point.position), stop_gradient(point.normal)
-        apex = scatterer.point.position
-        reach = lobe_reach(scatterer, self.reach)
-        one = emitter_rate(pdf, length, apex, position, normal, plane) * self.emitters.reshape(-1)[vertex]
-        two = lobe_rate(scatterer, reach, plane, normalize(position - apex)) * self.lobes.reshape(-1)[vertex]
-        either = one + two > 0
-        return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+        share, both, ratio = self._shares(found, plane, point, pdf, length)
+        return share * both / ratio
 
-    def share_of_lobes(
-        self, vertex: Int[Array, " C"], plane: Float[Array, "C 3"], point: SurfacePoint
-    ) -> Float[Array, " C"]:
-        """The rest: share of geodesic chords."""
+    def weight_of_lobes(self, found: Crossings, plane: Float[Array, "C 3"], point: SurfacePoint) -> Float[Array, " C"]:
+        """The same for geodesic chords; zero where `point` is on no surface."""
         normal = stop_gradient(point.normal)
         along = jnp.cross(plane, normal)
         meets = (dot(along, along) > 0) & point.valid
         along = normalize(jnp.where(meets[:, None], along, 1.0))
         _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
-        pdf = emitting_surface_pdf(self.packed, point)
-        return jnp.where(meets, 1.0 - self.share_of_emitters(vertex, plane, point, pdf, length), 0.0)
+        share, both, _ = self._shares(found, plane, point, emitting_surface_pdf(self.packed, point), length)
+        return jnp.where(meets, (1.0 - share) * both, 0.0)
+
+    def _shares(self, found: Crossings, plane, point: SurfacePoint, pdf, length):
+        """(share of emitters' chords, their mean measure of angles and that of emitters', over the sphere's)."""
+        vertex, expected = found.vertex, (self.emitters.reshape(-1), self.lobes.reshape(-1))
+        emitters, lobes = (table[vertex] for table in expected)
+        scatterer = self.paths.scatterer(vertex)
+        position, normal = stop_gradient(point.position), stop_gradient(point.normal)
+        apex = scatterer.point.position
+        towards = normalize(position - apex)
+        rate = emitter_rate(pdf, length, apex, position, normal, plane) * emitters
+        other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
+
+        ends = stop_gradient(self.packed.vertices)[self.packed.edges.vertices[found.edge]]
+        ratio = angle_ratio(apex, position, normal, plane, ends[:, 1] - ends[:, 0])
+        cosine, offset = dot(normal, towards), position - apex
+        density = pdf * dot(offset, offset) / jnp.where(cosine == 0, 1.0, jnp.abs(cosine)) * emitters
+        mixed = _fraction(density, scatterer.pdf(towards) * lobes)
+        return _fraction(rate, other), mixed * ratio + 1.0 - mixed, ratio
+
+
+def _fraction(one, two):
+    """one / (one + two), 1 where both are zero."""
+    either = one + two > 0
+    return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
 
 
 class EmitterLines:
@@ -97,7 +124,7 @@ class EmitterLines:
             chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
             plane = chords.plane(stop_gradient(self.paths.apex(found.vertex).position))
             pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
-            weight = weight * self.both.share_of_emitters(found.vertex, plane, point, pdf, length)
+            weight = weight * self.both.weight_of_emitters(found, plane, point, pdf, length)
         moved = projection.displacement - stop_gradient(projection.displacement)
         return value * (weight * moved)[:, None]
 

@@ -50,9 +50,9 @@ class LobeLines:
         plane = drawn.plane[found.chord]
 
         def emission(background: SurfacePoint, towards):
-            """Emission of what is no surface, and this technique's share of that of surfaces."""
+            """Emission of what is no surface, and that of surfaces as it counts beside chords on them."""
             radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
-            surfaces = 0.0 if self.both is None else self.both.share_of_lobes(found.vertex, plane, background)
+            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, plane, background)
             return radiance * jnp.where(background.valid, surfaces, 1.0)[:, None]
 
         glows = self.packed.environment is not None or self.both is not None

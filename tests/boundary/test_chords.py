@@ -8,6 +8,7 @@ import pytest
 import jaxdr as jd
 from jaxdr.boundary.chords import (
     LobeChords,
+    angle_ratio,
     emitter_chords,
     emitter_rate,
     emitter_weight,
@@ -136,6 +137,27 @@ def test_length_of_a_silhouette_in_directions(width, uniform):
     if not uniform:
         rate = lobe_rate(scatterer, lobes.reach, lobes.plane, towards)
         check(np.bincount(chord, 1.0 / np.asarray(rate), minlength=count), 2 * seen_length(QUADRANGLE))
+
+
+def test_angles_on_a_slanted_light():
+    """Measured on the light or in directions, the angles of chords through a boundary point add up to two."""
+    rng = np.random.default_rng(0)
+    count, steps = 20, 4000
+    apex, point, normal, tangent = (rng.normal(size=(count, 3)) for _ in range(4))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    towards = (point - apex) / np.linalg.norm(point - apex, axis=1, keepdims=True)
+    seen = tangent - (tangent * towards).sum(1, keepdims=True) * towards
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    across = np.cross(towards, seen)
+    for phi_l in (0.0, 1.0):  # from where angles are counted does not matter
+        phi = (np.arange(steps) + 0.5) * np.pi / steps
+        chord = np.cos(phi - phi_l)[:, None, None] * seen + np.sin(phi - phi_l)[:, None, None] * across
+        rows = (np.broadcast_to(x, chord.shape).reshape(-1, 3) for x in (apex, point, normal))
+        plane = np.cross(towards, chord).reshape(-1, 3)
+        with jax.enable_x64(True):
+            ratio = np.asarray(angle_ratio(*map(jnp.asarray, rows), jnp.asarray(plane), jnp.tile(tangent, (steps, 1))))
+        total = (ratio.reshape(steps, count) * np.abs(np.sin(phi - phi_l))[:, None]).mean(0) * np.pi
+        np.testing.assert_allclose(total, 2.0, rtol=0.01)
 
 
 def test_weights_of_wide_chords_are_bounded():

@@ -103,21 +103,29 @@ def exact(blocker: jd.Mesh, light=LIGHT):
     return scale * irradiance(POINT, UP, light, pieces), {k: scale * v for k, v in derivatives.items()}
 
 
-def estimates(of: jd.Scene, boundary, keys: int = 8, spp: int = 128, sampling: str = "emitter", rays: str = "warp"):
+def estimates(
+    of: jd.Scene,
+    boundary,
+    keys: int = 8,
+    spp: int = 128,
+    sampling: str = "emitter",
+    rays: str = "warp",
+    max_depth: int = 2,
+):
     """Radiance [keys] and its reverse-mode derivatives {name: [keys, ...]} for independent keys."""
     parameters = of.parameters()
     values = {name: parameters[name] for name in NAMES}
-    run = partial(_estimate, of, values, boundary=boundary, spp=spp, sampling=sampling, rays=rays)
+    run = partial(_estimate, of, values, boundary=boundary, spp=spp, sampling=sampling, rays=rays, max_depth=max_depth)
     rows = [jax.device_get(run(key)) for key in jax.random.split(jax.random.key(0), keys)]
     derivatives = {name: np.stack([row[1][name] for row in rows]).astype(float) for name in NAMES}
     floor = derivatives.pop("floor.vertices")
     return np.array([row[0] for row in rows], float), derivatives | {"floor.height": floor[..., 2].sum(-1)}
 
 
-@partial(jax.jit, static_argnames=("boundary", "spp", "sampling", "rays"))
-def _estimate(of, values, key, boundary, spp, sampling, rays):
+@partial(jax.jit, static_argnames=("boundary", "spp", "sampling", "rays", "max_depth"))
+def _estimate(of, values, key, boundary, spp, sampling, rays, max_depth):
     def radiance(values):
-        integrator = jd.PathTracer(max_depth=2, boundary=boundary, sampling=sampling, rays=rays)
+        integrator = jd.PathTracer(max_depth=max_depth, boundary=boundary, sampling=sampling, rays=rays)
         return jnp.mean(jd.render(of.replace(values), key, spp=spp, integrator=integrator))
 
     return jax.value_and_grad(radiance)(values)

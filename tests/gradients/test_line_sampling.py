@@ -23,6 +23,9 @@ from tests.gradients.test_indirect_shadow import check_under_a_panel
 
 LINES = jd.LineSampling()
 # A light that the blocker's shadow just fits in, and one above the camera that covers most of the sky.
+# A light that is a wall, and a quadrangle before it.
+WALL = np.array([[-0.9, -2.5, -0.5], [-0.9, 2.5, -0.5], [-0.85, 2.5, 4.0], [-0.85, -2.5, 4.0]])
+SHIELD = np.array([[-0.35, -0.3, 0.6], [-0.3, -0.25, 0.2], [-0.38, 0.25, 0.25], [-0.3, 0.3, 0.55]])
 LIGHTS = {"small": LIGHT * [0.7, 0.7, 1.0], "very large": LIGHT * [20.0, 20.0, 2.5]}
 
 
@@ -37,6 +40,14 @@ LIGHTS = {"small": LIGHT * [0.7, 0.7, 1.0], "very large": LIGHT * [20.0, 20.0, 2
 def test_every_derivative_is_the_closed_form(corners):
     """Blocker, light and floor move: apex, edge and receiver. No bias is allowed for."""
     check_derivatives(sheet(corners, 0.1), LINES, tolerance=0.001, sampling="mis")
+
+
+def test_both_kinds_of_chords():
+    """A light seen at a slant, found by chords on it and around BSDF-sampled directions (every surface else is black).
+
+    One kind's angles between chord and boundary are not the other's: shares by themselves would not add up.
+    """
+    check_derivatives(sheet(SHIELD, 0.1), LINES, tolerance=0.001, light=WALL, sampling="mis", max_depth=3)
 
 
 @pytest.mark.slow
