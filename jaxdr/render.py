@@ -14,6 +14,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
+from jaxdr.boundary.pixel_borders import pixel_border_term
 from jaxdr.integrator import PathTracer
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
@@ -76,8 +77,8 @@ def derivative_terms(
 ) -> dict[str, Float[Array, "H W 3"]]:
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
-    Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value). Everything counts as
-    moving unless `moving` says otherwise.
+    Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
+    indirect light `pixel_borders`. Everything counts as moving unless `moving` says otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
     moving = moving or Moving((True,) * len(scene.shapes), True)
@@ -209,6 +210,10 @@ def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key,
     share = weight.sum()
     terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
     index = jnp.tile(samples, pixels)
+    if form == "near" and packed.camera.film.filter.tiles:
+        key_borders = jax.random.fold_in(key_edges, 1)
+        sides = max(1, round(count * integrator.edge_points_per_sample / 4))
+        terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
     total = integrator.boundary.estimate(packed, prepared, primary, record, index, key_boundary, settings)
     terms["boundary"] = gather(total)
     return terms
@@ -221,4 +226,5 @@ def _form(packed: PackedScene, integrator: PathTracer, with_boundary: bool) -> s
     if integrator.primary == "material":
         return "material"
     # Of direct light only what emitters that touch a surface send comes from close by: not worth a second form.
-    return "near" if packed.camera.film.filter.smooth and integrator.max_depth > 2 else "fixed"
+    pixel_filter = packed.camera.film.filter
+    return "near" if (pixel_filter.smooth or pixel_filter.tiles) and integrator.max_depth > 2 else "fixed"

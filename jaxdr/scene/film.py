@@ -16,14 +16,20 @@ from jaxtyping import Array, Float
 
 @runtime_checkable
 class ReconstructionFilter(Protocol):
-    """A separable density over film offsets: `radius` (pixels), `sample` and `pdf`.
+    """A separable density over film offsets: `radius` and standard deviation `stddev` (pixels), `sample` and `pdf`.
 
-    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points; such filters
-    have a `stddev` (pixels).
+    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points. `tiles`: it is
+    constant on its own pixel and zero elsewhere.
     """
 
     @property
     def radius(self) -> float: ...
+
+    @property
+    def stddev(self) -> float: ...
+
+    @property
+    def tiles(self) -> bool: ...
 
     @property
     def smooth(self) -> bool: ...
@@ -50,6 +56,10 @@ class Gaussian(eqx.Module):
     def smooth(self) -> bool:
         return True
 
+    @property
+    def tiles(self) -> bool:
+        return False
+
     def sample(self, u):
         """Film offsets [..., 2] (pixels) from uniform numbers, by inversion of the cut normal distribution."""
         tail = 0.5 * math.erfc(4.0 / math.sqrt(2.0))
@@ -73,8 +83,16 @@ class Box(eqx.Module):
             raise ValueError(f"Box: radius must be positive (pixels), got {self.radius}")
 
     @property
+    def stddev(self) -> float:
+        return self.radius / math.sqrt(3.0)
+
+    @property
     def smooth(self) -> bool:
         return False
+
+    @property
+    def tiles(self) -> bool:
+        return self.radius == 0.5
 
     def sample(self, u):
         """Film offsets [..., 2] (pixels) from uniform numbers."""
@@ -96,7 +114,15 @@ class Tent(eqx.Module):
             raise ValueError(f"Tent: radius must be positive (pixels), got {self.radius}")
 
     @property
+    def stddev(self) -> float:
+        return self.radius / math.sqrt(6.0)
+
+    @property
     def smooth(self) -> bool:
+        return False
+
+    @property
+    def tiles(self) -> bool:
         return False
 
     def sample(self, u):

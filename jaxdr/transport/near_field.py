@@ -7,8 +7,8 @@ filter, which is noisy for all light: one over the filter's width s at the first
 1 / cosine times as far as the surface moves, so that its noise is 1 / (d cosine) for light from distance d. So light is
 split: a share s^2 / (s^2 + (d cosine)^2) is taken in material form, the rest with the ray fixed. The shares add up to
 one, each is a smooth function of the scene (but for a jump with the normal from face to face, which creases count), and
-both forms estimate the same derivative, so the sum is unbiased; its terms are bounded by 1 / s. Only filters with a
-smooth derivative allow it, and only indirect light is worth it.
+both forms estimate the same derivative, so the sum is unbiased; its terms are bounded by 1 / s. Filters allow it that
+have a smooth derivative or are constant on their pixel (`boundary.pixel_borders`), and only indirect light is worth it.
 """
 
 from typing import NamedTuple
@@ -61,21 +61,25 @@ class Footprint(NamedTuple):
 
 
 def footprint(camera: Perspective, position: Float[Array, "N 3"], normal: Float[Array, "N 3"]) -> Footprint:
-    """Footprint of a pixel of a smooth filter, at points with the unit normals `normal`."""
+    """Footprint of a pixel, at points with the unit normals `normal`."""
     offset = position - camera.position
     distance2 = dot(offset, offset)
-    stddev = camera.film.filter.stddev  # pyright: ignore[reportAttributeAccessIssue]: smooth filters have one
-    size2 = distance2 * (stddev / camera.pixels_per_tangent) ** 2
+    size2 = distance2 * (camera.film.filter.stddev / camera.pixels_per_tangent) ** 2
     return Footprint(size2, dot(normal, offset) ** 2 / jnp.where(distance2 > 0, distance2, 1.0))
 
 
 def film_importance(packed: PackedScene, point: SurfacePoint, centre: Float[Array, "N 2"]) -> Float[Array, " N"]:
-    """W_e G J over its detached value at moving material points; `centre` of their pixels (kernel density, Eq. 2-4)."""
+    """W_e G J over its detached value at moving material points; `centre` of their pixels (kernel density, Eq. 2-4).
+
+    Where W_e is constant on a pixel, its derivative is the flux through the border, which is not counted here.
+    """
     camera = packed.camera
     local = camera.local(point.position)
     depth = jnp.where(point.valid, local[:, 2], 1.0)
     local = jnp.concatenate([local[:, :2], depth[:, None]], -1)
-    importance = camera.film.filter.pdf(camera.project_local(local) - centre)
+    importance = 1.0
+    if camera.film.filter.smooth:
+        importance = camera.film.filter.pdf(camera.project_local(local) - centre)
     # Film area per surface area: |n . (x - o)| / depth^3, times the squared focal length.
     projected = jnp.abs(dot(point.normal, point.position - camera.position)) / depth**3
     value = importance * projected * camera.pixels_per_tangent**2 * point.area_ratio()
