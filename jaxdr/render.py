@@ -176,12 +176,14 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
 
 def _check_opaque(packed: PackedScene) -> None:
-    """Raises ValueError where light passes through surfaces: boundary terms look for it on one side only."""
+    """Raises ValueError where boundary terms are missing: of what is seen in mirrors, through glass or holes."""
     for group in packed.bsdfs:
-        if group.bsdf.transmissive:
+        if group.bsdf.transmissive or group.bsdf.delta:
+            how = "through" if group.bsdf.transmissive else "in"
             raise ValueError(
-                f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
-                "opaque BSDF, differentiate nothing that moves, or boundary=None for the interior term alone"
+                f"render: visibility changes seen {how} {type(group.bsdf).__name__} have no derivative yet; take an "
+                "opaque BSDF without delta lobes, differentiate nothing that moves, or boundary=None for the interior "
+                "term alone"
             )
 
 

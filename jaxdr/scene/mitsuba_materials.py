@@ -101,9 +101,6 @@ MATERIALS: dict[str, Callable[[Properties], BSDF]] = {
     "roughdielectric": lambda properties: RoughDielectric(**_two_lobes(properties), **_roughness(properties)),
     "roughplastic": lambda properties: RoughPlastic(**_base(properties), **_roughness(properties)),
     "principled": _principled,
-}
-# With delta lobes: for the loader to know as soon as the path tracer follows them.
-DELTA_MATERIALS: dict[str, Callable[[Properties], BSDF]] = {
     "conductor": lambda properties: Conductor(**_metal(properties)),
     "dielectric": lambda properties: Dielectric(**_two_lobes(properties)),
     "thindielectric": lambda properties: ThinDielectric(**_two_lobes(properties)),

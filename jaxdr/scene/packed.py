@@ -69,6 +69,11 @@ class PackedScene(eqx.Module):
         """Whether any shape glows."""
         return self.emitter_faces is not None
 
+    @property
+    def has_delta_lobes(self) -> bool:
+        """Whether any BSDF scatters light of one direction into one direction."""
+        return any(group.bsdf.delta for group in self.bsdfs)
+
     def shape_bounds(self) -> tuple[Float[Array, "S 3"], Float[Array, "S 3"]]:
         """Lowest and highest coordinates of every shape (scene units), detached."""
         points = stop_gradient(self.vertices)[self.faces]
@@ -103,14 +108,7 @@ class PackedScene(eqx.Module):
 
 
 def pack(scene: Scene) -> PackedScene:
-    """Flat tables of a scene; traceable in all its float parameters.
-
-    Raises ValueError for a BSDF with delta lobes: paths can't follow them yet.
-    """
-    for name, shape in scene.shapes.items():
-        if unwrap(shape.bsdf).delta:
-            kind = type(unwrap(shape.bsdf)).__name__
-            raise ValueError(f"{name}: {kind} has delta lobes, which can't be rendered yet; take a rough model")
+    """Flat tables of a scene; traceable in all its float parameters."""
     shapes = list(scene.shapes.values())
     meshes = [shape.mesh for shape in shapes]
     first_vertex = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])

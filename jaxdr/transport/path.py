@@ -2,7 +2,8 @@
 
 A path starts at a first hit that the caller provides; every later vertex is a material point (DESIGN 1), except behind
 narrow lobes: there it slides along a ray that is fixed in the lobe (DESIGN 2b). Contributions are differentiable
-functions of the scene (the interior term is their derivative); choices and densities are detached.
+functions of the scene (the interior term is their derivative); choices and densities are detached. Behind delta lobes
+the next vertex slides as well: mirrors and smooth glass continue a ray as it moves.
 """
 
 from typing import NamedTuple
@@ -115,7 +116,8 @@ def trace_paths(
     """Trace paths on from first hits; `direction` is that of the rays which found them, `u` the first bounce's numbers.
 
     Next-event estimation and BSDF sampling are combined by the balance heuristic (Veach 1997), unless `settings.mis`
-    is off: then emitters are reached by next-event estimation alone. `near` is the other form of the first hits.
+    is off: then emitters are reached by next-event estimation alone, but for delta lobes, whose light only they find.
+    `near` is the other form of the first hits.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
@@ -196,9 +198,10 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     def numbers(bounce):
         return uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
 
-    # Without MIS the last bounce needs no BSDF ray.
+    # Without MIS the last bounce needs no BSDF ray, if there is no delta lobe.
     throughput = jnp.ones_like(scatterer.point.position)
-    if bounces == 1 and not settings.mis:
+    found_by_rays = settings.mis or packed.has_delta_lobes
+    if bounces == 1 and not found_by_rays:
         return _stack(_last_bounce(packed, scatterer, throughput, u, settings, near))
     state, added = _bounce(packed, scatterer, throughput, u, settings, near)
     parts = [_stack(added)]
@@ -207,7 +210,7 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
         point, wi, throughput = state
         return _bounce(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
 
-    last = bounces if settings.mis else bounces - 1
+    last = bounces if found_by_rays else bounces - 1
     if last > 1:
         state, added = jax.lax.scan(step, state, jnp.arange(1, last))
         parts.append(added)
@@ -331,6 +334,12 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
 
     sampled = scatterer.sample(u[:, 2:])
     pdf = scatterer.pdf(sampled)
+    delta = chosen = None
+    if packed.has_delta_lobes:
+        delta = scatterer.sample_delta(u[:, 2:])
+        chosen = delta.probability > 0
+        sampled = jnp.where(chosen[:, None], stop_gradient(delta.wo), sampled)
+        pdf = jnp.where(chosen, stop_gradient(delta.probability), pdf)
     active = point.valid & (pdf > 0)
     origin = scatterer.leave(sampled)
     face = intersect(packed, origin, sampled, active, settings.rays)
@@ -345,13 +354,20 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         direction = jnp.where(narrow[:, None], scatterer.turn(sampled), sampled)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
         following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
+    if delta is not None:
+        direction = jnp.where(chosen[:, None], delta.wo, direction)
+        sliding = on_fixed_ray(packed, point.position, direction, jnp.where(chosen & hit, face, -1))
+        following = either(chosen & hit, sliding._replace(barycentric=barycentric), following)
 
     # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
     transfer = _transfer(scatterer, following, ~hit, direction)
     fixed, in_angle = transfer, ~hit
-    if narrow is not None:
-        in_angle = in_angle | narrow
+    if narrow is not None or delta is not None:
+        for fixed_in_angle in (narrow, chosen):
+            in_angle = in_angle if fixed_in_angle is None else in_angle | fixed_in_angle
         fixed = _transfer(scatterer, following, in_angle, direction)
+    if delta is not None:
+        fixed = fixed._replace(value=jnp.where(chosen[:, None], delta.weight, fixed.value))
     forms = _both_forms(packed, near, fixed, scatterer, following, in_angle, direction, in_angle)
     value, towards, near_beyond = forms
     density = pdf * stop_gradient(fixed.geometry)
@@ -361,12 +377,16 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     throughput = jnp.where(carries[:, None], throughput * factor, 0.0)
 
     emission = jnp.zeros_like(throughput)
-    if settings.mis:
-        found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
-        if narrow is None:
-            weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
-        else:
-            weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
+    if settings.mis or delta is not None:
+        weight = jnp.zeros_like(pdf)
+        if settings.mis:
+            found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
+            if narrow is None:
+                weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
+            else:
+                weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
+        if delta is not None:
+            weight = jnp.where(chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]
     scattered = Segments(
         apex_face=point.face,

@@ -9,6 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot
+from jaxdr.scene.bsdf.base import DeltaSample, no_delta
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
@@ -71,6 +72,12 @@ class Scatterer:
         """World directions drawn from `pdf`, detached."""
         local = self._combine([bsdf.sample(self.wi, u) for bsdf, _ in self.groups])
         return stop_gradient(self.to_world(local))
+
+    def sample_delta(self, u: Float[Array, "N 2"]) -> DeltaSample:
+        """The delta lobes that `u` chooses, world directions; differentiable."""
+        chosen = [bsdf.sample_delta(self.wi, u) if bsdf.delta else no_delta(self.wi) for bsdf, _ in self.groups]
+        local = DeltaSample(*(self._combine(list(values)) for values in zip(*chosen, strict=True)))
+        return local._replace(wo=self.to_world(local.wo))
 
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""

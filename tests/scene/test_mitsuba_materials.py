@@ -10,7 +10,7 @@ import pytest
 import jaxdr as jd
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.mitsuba_element import Element
-from jaxdr.scene.mitsuba_materials import DELTA_MATERIALS, MATERIALS
+from jaxdr.scene.mitsuba_materials import MATERIALS
 from jaxdr.scene.mitsuba_xml import Properties
 
 FILE = Path("scene.xml")
@@ -21,7 +21,7 @@ def parsed(kind, **values):
     """The material of a plugin; parameters are (tag, value)."""
     children = [Element(tag, {"name": name, "value": value}, FILE, 1) for name, (tag, value) in values.items()]
     properties = Properties(Element("bsdf", {"type": kind}, FILE, 1, children))
-    material = {**MATERIALS, **DELTA_MATERIALS}[kind](properties)
+    material = MATERIALS[kind](properties)
     properties.finish()
     return material
 
@@ -87,7 +87,7 @@ WRONG = {
     '<bsdf type="roughconductor"><float name="alpha_u" value="0.1"/></bsdf>': "anisotropic roughness is not supported",
     '<bsdf type="principled"><float name="clearcoat" value="1"/></bsdf>': "clearcoat other than 0 is not supported",
     '<bsdf type="principled"><float name="gloss" value="1"/></bsdf>': "unknown parameter 'gloss'",
-    '<bsdf type="dielectric"/>': "unknown type 'dielectric'",
+    '<bsdf type="hair"/>': "unknown type 'hair'",
 }
 
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.geometry.shapes import rectangle
-from jaxdr.scene.packed import pack
 from tests.scene.bsdf.checks import QUICK, call, check_derivatives, direction, random_directions, repeated, uniform
 
 COLOUR = (0.2, 0.5, 0.8)
@@ -145,12 +143,3 @@ def test_finite_gradients(name):
     u = jnp.asarray([[first, 0.5] for first in (0.0, 0.5, 1 - 2**-24) for _ in angles])
     gradients = jax.jit(jax.grad(total, (0, 1)), compiler_options=QUICK)(MODELS[name], jnp.tile(wi, (3, 1)), u)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradients))
-
-
-def test_not_rendered_in_silence():
-    scene = jd.Scene(
-        {"patch": jd.Shape(rectangle(), jd.TwoSided(jd.Plastic()))},
-        jd.Perspective(jd.look_at([0, -1, 1], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(2, 2)),
-    )
-    with pytest.raises(ValueError, match="patch: Plastic has delta lobes, which can't be rendered yet"):
-        pack(scene)
