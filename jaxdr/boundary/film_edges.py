@@ -192,7 +192,8 @@ class _EdgePoints(NamedTuple):
     """Points on visible edges, and the camera rays on their two sides (leading axis 2).
 
     `weight` = 1 / (count x density per pixel of length). `normal` on the film, towards the first side. `at_edge`: the
-    ray on that side ends at the edge, which nothing hides there. Only `view` and `film_point` are differentiable.
+    ray on that side ends at the edge, which nothing hides there. `outline`: all faces at the edge are on one side, and
+    nothing hides it. Only `view` and `film_point` are differentiable.
     """
 
     view: View
@@ -203,6 +204,7 @@ class _EdgePoints(NamedTuple):
     first: SurfacePoint
     distance: Float[Array, "2 n"]
     at_edge: Bool[Array, "2 n"]
+    outline: Bool[Array, " n"]
 
 
 def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settings) -> _EdgePoints:
@@ -245,7 +247,25 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     near = jnp.abs(distance - edge_distance) <= tolerance
     neighbours = packed.edges.faces[edge]
     at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
-    return _EdgePoints(view, film_point, normal, weight, direction, first, distance, near | at_neighbour)
+    at_edge = near | at_neighbour
+
+    # Which sides the faces are on.
+    ends, point = stop_gradient(ends), stop_gradient(point)
+    across = jnp.cross(ends[:, 1] - ends[:, 0], still.towards(point))
+    beside = origin + edge_distance[..., None] * direction
+    across = across * jnp.sign(dot(across, beside[0] - beside[1]))[:, None]
+    opposite = packed.edges.opposite[edge]
+    height = ((detached.vertices[opposite] - point[:, None]) * across[:, None]).sum(-1)
+    height = jnp.where(neighbours >= 0, height, 0.0)
+    on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
+    # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
+    # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
+    corners = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
+    surface = at_edge | ((packed.faces[first.face][..., None] == corners[:, None]).any((-1, -2)) & first.valid)
+    clear = distance >= edge_distance - tolerance
+    outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
+    outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
+    return _EdgePoints(view, film_point, normal, weight, direction, first, distance, at_edge, outline)
 
 
 def _value(packed, points: _EdgePoints, seen, jump, position) -> Float[Array, "H W 3"]:
@@ -267,7 +287,7 @@ def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Arra
         return record.radiance, record.radiance if form == "material" else record.near
 
     total, near = jax.vmap(radiance)(points.first, points.direction)
-    seen, film_point = points.at_edge.any(0), points.film_point
+    seen, film_point = points.outline, points.film_point
     _, _, width, height = packed.camera.film.window
     image = jnp.zeros((height, width, 3), total.dtype)
     if form != "material":
