@@ -31,7 +31,9 @@ from jaxdr.scene.bsdf import RoughDielectric as RoughDielectric
 from jaxdr.scene.bsdf import RoughPlastic as RoughPlastic
 from jaxdr.scene.bsdf import ThinDielectric as ThinDielectric
 from jaxdr.scene.bsdf import TwoSided as TwoSided
+from jaxdr.scene.camera import Orthographic as Orthographic
 from jaxdr.scene.camera import Perspective as Perspective
+from jaxdr.scene.camera import ThinLens as ThinLens
 from jaxdr.scene.camera import look_at as look_at
 from jaxdr.scene.emitters import AreaEmitter as AreaEmitter
 from jaxdr.scene.emitters import ConstantEnvironment as ConstantEnvironment

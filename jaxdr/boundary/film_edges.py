@@ -12,15 +12,15 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.camera import View
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
-from jaxdr.transport.interaction import SurfacePoint, material_point, on_fixed_ray
+from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.path import PathSettings, trace_jump, trace_paths
-from jaxdr.transport.sampler import lattice, uniform
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
 from jaxdr.transport.shading import has_emitters, sample_emitter
 
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
@@ -29,46 +29,58 @@ PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an ed
 class EdgeDistribution(NamedTuple):
     """What edge points are drawn from; detached. `start`, `end` are the film points of the visible part of each edge.
 
-    `clip` are the fractions of the 3D edge at its near-clipped ends, `depth` the depths there, `range` the part of the
-    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance.
+    `clip` are the fractions of the 3D edge at the ends between near and far plane, `homogeneous` the denominators of
+    the projection there, `range` the part of the projected edge inside the film window. `importance` per unit length;
+    the cdfs are of length x importance. Seen through an aperture, an edge's `extent` bounds its length from all of it.
     """
 
     start: Float[Array, "E 2"]
     end: Float[Array, "E 2"]
     clip: Float[Array, "E 2"]
-    depth: Float[Array, "E 2"]
+    homogeneous: Float[Array, "E 2"]
     range: Float[Array, "E 2"]
     importance: Float[Array, " E"]
     silhouettes: Float[Array, " E"]
     creases: Float[Array, " E"]
+    extent: Float[Array, " E"] | None = None
 
 
 def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
     """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
     packed = jax.tree.map(stop_gradient, packed)
     camera, edges = packed.camera, packed.edges
-    local = camera.local(packed.vertices)
+    view = camera.view()
+    local = view.local(packed.vertices)
     p0, p1 = local[edges.vertices[:, 0]], local[edges.vertices[:, 1]]
-    t0, t1 = _clip(camera.near_clip - p0[:, 2], camera.near_clip - p1[:, 2])
+    (near0, near1), (far0, far1) = (
+        _clip(sign * (limit - p0[:, 2]), sign * (limit - p1[:, 2]))
+        for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
+    )
+    t0, t1 = jnp.maximum(near0, far0), jnp.minimum(near1, far1)
     in_front = t1 > t0
     q0, q1 = p0 + t0[:, None] * (p1 - p0), p0 + t1[:, None] * (p1 - p0)
     behind = ~in_front[:, None]
     ahead = jnp.asarray([0.0, 0.0, 1.0], q0.dtype)
     q0, q1 = jnp.where(behind, ahead, q0), jnp.where(behind, ahead, q1)
-    start, end = camera.project_local(q0), camera.project_local(q1)
-    s0, s1 = _inside_window(camera.film, start, end)
-    length = jnp.where(in_front, norm(end - start) * jnp.maximum(s1 - s0, 0.0), 0.0)
+    start, end = view.project_local(q0), view.project_local(q1)
+    extent, margin = norm(end - start), None
+    if camera.aperture:
+        blur0, blur1 = camera.blur(q0), camera.blur(q1)
+        extent, margin = extent + jnp.abs(blur0 - blur1), jnp.maximum(jnp.abs(blur0), jnp.abs(blur1))
+    s0, s1 = _inside_window(camera.film, start, end, margin)
+    length = jnp.where(in_front, extent * jnp.maximum(s1 - s0, 0.0), 0.0)
     silhouette, importance = _importance(packed, moving, key)
     mass = length * importance
     return EdgeDistribution(
         start=start,
         end=end,
         clip=jnp.stack([t0, t1], -1),
-        depth=jnp.stack([q0[:, 2], q1[:, 2]], -1),
+        homogeneous=jnp.stack([view.homogeneous(q0), view.homogeneous(q1)], -1),
         range=jnp.stack([s0, s1], -1),
         importance=importance,
         silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
         creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
+        extent=extent if camera.aperture else None,
     )
 
 
@@ -81,10 +93,10 @@ def _clip(outside0, outside1):
     return low, high
 
 
-def _inside_window(film, start, end):
-    """Parameter range of projected edges within reach of the window's reconstruction filters."""
+def _inside_window(film, start, end, margin=None):
+    """Parameter range of projected edges within reach of the window's filters, and `margin` pixels more."""
     x0, y0, width, height = film.window
-    reach = film.filter.radius
+    reach = film.filter.radius if margin is None else film.filter.radius + margin
     low, high = jnp.zeros(start.shape[0], start.dtype), jnp.ones(start.shape[0], start.dtype)
     for axis, first, size in ((0, x0, width), (1, y0, height)):
         for sign, limit in ((-1.0, first - reach), (1.0, first + size + reach)):
@@ -102,7 +114,7 @@ def _importance(packed: PackedScene, moving, key):
     """
     corner = packed.vertices[packed.faces[:, 0]]
     normal = normalize(packed.face_normals())
-    front = dot(normal, corner - packed.camera.position) < 0
+    front = dot(normal, packed.camera.view().towards(corner)) > 0
     # Normals turned towards the camera: two faces that continue each other have no crease.
     normal = jnp.where(front[:, None], normal, -normal)
     smooth = jnp.asarray(packed.smooth)[packed.face_shape]
@@ -114,6 +126,9 @@ def _importance(packed: PackedScene, moving, key):
     face1 = jnp.where(edges.faces[:, 1] >= 0, edges.faces[:, 1], face0)
     # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
     silhouette = ~edges.interior | (front[face0] != front[face1])
+    if packed.camera.aperture:  # and those that are silhouettes from a part of it
+        turns = packed.camera.turns(corner, normal)
+        silhouette = silhouette | turns[face0] | turns[face1]
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
@@ -177,9 +192,11 @@ class _EdgePoints(NamedTuple):
     """Points on visible edges, and the camera rays on their two sides (leading axis 2).
 
     `weight` = 1 / (count x density per pixel of length). `normal` on the film, towards the first side. `at_edge`: the
-    ray on that side ends at the edge, which nothing hides there. Only `film_point` is differentiable.
+    ray on that side ends at the edge, which nothing hides there. `outline`: all faces at the edge are on one side, and
+    nothing hides it. Only `view` and `film_point` are differentiable.
     """
 
+    view: View
     film_point: Float[Array, "n 2"]
     normal: Float[Array, "n 2"]
     weight: Float[Array, " n"]
@@ -187,6 +204,7 @@ class _EdgePoints(NamedTuple):
     first: SurfacePoint
     distance: Float[Array, "2 n"]
     at_edge: Bool[Array, "2 n"]
+    outline: Bool[Array, " n"]
 
 
 def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settings) -> _EdgePoints:
@@ -194,31 +212,60 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     edge, fraction, weight = _sample(distribution, cdf, count, key)
     d = jax.tree.map(lambda table: table[edge], distribution)
     # The point of the 3D edge seen at this fraction of the projected edge; it moves with the edge.
-    z0, z1 = d.depth[:, 0], d.depth[:, 1]
-    tau = fraction * z0 / (fraction * z0 + (1 - fraction) * z1)
+    h0, h1 = d.homogeneous[:, 0], d.homogeneous[:, 1]
+    tau = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)
     tau = (d.clip[:, 0] + tau * (d.clip[:, 1] - d.clip[:, 0]))[:, None]
     ends = packed.vertices[packed.edges.vertices[edge]]
     point = (1 - tau) * ends[:, 0] + tau * ends[:, 1]
-    film_point = camera.project(point)
+    view, start, end = camera.view(), d.start, d.end
+    if camera.aperture:
+        # A lens point each. From there an equal step of the fraction is an equal step on the film, too.
+        key_lens = jax.random.fold_in(key, 1)
+        view = camera.view(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, point.dtype)[0])
+        start, end = (
+            stop_gradient(view.project((1 - t) * ends[:, 0] + t * ends[:, 1])) for t in (d.clip[:, :1], d.clip[:, 1:])
+        )
+        weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
+    film_point = view.project(point)
 
-    along = normalize(d.end - d.start)
+    along = normalize(end - start)
     normal = jnp.stack([along[:, 1], -along[:, 0]], -1)
     detached = jax.tree.map(stop_gradient, packed)
     step = 1e-5 * max(film.width, film.height)
     sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
-    origin, direction = detached.camera.rays(stop_gradient(film_point) + sides * step * normal)
+    still = stop_gradient(view)
+    origin, direction = still.rays(stop_gradient(film_point) + sides * step * normal)
+    origin = jnp.broadcast_to(origin, direction.shape)
+    begin, reach = still.clipped(origin, direction)
     rays = direction.reshape(-1, 3)
-    origin = jnp.broadcast_to(origin, rays.shape)
-    reach = jnp.full(2 * count, 1e30, rays.dtype)
-    hit = queries.closest_hit(detached.vertices, detached.faces, origin, rays, reach, settings.rays)
-    first = on_fixed_ray(detached, origin, rays, hit.face)
+    face = intersect(detached, begin.reshape(-1, 3), rays, jnp.ones(2 * count, bool), settings.rays, reach.reshape(-1))
+    first = on_fixed_ray(detached, origin.reshape(-1, 3), rays, face)
     first = jax.tree.map(lambda x: x.reshape(2, count, *x.shape[1:]), first)
-    distance = jnp.where(first.valid, hit.t.reshape(2, count).astype(rays.dtype), jnp.inf)
-    edge_distance = norm(stop_gradient(point) - detached.camera.position)
-    near = jnp.abs(distance - edge_distance) <= edge_distance * (1e-5 + 50 * step / detached.camera.pixels_per_tangent)
+    distance = jnp.where(first.valid, norm(first.position - origin), jnp.inf)
+    edge_distance = norm(stop_gradient(point) - origin)
+    tolerance = 1e-5 * edge_distance + 50 * step * still.pixel_size(stop_gradient(point))
+    near = jnp.abs(distance - edge_distance) <= tolerance
     neighbours = packed.edges.faces[edge]
     at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
-    return _EdgePoints(film_point, normal, weight, direction, first, distance, near | at_neighbour)
+    at_edge = near | at_neighbour
+
+    # Which sides the faces are on.
+    ends, point = stop_gradient(ends), stop_gradient(point)
+    across = jnp.cross(ends[:, 1] - ends[:, 0], still.towards(point))
+    beside = origin + edge_distance[..., None] * direction
+    across = across * jnp.sign(dot(across, beside[0] - beside[1]))[:, None]
+    opposite = packed.edges.opposite[edge]
+    height = ((detached.vertices[opposite] - point[:, None]) * across[:, None]).sum(-1)
+    height = jnp.where(neighbours >= 0, height, 0.0)
+    on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
+    # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
+    # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
+    corners = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
+    surface = at_edge | ((packed.faces[first.face][..., None] == corners[:, None]).any((-1, -2)) & first.valid)
+    clear = distance >= edge_distance - tolerance
+    outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
+    outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
+    return _EdgePoints(view, film_point, normal, weight, direction, first, distance, at_edge, outline)
 
 
 def _value(packed, points: _EdgePoints, seen, jump, position) -> Float[Array, "H W 3"]:
@@ -229,19 +276,18 @@ def _value(packed, points: _EdgePoints, seen, jump, position) -> Float[Array, "H
 
 
 def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Array, "H W 3"]:
-    camera = packed.camera
     key_edge, key_first, key_path = jax.random.split(key, 3)
     points = _edge_points(packed, distribution, distribution.silhouettes, count, key_edge, settings)
-    detached = jax.tree.map(stop_gradient, packed)
+    view, detached = points.view, jax.tree.map(stop_gradient, packed)
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
 
     def radiance(first, direction):
-        near = _near_field(detached, first) if form == "near" else None
+        near = _near_field(view, first) if form == "near" else None
         record = trace_paths(detached, first, direction, u, key_path, settings, near)
         return record.radiance, record.radiance if form == "material" else record.near
 
     total, near = jax.vmap(radiance)(points.first, points.direction)
-    seen, film_point = points.at_edge.any(0), points.film_point
+    seen, film_point = points.outline, points.film_point
     _, _, width, height = packed.camera.film.window
     image = jnp.zeros((height, width, 3), total.dtype)
     if form != "material":
@@ -251,8 +297,8 @@ def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Arra
         far = jax.tree.map(lambda x: jnp.where(behind.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0]), points.first)
         material = material_point(packed, far.face, far.barycentric, far.valid)
         ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
-        local = jnp.where(far.valid[:, None], camera.local(material.position), ahead)
-        position = film_point - jnp.where(far.valid[:, None], camera.project_local(local), 0.0)
+        local = jnp.where(far.valid[:, None], view.local(material.position), ahead)
+        position = film_point - jnp.where(far.valid[:, None], view.project_local(local), 0.0)
         jump = jnp.where((behind == 1)[:, None], near[1], -near[0])
         image += _value(packed, points, seen, jump, position)
     return image
@@ -264,14 +310,14 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     detached = jax.tree.map(stop_gradient, packed)
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
     one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
-    near = (_near_field(detached, one), _near_field(detached, two)) if form == "near" else None
+    near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
     jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
     return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
 
 
-def _near_field(detached: PackedScene, first: SurfacePoint) -> NearField:
+def _near_field(view: View, first: SurfacePoint) -> NearField:
     """Where nothing moves both forms of the first hit are one."""
-    return NearField(detached.camera, first, jnp.ones_like(first.area))
+    return NearField(stop_gradient(view), first, jnp.ones_like(first.area))
 
 
 def _sample(

@@ -14,7 +14,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 
 
 def pixel_border_term(
@@ -33,22 +33,25 @@ def _flux(packed: PackedScene, axis: int, count: int, key, settings) -> Float[Ar
     shape = (height, width + 1) if axis == 0 else (height + 1, width)
     sides, dtype = shape[0] * shape[1], packed.vertices.dtype
     key_first, key_path = jax.random.split(key)
-    u = lattice(key_first, sides, jnp.arange(count), 5, dtype).reshape(sides * count, 5)
+    aperture = packed.camera.aperture
+    dimensions = 5 + (LENS_DIMENSIONS if aperture else 0)
+    u = lattice(key_first, sides, jnp.arange(count), dimensions, dtype).reshape(sides * count, dimensions)
     row, column = jnp.divmod(jnp.arange(sides), shape[1])
     corner = jnp.repeat(jnp.stack([column + x0, row + y0], -1).astype(dtype), count, axis=0)
     film_point = corner.at[:, 1 - axis].add(u[:, 0])
 
-    detached = jax.tree.map(stop_gradient, packed)
-    origin, direction = detached.camera.rays(film_point)
+    view = packed.camera.view(u[:, 5:] if aperture else None)
+    detached, still = (jax.tree.map(stop_gradient, x) for x in (packed, view))
+    origin, direction = still.rays(film_point)
     origin = jnp.broadcast_to(origin, direction.shape)
-    face = intersect(detached, origin, direction, jnp.ones(sides * count, bool), settings.rays)
+    start, reach = still.clipped(origin, direction)
+    face = intersect(detached, start, direction, jnp.ones(sides * count, bool), settings.rays, reach)
     first = on_fixed_ray(detached, origin, direction, face)
-    near = NearField(detached.camera, first, jnp.ones_like(first.area))
-    radiance = trace_paths(detached, first, direction, u[:, 1:], key_path, settings, near).near
+    near = NearField(still, first, jnp.ones_like(first.area))
+    radiance = trace_paths(detached, first, direction, u[:, 1:5], key_path, settings, near).near
 
-    camera = packed.camera
     moving = material_point(packed, first.face, first.barycentric, first.valid)
     ahead = jnp.asarray([0.0, 0.0, 1.0], dtype)
-    seen = camera.project_local(jnp.where(first.valid[:, None], camera.local(moving.position), ahead))[:, axis]
+    seen = view.project_local(jnp.where(first.valid[:, None], view.local(moving.position), ahead))[:, axis]
     moved = jnp.where(first.valid, seen - stop_gradient(seen), 0.0)
     return (radiance * moved[:, None]).reshape(*shape, count, 3).mean(2)

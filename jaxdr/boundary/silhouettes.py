@@ -61,7 +61,8 @@ class PathSegments:
         self, packed: PackedScene, primary: PrimarySamples, segments: Segments, vertices: Vertices | None = None
     ):
         bounces, self.paths = segments.apex_face.shape
-        self.packed, self.first, self.first_wi, self.near = packed, primary.first, -primary.direction, primary.near
+        self.packed, self.view, self.near = packed, primary.view, primary.near
+        self.first, self.first_wi = primary.first, -primary.direction
         self.table = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), segments)
         self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
@@ -123,7 +124,7 @@ class PathSegments:
         if self.vertices is not None:
             on_ray = on_ray & ~self.vertices.narrow[index]
         attached = jnp.where(on_ray[:, None], self.near.point.position[path], apex)
-        seen = footprint(self.packed.camera, apex, self.first.normal[path])
+        seen = footprint(self.view.row(path), apex, self.first.normal[path])
         seen = jax.tree.map(stop_gradient, seen._replace(size2=jnp.where(on_ray, seen.size2, 0.0)))
         return attached, seen
 

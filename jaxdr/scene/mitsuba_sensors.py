@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera import Camera, Orthographic, Perspective, ThinLens
 from jaxdr.scene.film import Box, Film, Gaussian, ReconstructionFilter, Tent
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_values import floats
@@ -21,22 +22,38 @@ FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for 
 
 def _perspective(element: Element) -> Perspective:
     properties = Properties(element)
-    for name in ("principal_point_offset_x", "principal_point_offset_y"):
-        if properties.value(name, NUMBER, 0.0) != 0:
-            element.unsupported(f"{name} other than 0 is not supported", "it is 0")
+    offset = [properties.value(f"principal_point_offset_{axis}", NUMBER, 0.0) for axis in "xy"]
+    return Perspective(**_common(properties, scales=False), **_field_of_view(properties), principal_point=offset)
+
+
+def _thin_lens(element: Element) -> ThinLens:
+    properties = Properties(element)
+    common = _common(properties, scales=False)
+    radius = properties.value("aperture_radius", NUMBER)
+    if radius is None:
+        raise ValueError("aperture_radius is missing")
+    focus = properties.value("focus_distance", NUMBER, common["far_clip"])
+    return ThinLens(**common, **_field_of_view(properties), aperture_radius=radius, focus_distance=focus)
+
+
+def _orthographic(element: Element) -> Orthographic:
+    return Orthographic(**_common(Properties(element), scales=True))
+
+
+def _common(properties: Properties, scales: bool) -> dict[str, Any]:
+    """What all cameras have."""
     to_world = properties.value("to_world", "transform", np.eye(4))
-    if not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
+    if not scales and not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
         raise ValueError("to_world must not scale or shear")
     near, far = properties.value("near_clip", NUMBER, 1e-2), properties.value("far_clip", NUMBER, 1e4)
     sampler, film = properties.at_most_one("sampler"), properties.at_most_one("film")
     if sampler is not None:
         read_plugin(sampler, SAMPLERS, "it has no effect")
     properties.ignore(*SENSOR_SETTINGS)
-    fov, axis = _field_of_view(properties)
-    return Perspective(to_world, fov, _read_film(film), axis, near, far)
+    return {"to_world": to_world, "film": _read_film(film), "near_clip": near, "far_clip": far}
 
 
-def _field_of_view(properties: Properties) -> tuple[float, str]:
+def _field_of_view(properties: Properties) -> dict[str, Any]:
     """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
     fov = properties.value("fov", NUMBER)
     axis = properties.value("fov_axis", "string", "x")
@@ -46,11 +63,11 @@ def _field_of_view(properties: Properties) -> tuple[float, str]:
             raise ValueError("give either fov or focal_length, not both")
         if not 0 < fov < 180:
             raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
-        return fov, axis
+        return {"fov": fov, "fov_axis": axis}
     millimetres = floats((focal_length or "50mm").removesuffix("mm"), 1)[0]
     if millimetres <= 0:
         raise ValueError(f"focal_length must be positive, got {focal_length}")
-    return math.degrees(2 * math.atan(0.5 * FULL_FRAME_DIAGONAL / millimetres)), "diagonal"
+    return {"fov": math.degrees(2 * math.atan(0.5 * FULL_FRAME_DIAGONAL / millimetres)), "fov_axis": "diagonal"}
 
 
 def _hdr_film(element: Element) -> Film:
@@ -84,7 +101,11 @@ def _sampler(element: Element) -> None:
     Properties(element).ignore(*SAMPLER_SETTINGS)
 
 
-SENSORS: dict[str, Callable[[Element], Perspective]] = {"perspective": _perspective}
+SENSORS: dict[str, Callable[[Element], Camera]] = {
+    "perspective": _perspective,
+    "thinlens": _thin_lens,
+    "orthographic": _orthographic,
+}
 FILMS: dict[str, Callable[[Element], Film]] = {"hdrfilm": _hdr_film}
 # Mitsuba's others (mitchell, catmullrom, lanczos) have negative lobes: no density to draw film points from.
 FILTERS: dict[str, Callable[[Element], ReconstructionFilter]] = {"box": _box, "gaussian": _gaussian, "tent": _tent}
@@ -93,7 +114,7 @@ SAMPLERS: dict[str, Callable[[Element], None]] = dict.fromkeys(
 )
 
 
-def read_sensor(element: Element) -> Perspective | None:
+def read_sensor(element: Element) -> Camera | None:
     """A `<sensor>`; None where it can't be read, which is noted as a problem."""
     return read_plugin(element, SENSORS, "it is left out")
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.edges import INTERIOR
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.bsdf import BSDF, TwoSided
-from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import ConstantEnvironment
 from jaxdr.scene.scene import Scene, unwrap
@@ -61,7 +61,7 @@ class PackedScene(eqx.Module):
     normal_faces: Int[Array, "F 3"] | None
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
-    camera: Perspective
+    camera: Camera
     environment: ConstantEnvironment | None
 
     @property

@@ -1,4 +1,4 @@
-"""Maps from uniform numbers in [0, 1)^2 to directions and triangles, with their densities, and choices by them."""
+"""Maps from uniform numbers in [0, 1)^2 to directions, disks and triangles, and choices by such numbers."""
 
 import math
 
@@ -11,6 +11,16 @@ def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     radius, angle = jnp.sqrt(u[..., 0]), 2 * math.pi * u[..., 1]
     z = jnp.sqrt(jnp.maximum(1.0 - u[..., 0], 0.0))
     return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), z], -1)
+
+
+def uniform_disk(u: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
+    """Points of the unit disk, uniform in area (Shirley and Chiu 1997, concentric squares to circles)."""
+    x, y = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
+    across = jnp.abs(x) > jnp.abs(y)
+    radius = jnp.where(across, x, y)
+    ratio = jnp.where(across, y, x) / jnp.where(radius == 0, 1.0, radius)
+    angle = jnp.where(across, 0.25 * math.pi * ratio, 0.5 * math.pi - 0.25 * math.pi * ratio)
+    return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle)], -1)
 
 
 def uniform_sphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:

@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
-from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 
 RESERVED = ("camera", "environment")
@@ -41,7 +41,7 @@ class Scene(eqx.Module):
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
-    camera: Perspective
+    camera: Camera
     environment: ConstantEnvironment | None = None
 
     def __check_init__(self):

@@ -115,9 +115,10 @@ def intersect(
     direction: Float[Array, "N 3"],
     active: Bool[Array, " N"],
     rays: str,
+    reach: Float[Array, " N"] | float = 1e30,
 ) -> Int[Array, " N"]:
-    """The nearest face on each active ray, -1 for none. `rays` names the query implementation."""
-    reach = jnp.where(active, 1e30, 0.0).astype(origin.dtype)
+    """The nearest face on each active ray within `reach`, -1 for none. `rays` names the query implementation."""
+    reach = jnp.where(active, reach, 0.0).astype(origin.dtype)
     return queries.closest_hit(packed.vertices, packed.faces, origin, direction, reach, rays).face
 
 

@@ -17,26 +17,25 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot, normalize
-from jaxdr.scene.camera import Perspective
-from jaxdr.scene.packed import PackedScene
+from jaxdr.geometry.vector import dot
+from jaxdr.scene.camera import View
 from jaxdr.transport.interaction import SurfacePoint
 
 
 class NearField(NamedTuple):
-    """First hits in material form.
+    """First hits in material form, as `camera` sees them.
 
     `importance` is one in value, its derivative that of W_e G J: what the filter makes of the moving projection.
     """
 
-    camera: Perspective
+    camera: View
     point: SurfacePoint
     importance: Float[Array, " N"]
 
     @property
     def wi(self) -> Float[Array, "N 3"]:
         """Directions to the camera; they turn as the points move."""
-        return normalize(self.camera.position - self.point.position)
+        return self.camera.towards(self.point.position)
 
     def share(
         self, point: SurfacePoint, target: Float[Array, "N 3"], infinite: Bool[Array, " N"]
@@ -60,28 +59,23 @@ class Footprint(NamedTuple):
         return jnp.where(whole > 0, self.size2 / jnp.where(whole > 0, whole, 1.0), 0.0)
 
 
-def footprint(camera: Perspective, position: Float[Array, "N 3"], normal: Float[Array, "N 3"]) -> Footprint:
+def footprint(camera: View, position: Float[Array, "N 3"], normal: Float[Array, "N 3"]) -> Footprint:
     """Footprint of a pixel, at points with the unit normals `normal`."""
-    offset = position - camera.position
-    distance2 = dot(offset, offset)
-    size2 = distance2 * (camera.film.filter.stddev / camera.pixels_per_tangent) ** 2
-    return Footprint(size2, dot(normal, offset) ** 2 / jnp.where(distance2 > 0, distance2, 1.0))
+    stddev = camera.film.filter.stddev
+    return Footprint((stddev * camera.pixel_size(position)) ** 2, dot(normal, camera.towards(position)) ** 2)
 
 
-def film_importance(packed: PackedScene, point: SurfacePoint, centre: Float[Array, "N 2"]) -> Float[Array, " N"]:
+def film_importance(camera: View, point: SurfacePoint, centre: Float[Array, "N 2"]) -> Float[Array, " N"]:
     """W_e G J over its detached value at moving material points; `centre` of their pixels (kernel density, Eq. 2-4).
 
     Where W_e is constant on a pixel, its derivative is the flux through the border, which is not counted here.
     """
-    camera = packed.camera
     local = camera.local(point.position)
     depth = jnp.where(point.valid, local[:, 2], 1.0)
     local = jnp.concatenate([local[:, :2], depth[:, None]], -1)
     importance = 1.0
     if camera.film.filter.smooth:
         importance = camera.film.filter.pdf(camera.project_local(local) - centre)
-    # Film area per surface area: |n . (x - o)| / depth^3, times the squared focal length.
-    projected = jnp.abs(dot(point.normal, point.position - camera.position)) / depth**3
-    value = importance * projected * camera.pixels_per_tangent**2 * point.area_ratio()
+    value = importance * camera.film_area(local, point.normal) * point.area_ratio()
     detached = stop_gradient(value)
     return jnp.where(detached > 0, value / jnp.where(detached > 0, detached, 1.0), 1.0)

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField, film_importance
-from jaxdr.transport.sampler import FIRST_DIMENSIONS, lattice
+from jaxdr.transport.sampler import FIRST_DIMENSIONS, LENS_DIMENSIONS, lattice
 
 # How first hits move: with the camera ray fixed, so but for the near field, or as material points.
 FORMS = ("fixed", "near", "material")
@@ -17,11 +18,13 @@ FORMS = ("fixed", "near", "material")
 class PrimarySamples(NamedTuple):
     """First hits of N = pixels x samples camera rays, the samples of a pixel in a row.
 
-    `direction` of the rays, `u` numbers for the first bounce. `weight` is one in value: its derivative is that of the
-    filter, the geometric term and the area where all first hits are material points. `near`: first hits in material
-    form beside fixed ones, for the near field.
+    `view` is the camera as the samples see through it (with an aperture, through lens points of their own), `direction`
+    that of the rays, `u` numbers for the first bounce. `weight` is one in value: its derivative is that of the filter,
+    the geometric term and the area where all first hits are material points. `near`: first hits in material form beside
+    fixed ones, for the near field.
     """
 
+    view: View
     first: SurfacePoint
     direction: Float[Array, "N 3"]
     u: Float[Array, "N 4"]
@@ -38,26 +41,29 @@ def primary_samples(
     have opposite film offsets and the same random numbers otherwise: the filter's derivative is odd, so most of its
     noise cancels. What no surface covers stays fixed on the film in all forms.
     """
-    film = packed.camera.film
+    camera, film = packed.camera, packed.camera.film
     x0, y0, width, height = film.window
     pixels, count, dtype = width * height, samples.shape[0], packed.vertices.dtype
     number = samples // 2 if form == "material" else samples
-    u = lattice(key, pixels, number, FIRST_DIMENSIONS, dtype).reshape(pixels * count, FIRST_DIMENSIONS)
+    dimensions = FIRST_DIMENSIONS + (LENS_DIMENSIONS if camera.aperture else 0)
+    u = lattice(key, pixels, number, dimensions, dtype).reshape(pixels * count, dimensions)
     offset = film.filter.sample(u[:, :2])
     if form == "material":
         offset = jnp.where((jnp.tile(samples, pixels) % 2 == 1)[:, None], -offset, offset)
     row, column = jnp.divmod(jnp.arange(pixels), width)
     centre = jnp.repeat(jnp.stack([column + x0, row + y0], -1).astype(dtype) + 0.5, count, axis=0)
-    origin, direction = packed.camera.rays(centre + offset)
+    view = camera.view(u[:, FIRST_DIMENSIONS:] if camera.aperture else None)
+    origin, direction = view.rays(centre + offset)
     origin = jnp.broadcast_to(origin, direction.shape)
-    face = intersect(packed, origin, direction, jnp.ones(pixels * count, bool), rays)
+    start, reach = view.clipped(origin, direction)
+    face = intersect(packed, start, direction, jnp.ones(pixels * count, bool), rays, reach)
     first = on_fixed_ray(packed, origin, direction, face)
     weight, near = jnp.ones(pixels * count, dtype), None
     if form != "fixed":
         moving = material_point(packed, first.face, first.barycentric, first.valid)
-        importance = jnp.where(first.valid, film_importance(packed, moving, centre), 1.0)
-        near = NearField(packed.camera, moving, importance)
+        importance = jnp.where(first.valid, film_importance(view, moving, centre), 1.0)
+        near = NearField(view, moving, importance)
     if form == "material":
         direction = jnp.where(first.valid[:, None], -near.wi, direction)
         first, weight, near = near.point, near.importance, None
-    return PrimarySamples(first, direction, u[:, 2:], weight, near)
+    return PrimarySamples(view, first, direction, u[:, 2:FIRST_DIMENSIONS], weight, near)

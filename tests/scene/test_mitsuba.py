@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxdr.scene.bsdf import Diffuse, TwoSided
+from jaxdr.scene.camera import Orthographic, ThinLens
 from jaxdr.scene.film import Box, Gaussian, Tent
 from jaxdr.scene.mitsuba import load_mitsuba
 
@@ -103,11 +104,12 @@ def test_camera(load):
     camera = load_camera(
         load,
         '<float name="fov" value="30"/><string name="fov_axis" value="smaller"/><float name="near_clip" value="0.5"/>'
-        '<float name="far_clip" value="50"/><float name="principal_point_offset_x" value="0"/>'
+        '<float name="far_clip" value="50"/><float name="principal_point_offset_x" value="0.1"/>'
         '<transform name="to_world"><lookat origin="1, 2, 3" target="1, 2, 4" up="0, 1, 0"/></transform>'
         '<sampler type="independent"><integer name="sample_count" value="16"/></sampler>',
     )
     assert (float(camera.fov), camera.fov_axis, camera.near_clip, camera.far_clip) == (30, "smaller", 0.5, 50)
+    np.testing.assert_allclose(camera.principal_point, [0.1, 0])
     assert np.array_equal(camera.to_world, [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 
 
@@ -121,6 +123,25 @@ def test_camera_defaults(load):
     for focal_length, millimetres in {"": 50, '<string name="focal_length" value="20mm"/>': 20}.items():
         camera = load_camera(load, focal_length, film)
         np.testing.assert_allclose(camera.pixels_per_tangent, millimetres, rtol=1e-5)
+
+
+def load_sensor(load, kind, content):
+    return load(f'<sensor type="{kind}">{content}</sensor><shape type="cube"/>').camera
+
+
+def test_thin_lens(load):
+    lens = '<float name="aperture_radius" value="0.1"/>'
+    camera = load_sensor(load, "thinlens", f'<float name="fov" value="30"/><float name="far_clip" value="70"/>{lens}')
+    assert isinstance(camera, ThinLens) and camera.principal_point.tolist() == [0, 0]
+    np.testing.assert_allclose([camera.fov, camera.aperture_radius, camera.focus_distance], [30, 0.1, 70], rtol=1e-6)
+    assert load_sensor(load, "thinlens", f'{lens}<float name="focus_distance" value="3"/>').focus_distance == 3
+
+
+def test_orthographic(load):
+    content = '<float name="near_clip" value="0.5"/><transform name="to_world"><scale x="2" y="3"/></transform>'
+    camera = load_sensor(load, "orthographic", content)
+    assert isinstance(camera, Orthographic) and (camera.near_clip, camera.far_clip) == (0.5, 1e4)
+    assert np.array_equal(camera.to_world, np.diag([2, 3, 1, 1]))
 
 
 def test_film(load):
@@ -193,7 +214,7 @@ ERRORS = {
     "unknown bsdf": (CUBE % '\n<bsdf type="plastic"/>', "3, <bsdf>: unknown type 'plastic'; known: diffuse, twosided"),
     "unused unknown bsdf": ('<bsdf type="plastic" id="p"/>', "2, <bsdf>: unknown type 'plastic'"),
     "unknown emitter": ('<emitter type="envmap"/>', "2, <emitter>: unknown type 'envmap'; known: constant"),
-    "unknown sensor": ('<sensor type="thinlens"/>', "2, <sensor>: unknown type 'thinlens'; known: perspective"),
+    "unknown sensor": ('<sensor type="fisheye"/>', "2, <sensor>: unknown type 'fisheye'; known: perspective, thinlens"),
     "unknown integrator": ('<integrator type="volpath"/>', "2, <integrator>: unknown type 'volpath'; known: path, "),
     "hidden emitters": (
         '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>',
@@ -246,7 +267,6 @@ SENSOR_ERRORS = {
     '<float name="fov" value="30"/><string name="focal_length" value="50mm"/>': "<sensor>: give either fov or focal",
     '<string name="focal_length" value="wide"/>': "<sensor>: expected numbers, got 'wide'",
     '<float name="near_clip" value="-1"/>': "<sensor>: Perspective: need 0 < near_clip",
-    '<float name="principal_point_offset_y" value="0.1"/>': "<sensor>: principal_point_offset_y other than 0 is not",
     '<transform name="to_world"><scale value="2"/></transform>': "<sensor>: to_world must not scale or shear",
     '<float name="aperture" value="1"/>': "<float>: unknown parameter 'aperture' of sensor 'perspective'",
     '<sampler type="sobol"/>': "<sampler>: unknown type 'sobol'; known: independent",
@@ -259,6 +279,26 @@ SENSOR_ERRORS = {
     '<film type="hdrfilm"><rfilter type="mitchell"/></film>': "<rfilter>: unknown type 'mitchell'; known: box",
     '<film type="hdrfilm"><rfilter type="box"><float name="radius" value="1"/></rfilter></film>': "<float>: unknown",
     '<film type="hdrfilm"><rfilter type="tent"><float name="radius" value="0"/></rfilter></film>': "<rfilter>: Tent",
+}
+ERRORS |= {
+    "no aperture": (f'{CUBE % ""}<sensor type="thinlens"/>', "2, <sensor>: aperture_radius is missing"),
+    "closed aperture": (
+        f'{CUBE % ""}<sensor type="thinlens"><float name="aperture_radius" value="0"/></sensor>',
+        "2, <sensor>: ThinLens: aperture_radius must be a positive number, got 0.0; without an aperture take Persp",
+    ),
+    "lens off the axis": (
+        f'{CUBE % ""}<sensor type="thinlens"><float name="aperture_radius" value="1"/>'
+        '<float name="principal_point_offset_x" value="0.1"/></sensor>',
+        "2, <float>: unknown parameter 'principal_point_offset_x' of sensor 'thinlens'",
+    ),
+    "orthographic with a field of view": (
+        f'{CUBE % ""}<sensor type="orthographic"><float name="fov" value="30"/></sensor>',
+        "2, <float>: unknown parameter 'fov' of sensor 'orthographic'",
+    ),
+    "flat orthographic": (
+        f'{CUBE % ""}<sensor type="orthographic"><transform name="to_world"><scale x="0"/></transform></sensor>',
+        "2, <sensor>: Orthographic: to_world can't be inverted",
+    ),
 }
 ERRORS |= {
     text: (f'{CUBE % ""}<sensor type="perspective">{text}</sensor>', f"2, {message}")

@@ -111,28 +111,43 @@ CAMERAS = {
         '<matrix value="0 1 0 0 1 0 0 0 0 0 1 2 0 0 0 1"/></transform>'
     ),
     "turned": '<transform name="to_world"><rotate y="1" angle="30"/><translate z="2"/></transform>',
+    "principal point": (
+        '<float name="fov" value="40"/><float name="principal_point_offset_x" value="0.2"/>'
+        '<float name="principal_point_offset_y" value="-0.15"/>'
+    ),
+}
+LENS = '<float name="aperture_radius" value="0.2"/>'
+TURNED = '<transform name="to_world">%s<rotate y="1" angle="30"/><translate z="2"/></transform>'
+CAMERAS = {name: ("perspective", content) for name, content in CAMERAS.items()} | {
+    "lens": ("thinlens", f'{LENS}<float name="focus_distance" value="3"/>{TURNED % ""}'),
+    "lens focused on the far plane": ("thinlens", f'{LENS}<float name="fov" value="40"/>'),
+    "parallel": ("orthographic", ""),
+    "parallel, scaled": ("orthographic", TURNED % '<scale x="3" y="2"/>'),
+    "clipped": ("thinlens", f'{LENS}<float name="near_clip" value="2"/><float name="far_clip" value="5"/>'),
 }
 
 
 @pytest.mark.parametrize("crop", [(0, 0, 1, 1), (0.2, 0.1, 0.5, 0.6)], ids=["", "cropped"])
 @pytest.mark.parametrize("size", [(30, 20), (20, 30)], ids=["wide", "tall"])
-@pytest.mark.parametrize("content", CAMERAS.values(), ids=CAMERAS)
-def test_camera_rays_as_in_mitsuba(mitsuba, scene_file, content, size, crop):
+@pytest.mark.parametrize("kind, content", CAMERAS.values(), ids=CAMERAS)
+def test_camera_rays_as_in_mitsuba(mitsuba, scene_file, kind, content, size, crop):
     window = np.round(np.multiply(crop, [*size, *size])).astype(int)
     names = ("width", "height", "crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
     settings = [f'<integer name="{n}" value="{v}"/>' for n, v in zip(names, (*size, *window), strict=True)]
     film = f'<film type="hdrfilm">{"".join(settings)}</film>'
-    path = scene_file(f'<sensor type="perspective">{content}{film}</sensor><shape type="cube"/>')
+    path = scene_file(f'<sensor type="{kind}">{content}{film}</sensor><shape type="cube"/>')
     (sensor,) = mitsuba.load_file(str(path)).sensors()
     camera = load_mitsuba(path).camera
     assert camera.film.window == tuple(window)
     shares = np.array([[0.0, 0.0], [1.0, 0.0], [0.3, 0.9], [1.0, 1.0]])  # of the window
-    origin, directions = camera.rays(jnp.asarray(window[:2] + shares * window[2:]))
-    for share, direction in zip(shares, directions, strict=True):
-        ray, _ = sensor.sample_ray(0.0, 0.5, share, [0.5, 0.5])
-        np.testing.assert_allclose(direction, ray.d, atol=2e-6)
-        # Mitsuba's rays start on the near plane.
-        np.testing.assert_allclose(np.cross(np.subtract(ray.o, origin), direction), 0, atol=2e-6)
+    lens = np.array([[0.5, 0.5], [0.1, 0.3], [0.7, 0.05], [1.0, 0.6]])
+    view = camera.view(jnp.asarray(lens, jnp.float32))
+    origin, directions = view.rays(jnp.asarray(window[:2] + shares * window[2:], jnp.float32))
+    starts, reaches = view.clipped(origin, directions)
+    for share, u, *ours in zip(shares, lens, starts, directions, reaches, strict=True):
+        ray, _ = sensor.sample_ray(0.0, 0.5, share, u)
+        for mine, theirs in zip(ours, (ray.o, ray.d, ray.maxt), strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=2e-6, atol=2e-6)
 
 
 def test_crop_and_light_as_in_mitsuba(mitsuba, scene_file):

@@ -14,7 +14,7 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
 <shape type="hair"/>
 <sensor type="perspective"><float name="fov" value="30"/><float name="aperture" value="1"/>
     <film type="hdrfilm"><integer name="widht" value="9"/><rfilter type="lanczos"/></film></sensor>
-<sensor type="thinlens"/>
+<sensor type="fisheye"/>
 <emitter type="sunsky"/>
 <integrator type="volpath"/>
 <medium type="homogeneous"/>
@@ -88,9 +88,9 @@ def test_an_object_that_is_referred_to_twice_is_listed_once(load):
 
 
 def test_a_sensor_cannot_be_left_out(load):
-    text = '<sensor type="thinlens"/><shape type="cube"/>'
+    text = '<sensor type="fisheye"/><shape type="cube"/>'
     with (
-        pytest.warns(UserWarning, match="thinlens"),
+        pytest.warns(UserWarning, match="fisheye"),
         pytest.raises(ValueError, match="line 2, <sensor>: the scene has no"),
     ):
         load(text, ignore_unsupported=True)

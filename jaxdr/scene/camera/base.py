@@ -1,0 +1,112 @@
+"""The interface of a camera, and what constructors check."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from jaxdr.scene.camera.view import View
+from jaxdr.scene.film import Film
+
+
+class Camera(eqx.Module):
+    """From film points to rays, and back from world points to film points (pixels).
+
+    Float fields are parameters of the scene, `camera.to_world` [4, 4] (camera to world) among them. Camera rays see
+    what lies at depths from `near_clip` to `far_clip`, in units of the camera's frame along its axis.
+
+    A camera is one `View`, or with an `aperture` one for every point of its lens: then samples see through lens points
+    of their own.
+    """
+
+    to_world: eqx.AbstractVar[Float[Array, "4 4"]]
+    film: eqx.AbstractVar[Film]
+    near_clip: eqx.AbstractVar[float]
+    far_clip: eqx.AbstractVar[float]
+    aperture: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def view(self, u: Float[Array, "n 2"] | None = None) -> View:
+        """What is seen from the centre of the aperture, or from points of the lens chosen by uniform numbers `u`."""
+
+    def blur(self, local: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """How far (pixels) points of the frame move on the film as the view goes from an aperture's centre to its rim.
+
+        Signed: along with the lens point, or against it. To points in between they move in proportion.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no aperture")
+
+    def turns(self, points: Float[Array, "*n 3"], normal: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
+        """Whether surfaces with these normals are seen from both sides, from different points of an aperture."""
+        raise NotImplementedError(f"{type(self).__name__} has no aperture")
+
+    def rays(self, film_points: Float[Array, "*n 2"]) -> tuple[Float[Array, "*#n 3"], Float[Array, "*n 3"]]:
+        """Origins and unit directions [..., 3] of the rays through film points; a pinhole has one origin [3]."""
+        return self.view().rays(film_points)
+
+    def local(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """World points in the camera's frame (left, up, forward)."""
+        return self.view().local(points)
+
+    def project(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+        """Film points of world points (in front of the camera)."""
+        return self.view().project(points)
+
+    def project_local(self, local: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+        """Film points of points in the camera's frame with positive depth."""
+        return self.view().project_local(local)
+
+
+def look_at(origin, target, up) -> Float[np.ndarray, "4 4"]:
+    """Camera-to-world matrix that looks from `origin` to `target`; columns left, up, forward, origin (Mitsuba's).
+
+    Raises ValueError when origin and target coincide or `up` is parallel to the line between them.
+    """
+    origin, target, up = (np.asarray(v, float) for v in (origin, target, up))
+    forward = target - origin
+    left = np.cross(up, forward)
+    if not np.linalg.norm(left) > 1e-12 * max(np.linalg.norm(up) * np.linalg.norm(forward), 1e-300):
+        raise ValueError(f"look_at: up {up} is parallel to the view direction {forward}, or one of them is zero")
+    forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+    return matrix
+
+
+def concrete(value: object) -> np.ndarray | None:
+    """The value on the host; None while it is traced."""
+    return None if isinstance(value, Tracer) else np.asarray(value)
+
+
+def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
+    """`to_world` as an array; ValueError unless it is an affine 4 x 4 matrix that can be inverted.
+
+    Without `scales` all axes must have one length and be orthogonal. Of a traced matrix only the shape is checked.
+    """
+    matrix = jnp.asarray(to_world, float)
+    if matrix.shape != (4, 4):
+        raise ValueError(f"{name}: to_world must be a 4 x 4 matrix, got shape {matrix.shape}")
+    values = concrete(to_world)
+    if values is None:
+        return matrix
+    axes = values[:3, :3].astype(float)
+    if not (np.isfinite(values).all() and np.allclose(values[3], [0, 0, 0, 1])):
+        raise ValueError(f"{name}: to_world must be finite with a last row 0 0 0 1, got\n{values}")
+    lengths = np.linalg.norm(axes, axis=0)
+    if not np.abs(np.linalg.det(axes)) > 1e-6 * np.prod(lengths):
+        raise ValueError(f"{name}: to_world can't be inverted: its axes lie in a plane\n{values}")
+    if not scales and not np.allclose(axes.T @ axes, lengths[2] ** 2 * np.eye(3), atol=1e-3 * lengths[2] ** 2):
+        raise ValueError(f"{name}: to_world may rotate, translate and scale all axes alike, not shear; got\n{values}")
+    return matrix
+
+
+def checked_clip(name: str, near_clip: float, far_clip: float) -> tuple[float, float]:
+    """Both as numbers; ValueError unless 0 < near_clip < far_clip."""
+    near, far = float(near_clip), float(far_clip)
+    if not 0 < near < far:
+        raise ValueError(f"{name}: need 0 < near_clip < far_clip, got {near_clip} and {far_clip}")
+    return near, far

@@ -1,0 +1,37 @@
+"""Camera without perspective."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.scene.camera.base import Camera, checked_clip, checked_pose
+from jaxdr.scene.camera.view import ParallelView
+from jaxdr.scene.film import Film
+
+
+class Orthographic(Camera):
+    """Parallel projection along +z of its frame, x to the left, y up, as in Mitsuba.
+
+    The film covers x from -1 to 1 in the frame, and y in proportion to its height; `to_world` [4, 4] (camera to world)
+    says how large that is: it may scale, axis by axis. What is nearer than `near_clip` or farther than `far_clip` along
+    the axis (units of the frame) is not seen; surfaces should not cross those planes in view where they move, since the
+    cut has no derivative.
+
+    Raises ValueError for a matrix that can't be inverted and clips not 0 < near < far.
+    """
+
+    to_world: Float[Array, "4 4"]
+    film: Film
+    near_clip: float = eqx.field(static=True)
+    far_clip: float = eqx.field(static=True)
+
+    def __init__(self, to_world, film: Film, near_clip: float = 1e-2, far_clip: float = 1e4):
+        self.to_world = checked_pose("Orthographic", to_world, scales=True)
+        self.film = film
+        self.near_clip, self.far_clip = checked_clip("Orthographic", near_clip, far_clip)
+
+    def view(self, u=None) -> ParallelView:
+        axes, position = self.to_world[:3, :3], self.to_world[:3, 3]
+        pixels = jnp.asarray(0.5 * self.film.width, axes.dtype)
+        centre = jnp.asarray([0.5 * self.film.width, 0.5 * self.film.height], axes.dtype)
+        return ParallelView(axes, position, pixels, centre, self.film, self.near_clip, self.far_clip)

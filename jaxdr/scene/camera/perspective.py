@@ -1,0 +1,29 @@
+"""Pinhole camera."""
+
+from jaxdr.scene.camera.pinhole import PinholeCamera
+from jaxdr.scene.film import Film
+
+
+class Perspective(PinholeCamera):
+    """Pinhole camera. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
+
+    `to_world` [4, 4] camera-to-world (rotation, translation and uniform scale), `fov` in degrees along `fov_axis`.
+    `principal_point` [2] moves the image to the left and up by shares of the film's width and height (Mitsuba's
+    `principal_point_offset_x`, `_y`). What is nearer than `near_clip` or farther than `far_clip` along the axis (units
+    of the frame) is not seen; surfaces should not cross those planes in view where they move, since the cut has no
+    derivative.
+
+    Raises ValueError for a matrix that does something else, fov outside (0, 180) and clips not 0 < near < far.
+    """
+
+    def __init__(
+        self,
+        to_world,
+        fov,
+        film: Film,
+        fov_axis: str = "x",
+        near_clip: float = 1e-2,
+        far_clip: float = 1e4,
+        principal_point=(0.0, 0.0),
+    ):
+        super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)

@@ -1,0 +1,69 @@
+"""Camera with a lens: depth of field."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.geometry.vector import norm
+from jaxdr.scene.camera.base import concrete
+from jaxdr.scene.camera.pinhole import PinholeCamera
+from jaxdr.scene.camera.view import PinholeView
+from jaxdr.scene.film import Film
+from jaxdr.scene.sampling import uniform_disk
+
+
+class ThinLens(PinholeCamera):
+    """A `Perspective` camera with a lens, a disk across its axis, that is sharp at the depth `focus_distance`.
+
+    `aperture_radius` and `focus_distance` are in units of the camera's frame, and parameters of the scene; the others
+    are those of `Perspective`, as seen from the lens's centre. Each sample sees through one point of the lens, uniform
+    in area, that stays fixed on it (Mitsuba's `thinlens`; Cook et al. 1984). The image does not get brighter with the
+    aperture.
+
+    Raises ValueError as `Perspective` does, and unless radius and distance are positive.
+    """
+
+    aperture_radius: Float[Array, ""]
+    focus_distance: Float[Array, ""]
+    aperture: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        to_world,
+        fov,
+        film: Film,
+        aperture_radius,
+        focus_distance,
+        fov_axis: str = "x",
+        near_clip: float = 1e-2,
+        far_clip: float = 1e4,
+        principal_point=(0.0, 0.0),
+    ):
+        super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)
+        self.aperture_radius = jnp.asarray(aperture_radius, float)
+        self.focus_distance = jnp.asarray(focus_distance, float)
+        for name, given in (("aperture_radius", aperture_radius), ("focus_distance", focus_distance)):
+            value = concrete(given)
+            if value is not None and not (value.shape == () and value > 0):
+                remedy = "; without an aperture take Perspective" if name == "aperture_radius" else ""
+                raise ValueError(f"ThinLens: {name} must be a positive number, got {given}{remedy}")
+
+    def view(self, u=None) -> PinholeView:
+        central = super().view()
+        if u is None:
+            return central
+        # A pinhole at the lens point; its image is shifted so that nothing moves at the depth of focus.
+        lens = self.aperture_radius * uniform_disk(u)
+        position = central.position + lens @ central.matrix[:, :2].T
+        centre = central.centre - central.pixels * lens / self.focus_distance
+        return PinholeView(central.matrix, position, central.pixels, centre, self.film, self.near_clip, self.far_clip)
+
+    def blur(self, local):
+        reach = self.pixels_per_tangent * self.aperture_radius
+        return reach * (1.0 / local[..., 2] - 1.0 / self.focus_distance)
+
+    def turns(self, points, normal):
+        # Of the plane's height over the lens points: the centre's, and how much it varies over the disk.
+        height = ((points - self.position) * normal).sum(-1)
+        return jnp.abs(height) <= self.aperture_radius * norm(normal @ self.to_world[:3, :2])
