@@ -43,6 +43,10 @@ from jaxdr.scene.gltf import load_gltf as load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape
+from jaxdr.scene.textures import Bitmap as Bitmap
+from jaxdr.scene.textures import Checkerboard as Checkerboard
+from jaxdr.scene.textures import Texture as Texture
+from jaxdr.scene.textures import VertexColors as VertexColors
 
 try:
     __version__ = _version("jaxdr")

@@ -1,7 +1,8 @@
 """The interface of a BSDF, in the local frame of a surface point (z along the shading normal).
 
 All directions point away from the surface. A BSDF is written for points with a leading batch shape: fields carry
-one row for every point when its methods are called (`Scene` gathers them by shape). Choices are static fields.
+one row for every point when its methods are called (they are gathered by shape, and textures looked up). Choices are
+static fields.
 """
 
 import abc

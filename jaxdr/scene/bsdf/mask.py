@@ -1,11 +1,9 @@
 """Holes in a surface."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
-from jaxdr.scene.bsdf.parameters import number
+from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
 
 
@@ -16,11 +14,11 @@ class Mask(BSDF):
     at an opacity of exactly 1 its derivative is missed, and at exactly 0 that of the BSDF inside.
     """
 
-    opacity: Float[Array, "*n"]
+    opacity: Number
     bsdf: BSDF
     delta = True
 
-    def __init__(self, opacity: ArrayLike, bsdf: BSDF | TwoSided):
+    def __init__(self, opacity: Value, bsdf: BSDF | TwoSided):
         if not isinstance(bsdf, BSDF):
             inside = type(bsdf).__name__
             raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")
