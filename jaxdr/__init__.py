@@ -24,6 +24,7 @@ from jaxdr.scene.bsdf import Conductor as Conductor
 from jaxdr.scene.bsdf import Dielectric as Dielectric
 from jaxdr.scene.bsdf import Diffuse as Diffuse
 from jaxdr.scene.bsdf import Mask as Mask
+from jaxdr.scene.bsdf import NormalMap as NormalMap
 from jaxdr.scene.bsdf import Plastic as Plastic
 from jaxdr.scene.bsdf import Principled as Principled
 from jaxdr.scene.bsdf import RoughConductor as RoughConductor

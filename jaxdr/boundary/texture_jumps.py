@@ -5,14 +5,16 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
+from jaxdr.geometry.vector import dot
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.scene.textures import textures_in
 from jaxdr.transport.interaction import material_point
-from jaxdr.transport.texturing import texture_difference
+from jaxdr.transport.texturing import tangents_along_u, texture_difference
 
 PROBES = 5  # points along an edge at which the two sides are compared
+TURN = 1e-5  # one less the cosine: tangents along u that differ by more turn a normal map
 LEAST = 0.1  # jump of textures that seams stand for at least: between the probes they may be further apart
 
 
@@ -38,6 +40,9 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
     for share in (0.0, 1.0):
         one, two = (_uv(packed, point) for point in points(share))
         apart |= (one != two).any(-1)
+    if packed.tangential:
+        (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
+        apart |= dot(one, two) < 1.0 - TURN
     jump = sum(texture_difference(packed, *points((i + 0.5) / PROBES)) for i in range(PROBES)) / PROBES
     return jnp.where(interior & apart, LEAST + jump, 0.0)
 

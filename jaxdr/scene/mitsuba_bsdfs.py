@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxdr.scene.bsdf import BSDF, Diffuse, Mask, TwoSided
+from jaxdr.scene.bsdf import BSDF, Diffuse, Mask, NormalMap, TwoSided
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_materials import MATERIALS
 from jaxdr.scene.mitsuba_textures import textured_color, textured_number
@@ -38,6 +38,23 @@ def _mask(element: Element) -> Mask | TwoSided:
     return Mask(opacity, bsdf)
 
 
+def _normal_map(element: Element) -> NormalMap | TwoSided:
+    properties = Properties(element)
+    normal = textured_color(properties, "normalmap", None)
+    for name in ("flip_invalid_normals", "use_shadowing_function"):
+        if not properties.value(name, "boolean", True):
+            raise ValueError(f"{name} other than true is not supported")
+    inner, bsdf = _inner(properties)
+    if not isinstance(normal, Texture):
+        raise ValueError("needs a <texture> named 'normalmap'")
+    if isinstance(bsdf, TwoSided):
+        inner.unsupported(
+            "twosided inside a normalmap is not supported; put it around", "the back's bumps are those of the front"
+        )
+        return TwoSided(NormalMap(normal, bsdf.bsdf))
+    return NormalMap(normal, bsdf)
+
+
 def _inner(properties: Properties) -> tuple[Element, BSDF | TwoSided]:
     """The one BSDF that an adapter holds."""
     inner = properties.at_most_one("bsdf")
@@ -50,6 +67,7 @@ BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
     "diffuse": _diffuse,
     "twosided": _two_sided,
     "mask": _mask,
+    "normalmap": _normal_map,
     **{name: lambda element, make=make: make(Properties(element)) for name, make in MATERIALS.items()},
 }
 

@@ -78,6 +78,11 @@ class PackedScene(eqx.Module):
         return bool(textures_in(self.bsdfs))
 
     @property
+    def tangential(self) -> bool:
+        """Whether any BSDF has to know where u increases."""
+        return any(group.bsdf.tangential for group in self.bsdfs)
+
+    @property
     def has_area_emitters(self) -> bool:
         """Whether any shape glows."""
         return self.emitter_faces is not None
@@ -178,7 +183,7 @@ def _normals(meshes):
 
 def _uvs(meshes, bsdfs):
     """Texture coordinates of the meshes whose textures use them and corner indices into them; None without any."""
-    uses = [any(texture.uses_uv for _, texture in textures_in(bsdf)) for bsdf in bsdfs]
+    uses = [bsdf.tangential or any(texture.uses_uv for _, texture in textures_in(bsdf)) for bsdf in bsdfs]
     if not any(uses):
         return None, None
     uvs, indices, first = [], [], 0

@@ -120,6 +120,8 @@ def _float_fields(module: eqx.Module) -> list[str]:
 def _check_textures(name: str, shape: Shape) -> None:
     """Raise ValueError for a shape whose mesh has not what its textures need."""
     mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
+    if bsdf.tangential and mesh.uvs is None:
+        raise ValueError(f"Scene: {name}.bsdf has a normal map, and the mesh of {name!r} has no uvs that tell its axes")
     for field, texture in textures_in(bsdf):
         owner = f"Scene: {name}.bsdf.{field}, a {type(texture).__name__},"
         if texture.uses_uv and mesh.uvs is None:

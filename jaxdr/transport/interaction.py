@@ -141,9 +141,12 @@ def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 
     return position + (side * point.scale)[:, None] * normal
 
 
-def local_frame(normal: Float[Array, "N 3"]):
-    """Functions world -> local and local -> world for the frame around unit normals (z along the normal)."""
-    s, t = orthonormal_basis(normal)
+def local_frame(normal: Float[Array, "N 3"], tangents: tuple[Float[Array, "N 3"], Float[Array, "N 3"]] | None = None):
+    """Functions world -> local and local -> world for the frame around unit normals (z along the normal).
+
+    Its x and y are the `tangents`, or any where none are given.
+    """
+    s, t = orthonormal_basis(normal) if tangents is None else tangents
 
     def to_local(w):
         return jnp.stack([dot(w, s), dot(w, t), dot(w, normal)], -1)

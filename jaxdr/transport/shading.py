@@ -12,7 +12,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 from jaxdr.transport.near_field import NearField
-from jaxdr.transport.texturing import bsdfs_at
+from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
 
@@ -32,7 +32,8 @@ class Scatterer:
         turned = behind & packed.two_sided[shape]
         flip = jnp.where(turned, -1.0, 1.0)[:, None].astype(wi.dtype)
         self.normal = flip * point.normal
-        self.to_local, self.to_world = local_frame(flip * point.shading_normal)
+        tangents = tangents_along_u(packed, point) if packed.tangential else None
+        self.to_local, self.to_world = local_frame(flip * point.shading_normal, tangents)
         self.wi = self.to_local(wi)
         if packed.normals is not None:
             below = (self.wi[:, 2:] < 0) != (behind & ~turned)[:, None]

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
@@ -24,6 +25,23 @@ def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
         uv = (packed.uvs[packed.uv_faces[point.face]] * point.on_face[..., None]).sum(1)
     first = jnp.asarray(packed.first_vertex, jnp.int32)[packed.face_shape[point.face]]
     return TexturePoint(uv, point.on_face, packed.faces[point.face] - first[:, None])
+
+
+def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
+    """Two tangents to the shading normal: the first where u increases, the second completes a right-handed frame.
+
+    Any two where the UVs of a face tell no direction.
+    """
+    normal = point.shading_normal
+    corners, uv = packed.vertices[packed.faces[point.face]], packed.uvs[packed.uv_faces[point.face]]
+    sides, steps = corners[:, 1:] - corners[:, :1], uv[:, 1:] - uv[:, :1]
+    area = steps[:, 0, 0] * steps[:, 1, 1] - steps[:, 0, 1] * steps[:, 1, 0]
+    along = steps[:, 1, 1, None] * sides[:, 0] - steps[:, 0, 1, None] * sides[:, 1]
+    along = normalize(along) * jnp.sign(area)[:, None]  # dp/du at constant v
+    along = normalize(along - dot(normal, along)[:, None] * normal)
+    known = dot(along, along)[:, None] > 0
+    s = jnp.where(known, along, orthonormal_basis(normal)[0])
+    return s, jnp.cross(normal, s)
 
 
 def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint) -> Float[Array, " N"]:

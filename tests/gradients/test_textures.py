@@ -44,6 +44,7 @@ SURFACES = {
                along("quad.bsdf.reflectance.pixels", RNG.normal(size=PIXELS.shape))],
     "vertex colours": [TRANSLATION, CAMERA, along("quad.bsdf.reflectance.colors", RNG.normal(size=(36, 3)))],
     "rough metal": [TRANSLATION, CAMERA, along("quad.bsdf.alpha.pixels", RNG.uniform(size=(5, 6, 1)))],
+    "normal map": [TRANSLATION, CAMERA, turned, along("quad.bsdf.normal.pixels", RNG.normal(size=PIXELS.shape))],
 }  # fmt: skip
 
 
@@ -54,6 +55,9 @@ def surface(name):
         return scene(jd.Diffuse(colors), jd.shapes.plane(4.0, 5))
     if name == "rough metal":
         return scene(jd.RoughConductor(jd.Bitmap(PIXELS[..., 0]), "Au", specular_reflectance=bitmap))
+    if name == "normal map":
+        normals = jd.Bitmap([0.5, 0.5, 0.8] + 0.4 * (PIXELS - 0.5), to_uv=[[0.6, 0.2, 0.1], [-0.1, 0.8, 0.3]])
+        return scene(jd.NormalMap(normals, jd.Diffuse((0.9, 0.6, 0.3))))
     return scene(jd.Diffuse(bitmap))
 
 

@@ -30,6 +30,10 @@ class Mask(BSDF):
         """As the BSDF inside: what the holes let through does not tell the sides apart."""
         return self.bsdf.transmissive
 
+    @property
+    def tangential(self) -> bool:
+        return self.bsdf.tangential
+
     def eval(self, wi, wo):
         return self.opacity[..., None] * self.bsdf.eval(wi, wo)
 
@@ -49,6 +53,9 @@ class Mask(BSDF):
         )
         probability = jnp.where(hole, through.probability, inside.probability)
         return DeltaSample(wo, share[..., None] * weight, share * probability)
+
+    def turn(self, wi, wo):
+        return self.bsdf.turn(wi, wo)
 
     def lobe_width(self, wi):
         return self.bsdf.lobe_width(wi)
