@@ -57,7 +57,7 @@ def _vertex_data(parts: list[Part]) -> dict[str, Float[np.ndarray, "V 3"] | None
     if len(colors) < len(parts):
         return {}
     stored = np.concatenate(colors)
-    vertices, row = weld(np.concatenate([part.vertices for part in parts]), np.arange(len(stored))[:, None])
+    vertices, row = weld(np.concatenate([part.vertices for part in parts]), np.tile(np.arange(len(stored))[:, None], 3))
     joined_colors = np.zeros((len(vertices), 3))
     joined_colors[row[:, 0]] = stored
     return {VERTEX_COLOR: joined_colors if np.array_equal(joined_colors[row[:, 0]], stored) else None}

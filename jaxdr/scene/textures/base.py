@@ -64,7 +64,8 @@ class Texture(eqx.Module):
             if isinstance(array, Tracer):
                 continue
             least, most = float(jnp.min(array)), float(jnp.max(array))
-            if not (low <= least and most <= high and np.isfinite(most)):
+            lowest, highest = (float(np.asarray(limit, array.dtype)) for limit in (low, high))
+            if not (lowest <= least and most <= highest and np.isfinite(most)):
                 expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
                 raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
 
