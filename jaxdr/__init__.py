@@ -24,6 +24,7 @@ from jaxdr.scene.bsdf import Conductor as Conductor
 from jaxdr.scene.bsdf import Dielectric as Dielectric
 from jaxdr.scene.bsdf import Diffuse as Diffuse
 from jaxdr.scene.bsdf import Mask as Mask
+from jaxdr.scene.bsdf import NormalMap as NormalMap
 from jaxdr.scene.bsdf import Plastic as Plastic
 from jaxdr.scene.bsdf import Principled as Principled
 from jaxdr.scene.bsdf import RoughConductor as RoughConductor
@@ -45,6 +46,10 @@ from jaxdr.scene.gltf import load_gltf as load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape
+from jaxdr.scene.textures import Bitmap as Bitmap
+from jaxdr.scene.textures import Checkerboard as Checkerboard
+from jaxdr.scene.textures import Texture as Texture
+from jaxdr.scene.textures import VertexColors as VertexColors
 
 try:
     __version__ = _version("jaxdr")

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
 from jaxdr.boundary.pixel_borders import pixel_border_term
+from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
 from jaxdr.integrator import PathTracer
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
@@ -127,7 +128,10 @@ def _image(plan: Plan, floats, others, key):
 def _derivative_image(plan: Plan, active, at, floats, others, key):
     at = iter(at)
     floats = [next(at) if a else jax.lax.stop_gradient(f) for f, a in zip(floats, active, strict=True)]
-    moving = _moving(_join(plan, active, (False,) * (len(plan.is_float) - sum(plan.is_float))))
+    flags = _join(plan, active, (False,) * (len(plan.is_float) - sum(plan.is_float)))
+    if plan.integrator.boundary is not None:
+        check_still_maps(flags)
+    moving = _moving(flags)
     terms = _estimate(_join(plan, floats, others), key, plan.spp, plan.integrator, moving)
     return sum(terms.values())
 
@@ -153,6 +157,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     if with_boundary:
         _check_opaque(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
+        check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
         key, pilot_key = jax.random.split(key)
         distribution = edge_distribution(packed, shapes, pilot_key)
         prepared = integrator.boundary.prepare(packed, shapes, integrator.settings)

@@ -29,6 +29,7 @@ from jaxdr.boundary.crossings import (
     find_crossings,
 )
 from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
+from jaxdr.boundary.texture_jumps import seam_jumps
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.color import luminance
@@ -44,11 +45,13 @@ SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is l
 
 
 def folded_edges(packed: PackedScene, moving: Bool[Array, " S"], rays: str) -> RankedEdges:
-    """Edges at which the image in a lobe may jump: all but those between faces in one plane. Detached."""
+    """Edges at which the image in a lobe may jump: all but in a plane, or at UV seams there. Detached."""
     edges = packed.edges
     normal = normalize(stop_gradient(packed.face_normals()))
     n0, n1 = normal[edges.faces[:, 0]], normal[edges.faces[:, 1]]
     flat = edges.interior & (norm(jnp.cross(n0, n1)) < FLAT) & (dot(n0, n1) > 0)
+    if packed.uvs is not None:
+        flat &= seam_jumps(packed, jnp.arange(flat.shape[0])) == 0
     rank = jnp.where(flat, 0, jnp.where(moving[edges.shape], MOVES, BOUNDS)).astype(packed.vertices.dtype)
     # Which way faces look does not matter: no cones of their normals.
     cone = jnp.zeros_like(edges.interior)
@@ -100,6 +103,8 @@ class AttachedLines:
         n0, n1 = (jnp.where(dot(p.normal, seen.towards)[:, None] > 0, -p.normal, p.normal) for p in (near, far))
         smooth = jnp.asarray(self.packed.smooth)[self.packed.face_shape[near.face]]
         fold = norm(n0 - n1) * jnp.where(smooth, SMOOTH, 1.0)
+        if self.packed.uvs is not None:
+            fold = fold + seam_jumps(self.packed, found.edge)
         jump = self.typical * jnp.where(far.valid, fold, 1.0) + glow
         return luminance(weight) * jump / seen.distance
 

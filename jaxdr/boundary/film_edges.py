@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.texture_jumps import seam_jumps
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.camera import View
 from jaxdr.scene.color import luminance
@@ -108,9 +109,9 @@ def _inside_window(film, start, end, margin=None):
 def _importance(packed: PackedScene, moving, key):
     """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
 
-    Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, and a share of
-    their fold that stands for all other light. Silhouettes: what the visible face receives, and a typical value for
-    the background. Only the noise depends on these estimates.
+    Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, a share of
+    their fold that stands for all other light, and how much their textures differ. Silhouettes: what the visible face
+    receives, and a typical value for the background. Only the noise depends on these estimates.
     """
     corner = packed.vertices[packed.faces[:, 0]]
     normal = normalize(packed.face_normals())
@@ -133,6 +134,9 @@ def _importance(packed: PackedScene, moving, key):
     jump = jnp.abs(received[face0] - received[face1])
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
     crease = jump + typical * jnp.where(smooth[face0], 0.1, 1.0) * fold
+    if packed.uvs is not None:
+        light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
+        crease = crease + light * seam_jumps(packed, jnp.arange(face0.shape[0]))
     bright = jnp.maximum(received[face0], received[face1])
     importance = jnp.where(silhouette, 0.5 * (typical + bright), crease)
     return silhouette, jnp.where(jnp.asarray(moving)[edges.shape], importance, 0.0)

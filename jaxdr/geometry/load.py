@@ -118,7 +118,10 @@ def is_triangles(geometry: Any) -> bool:
 
 
 class Part:
-    """One mesh of a file, in world space; `uvs` and `normals` belong to the vertices, or are None."""
+    """One mesh of a file, in world space; `uvs`, `normals` and `colors` belong to the vertices, or are None.
+
+    `colors` are the numbers that a PLY file stores as r, g, b or red, green, blue.
+    """
 
     def __init__(self, geometry: trimesh.Trimesh, to_world: Float[np.ndarray, "4 4"]):
         linear = to_world[:3, :3]
@@ -129,6 +132,7 @@ class Part:
         # trimesh computes the normals a file does not store; only its cache can tell the two apart.
         stored = "vertex_normals" in geometry._cache
         self.normals = _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None
+        self.colors = _ply_colors(geometry)
 
     def corner_normals(self) -> Float[np.ndarray, "f 3 3"]:
         """The stored normal at each corner; where nothing is stored, the face's own, which makes it flat."""
@@ -136,6 +140,17 @@ class Part:
             return self.normals[self.faces]
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         return np.repeat(_unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
+
+
+def _ply_colors(geometry: trimesh.Trimesh) -> Float[np.ndarray, "v 3"] | None:
+    """Vertex colours in the precision of the file: those that trimesh makes of them have eight bits."""
+    data = geometry.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", {})
+    names = data.keys() if isinstance(data, dict) else data.dtype.names or ()
+    for channels in (("r", "g", "b"), ("red", "green", "blue")):
+        if set(channels) <= set(names):
+            colors = np.stack([np.asarray(data[name], float).reshape(-1) for name in channels], 1)
+            return colors if len(colors) == len(geometry.vertices) else None  # vertices split at UV seams
+    return None
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

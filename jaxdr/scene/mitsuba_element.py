@@ -44,6 +44,7 @@ class Element:
     """An XML element and where it stands. All elements of a scene share `problems`; `folders` are searched for files.
 
     `properties` is what read it last (a `mitsuba_xml.Properties`), so that nothing it left out goes unnoticed.
+    `vertex_data` is what the mesh of the shape around it stores at its vertices, by name; None outside of shapes.
     """
 
     tag: str
@@ -54,6 +55,7 @@ class Element:
     problems: Problems = dataclasses.field(default_factory=Problems)
     folders: list[Path] = dataclasses.field(default_factory=list)
     properties: Any = None
+    vertex_data: dict[str, Any] | None = None
 
     @property
     def type(self) -> str:

@@ -18,7 +18,8 @@ from jaxdr.scene.bsdf import (
     ThinDielectric,
 )
 from jaxdr.scene.bsdf.materials import METALS
-from jaxdr.scene.mitsuba_xml import COLOR, NUMBER, Properties
+from jaxdr.scene.mitsuba_textures import textured_color, textured_number, textured_roughness
+from jaxdr.scene.mitsuba_xml import NUMBER, Properties
 
 # Lobes of Mitsuba's principled BSDF that ours has not; without them their other settings have no effect.
 MISSING_LOBES = ("spec_trans", "anisotropic", "spec_tint", "sheen", "flatness", "clearcoat")
@@ -35,14 +36,12 @@ def _metal(properties: Properties) -> dict[str, Any]:
     found: dict[str, Any] = {"material": plain if material not in METALS and plain in METALS else material}
     if material == "none":
         found["material"] = None
-    for name in ("eta", "k"):
-        if properties.tag(name) is not None:
-            found[name] = properties.value(name, COLOR)
-    return {**found, **_colors(properties, "specular_reflectance")}
+    return {**found, **_colors(properties, "eta", "k", "specular_reflectance")}
 
 
 def _colors(properties: Properties, *names: str) -> dict[str, Any]:
-    return {name: properties.value(name, COLOR) for name in names if properties.tag(name) is not None}
+    given = {name: textured_color(properties, name, None) for name in names}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _interface(properties: Properties, inside: str) -> dict[str, Any]:
@@ -55,7 +54,7 @@ def _roughness(properties: Properties) -> dict[str, Any]:
     """Distribution of microfacets."""
     properties.ignore("sample_visible")  # a matter of noise
     along, across = (properties.value(name, NUMBER) for name in ("alpha_u", "alpha_v"))
-    alpha = properties.value("alpha", NUMBER)
+    alpha = textured_roughness(properties, "alpha")
     if along != across:
         raise ValueError("alpha_u and alpha_v must be equal: anisotropic roughness is not supported")
     if along is not None and alpha is not None:
@@ -83,15 +82,15 @@ def _principled(properties: Properties) -> Principled:
         if properties.value(name, NUMBER, 0.0) != 0:
             raise ValueError(f"{name} other than 0 is not supported")
     properties.ignore(*WITHOUT_EFFECT)
-    specular, eta = properties.value("specular", NUMBER), properties.value("eta", NUMBER)
+    specular, eta = textured_number(properties, "specular", None), properties.value("eta", NUMBER)
     if specular is not None and eta is not None:
         raise ValueError("give either specular or eta, not both")
     if eta is not None:
         specular = ((eta - 1) / (eta + 1)) ** 2 / 0.08  # as Mitsuba relates the two
     return Principled(
-        properties.value("base_color", COLOR, 0.5),
-        properties.value("metallic", NUMBER, 0.0),
-        properties.value("roughness", NUMBER, 0.5),
+        textured_color(properties, "base_color", 0.5),
+        textured_number(properties, "metallic", 0.0),
+        textured_number(properties, "roughness", 0.5),
         0.5 if specular is None else specular,
     )
 

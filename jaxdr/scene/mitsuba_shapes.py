@@ -10,13 +10,14 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxdr.geometry.load import joined, read_parts
+from jaxdr.geometry.load import Part, joined, read_parts
 from jaxdr.geometry.mesh import Mesh, weld
 from jaxdr.geometry.shapes import rectangle, sphere, transformed
 from jaxdr.scene.bsdf import Diffuse
 from jaxdr.scene.mitsuba_bsdfs import read_bsdf
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_emitters import read_shape_emitter
+from jaxdr.scene.mitsuba_textures import VERTEX_COLOR
 from jaxdr.scene.mitsuba_values import tangent
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 from jaxdr.scene.scene import RESERVED, Shape
@@ -47,7 +48,19 @@ def _mesh_file(element: Element) -> Shape:
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     # Stored normals keep their side when the shape is mirrored.
-    return _placed(properties, mesh, keeps_side=any(part.normals is not None for part in parts))
+    return _placed(properties, mesh, any(part.normals is not None for part in parts), _vertex_data(parts))
+
+
+def _vertex_data(parts: list[Part]) -> dict[str, Float[np.ndarray, "V 3"] | None]:
+    """Colours of the mesh's vertices, which are those of the file joined by position; None where these differ."""
+    colors = [part.colors for part in parts if part.colors is not None]
+    if len(colors) < len(parts):
+        return {}
+    stored = np.concatenate(colors)
+    vertices, row = weld(np.concatenate([part.vertices for part in parts]), np.tile(np.arange(len(stored))[:, None], 3))
+    joined_colors = np.zeros((len(vertices), 3))
+    joined_colors[row[:, 0]] = stored
+    return {VERTEX_COLOR: joined_colors if np.array_equal(joined_colors[row[:, 0]], stored) else None}
 
 
 def _rectangle(element: Element) -> Shape:
@@ -125,13 +138,14 @@ SHAPES: dict[str, Callable[[Element], Shape]] = {
 }
 
 
-def _placed(properties: Properties, mesh: Mesh, keeps_side: bool) -> Shape:
+def _placed(properties: Properties, mesh: Mesh, keeps_side: bool, vertex_data: dict | None = None) -> Shape:
     """The shape with its transform, sides, BSDF and emitter.
 
-    `keeps_side`: a mirroring transform leaves its outside outside in Mitsuba.
+    `keeps_side`: a mirroring transform leaves its outside outside in Mitsuba. `vertex_data` for its textures, by name.
     """
     to_world = properties.value("to_world", "transform", np.eye(4))
     flips = properties.value("flip_normals", "boolean", False)
+    properties.element.vertex_data = vertex_data or {}
     bsdf, emitter = properties.at_most_one("bsdf"), properties.at_most_one("emitter")
     if not np.array_equal(to_world, np.eye(4)):
         # `transformed` keeps the outside outside; in Mitsuba a mirrored file's triangles turn over instead.

@@ -1,12 +1,23 @@
-"""Texture and spectrum plugins of Mitsuba 3 scene files, and the parameters that take them."""
+"""Texture and spectrum plugins of Mitsuba 3 scene files, and the parameters that take them.
+
+Mitsuba counts v from an image's top, here UVs start at the lower left: `to_uv` is turned accordingly.
+"""
 
 from collections.abc import Callable
+from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, Float
 
+from jaxdr.scene.bsdf.parameters import SMOOTHEST
+from jaxdr.scene.color import luminance
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_xml import COLOR, NUMBER, Properties, read_plugin
+from jaxdr.scene.textures import Bitmap, Checkerboard, Texture, VertexColors
+
+VERTEX_COLOR = "vertex_color"
 
 
 def _uniform(element: Element) -> ArrayLike:
@@ -18,13 +29,107 @@ def _d65(element: Element) -> ArrayLike:
     return Properties(element).value("scale", NUMBER, 1.0)
 
 
-TEXTURES: dict[str, Callable[[Element], ArrayLike]] = {"uniform": _uniform, "d65": _d65}
+def _bitmap(element: Element) -> Bitmap:
+    """An image file; alpha is dropped."""
+    properties = Properties(element)
+    properties.ignore("format", "accel")  # matters of precision
+    filename = properties.value("filename", "string")
+    if filename is None:
+        raise ValueError("parameter 'filename' is missing")
+    return Bitmap.from_file(
+        element.find_file(filename),
+        raw=properties.value("raw", "boolean", False),
+        filter=properties.value("filter_type", "string", "bilinear"),
+        wrap=properties.value("wrap_mode", "string", "repeat"),
+        to_uv=_to_uv(properties),
+    )
+
+
+def _checkerboard(element: Element) -> Checkerboard:
+    properties = Properties(element)
+    colors = (color(properties, name, default) for name, default in (("color0", 0.4), ("color1", 0.2)))
+    return Checkerboard(*colors, to_uv=_to_uv(properties))
+
+
+def _to_uv(properties: Properties) -> Float[np.ndarray, "2 3"] | None:
+    """The map of our UVs: v turned over before and after Mitsuba's, which takes x and y of a transform in space."""
+    given = properties.value("to_uv", "transform")
+    if given is None:
+        return None
+    theirs = np.eye(3)
+    theirs[:2] = given[:2, [0, 1, 3]]
+    turned = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])
+    return (turned @ theirs @ turned)[:2]
+
+
+def _mesh_attribute(element: Element) -> VertexColors:
+    """Colours that a PLY file stores at its vertices."""
+    properties = Properties(element)
+    name, scale = properties.value("name", "string"), properties.value("scale", NUMBER, 1.0)
+    if name != VERTEX_COLOR:
+        raise ValueError(f"only the attribute {VERTEX_COLOR!r} is supported, got {name!r}")
+    if element.vertex_data is None:  # outside of a shape: read in order to be checked
+        return VertexColors(np.full((1, 3), 0.5))
+    if name not in element.vertex_data:
+        raise ValueError(f"the mesh has no attribute {name!r}: only PLY files with r, g and b (or red, …) have")
+    if element.vertex_data[name] is None:
+        raise ValueError(
+            "vertices at the same position have different colours, and are one vertex with one colour here"
+        )
+    return VertexColors(scale * element.vertex_data[name])
+
+
+CONSTANTS: dict[str, Callable[[Element], ArrayLike]] = {"uniform": _uniform, "d65": _d65}
+TEXTURES: dict[str, Callable[[Element], ArrayLike | Texture]] = {
+    **CONSTANTS,
+    "bitmap": _bitmap,
+    "checkerboard": _checkerboard,
+    "mesh_attribute": _mesh_attribute,
+}
 
 
 def color(properties: Properties, name: str, default: ArrayLike) -> ArrayLike:
-    """Take a colour: a number, `<rgb>`, `<spectrum>`, or what a nested texture makes of it."""
+    """Take a colour: a number, `<rgb>`, `<spectrum>`, or what a nested uniform texture makes of it."""
     element = properties.texture(name)
     if element is None:
         return properties.value(name, COLOR, default)
-    value = read_plugin(element, TEXTURES, f"{name} is {np.asarray(default).tolist()}")
+    if element.type in TEXTURES and element.type not in CONSTANTS:
+        element.unsupported(f"a texture can't give {name!r} here; give a constant", "the default is used")
+        return default
+    value = read_plugin(element, CONSTANTS, f"{name} is {np.asarray(default).tolist()}")
+    return default if value is None else value
+
+
+def textured_color(properties: Properties, name: str, default: ArrayLike | None) -> Any:
+    """Take a colour that may be a texture."""
+    return _textured(properties, name, COLOR, default)
+
+
+def textured_number(properties: Properties, name: str, default: ArrayLike | None) -> Any:
+    """Take a number that may be a texture: of one with colours, the luminance."""
+    value = _textured(properties, name, NUMBER, default)
+    if isinstance(value, Bitmap) and value.pixels.shape[-1] == 3:
+        return eqx.tree_at(lambda t: t.pixels, value, luminance(value.pixels)[..., None])
+    if isinstance(value, Checkerboard):
+        # Mitsuba 3.9 takes the other colour of a board than it does where it asks for RGB.
+        first, second = (luminance(c)[None] if c.shape == (3,) else c for c in (value.color1, value.color0))
+        return eqx.tree_at(lambda t: (t.color0, t.color1), value, (first, second))
+    return value
+
+
+def textured_roughness(properties: Properties, name: str) -> Any:
+    """Take the alpha of a microfacet distribution; what is too smooth in a texture is made as smooth as it can be."""
+    value = textured_number(properties, name, None)
+    if not isinstance(value, Texture):
+        return value
+    rough_enough = tuple(jnp.maximum(array, SMOOTHEST) for array in value.data())
+    return eqx.tree_at(lambda t: t.data(), value, rough_enough)
+
+
+def _textured(properties: Properties, name: str, tags: str, default):
+    element = properties.texture(name)
+    if element is None:
+        return properties.value(name, tags, default)
+    instead = f"{name} is left at its default" if default is None else f"{name} is {np.asarray(default).tolist()}"
+    value = read_plugin(element, TEXTURES, instead)
     return default if value is None else value

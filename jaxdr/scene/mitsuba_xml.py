@@ -104,6 +104,7 @@ class Properties:
         for child in self._objects:
             if child.tag in TEXTURE_TAGS and child.attributes.get("name") == name:
                 self._objects.remove(child)
+                child.vertex_data = self.element.vertex_data
                 return child
         return None
 
@@ -111,6 +112,8 @@ class Properties:
         """Take all nested objects with one of these tags."""
         taken = [child for child in self._objects if child.tag in tags]
         self._objects = [child for child in self._objects if child.tag not in tags]
+        for child in taken:
+            child.vertex_data = self.element.vertex_data
         return taken
 
     def at_most_one(self, *tags: str) -> Element | None:

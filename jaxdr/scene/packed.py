@@ -2,7 +2,7 @@
 
 Packing happens inside the traced function, so every table is a differentiable function of the scene's parameters.
 Only what the scene has is there: one group per kind of BSDF, emitter tables only with emitters, shading normals only
-with smooth shapes.
+with smooth shapes, texture coordinates only with textures that use them.
 """
 
 import itertools
@@ -21,6 +21,7 @@ from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import ConstantEnvironment
 from jaxdr.scene.scene import Scene, unwrap
+from jaxdr.scene.textures import textures_in
 
 
 class PackedEdges(eqx.Module):
@@ -34,7 +35,10 @@ class PackedEdges(eqx.Module):
 
 
 class BSDFGroup(eqx.Module):
-    """All BSDFs of one kind, fields stacked; `row` maps a shape to its row (0 for shapes of another kind)."""
+    """All BSDFs of one kind, fields stacked; `row` maps a shape to its row (0 for shapes of another kind).
+
+    Of one kind are those with the same static fields, and with textures of the same kinds and sizes.
+    """
 
     bsdf: BSDF
     row: Int[Array, " S"]
@@ -44,7 +48,8 @@ class BSDFGroup(eqx.Module):
 class PackedScene(eqx.Module):
     """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
 
-    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`; it has `edge_counts[i]` edges.
+    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
+    `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs.
     """
 
     vertices: Float[Array, "V 3"]
@@ -53,16 +58,29 @@ class PackedScene(eqx.Module):
     edges: PackedEdges
     bsdfs: tuple[BSDFGroup, ...]
     two_sided: Bool[Array, " S"]
+    first_vertex: tuple[int, ...] = eqx.field(static=True)
     first_face: tuple[int, ...] = eqx.field(static=True)
     edge_counts: tuple[int, ...] = eqx.field(static=True)
     closed: tuple[bool, ...] = eqx.field(static=True)
     smooth: tuple[bool, ...] = eqx.field(static=True)
     normals: Float[Array, "G 3"] | None
     normal_faces: Int[Array, "F 3"] | None
+    uvs: Float[Array, "T 2"] | None
+    uv_faces: Int[Array, "F 3"] | None
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
     camera: Camera
     environment: ConstantEnvironment | None
+
+    @property
+    def textured(self) -> bool:
+        """Whether any BSDF has textures."""
+        return bool(textures_in(self.bsdfs))
+
+    @property
+    def tangential(self) -> bool:
+        """Whether any BSDF has to know where u increases."""
+        return any(group.bsdf.tangential for group in self.bsdfs)
 
     @property
     def has_area_emitters(self) -> bool:
@@ -116,6 +134,7 @@ def pack(scene: Scene) -> PackedScene:
     counts = [m.faces.shape[0] for m in meshes]
     bsdfs = [unwrap(shape.bsdf) for shape in shapes]
     normals, normal_faces = _normals(meshes)
+    uvs, uv_faces = _uvs(meshes, bsdfs)
     emitting = [i for i, shape in enumerate(shapes) if shape.emitter is not None]
     radiance = emitter_faces = None
     if emitting:
@@ -129,12 +148,15 @@ def pack(scene: Scene) -> PackedScene:
         edges=_pack_edges(meshes, first_vertex, first_face),
         bsdfs=_group(bsdfs),
         two_sided=jnp.asarray([isinstance(shape.bsdf, TwoSided) for shape in shapes]),
+        first_vertex=tuple(int(v) for v in first_vertex[:-1]),
         first_face=tuple(int(f) for f in first_face),
         edge_counts=tuple(m.edges.vertices.shape[0] for m in meshes),
         closed=tuple(m.closed for m in meshes),
         smooth=tuple(m.normal_faces is not None for m in meshes),
         normals=normals,
         normal_faces=normal_faces,
+        uvs=uvs,
+        uv_faces=uv_faces,
         radiance=radiance,
         emitter_faces=emitter_faces,
         camera=scene.camera,
@@ -157,6 +179,22 @@ def _normals(meshes):
     return jnp.concatenate(normals), jnp.concatenate(indices)
 
 
+def _uvs(meshes, bsdfs):
+    """Texture coordinates of the meshes whose textures use them and corner indices into them; None without any."""
+    uses = [bsdf.tangential or any(texture.uses_uv for _, texture in textures_in(bsdf)) for bsdf in bsdfs]
+    if not any(uses):
+        return None, None
+    uvs, indices, first = [], [], 0
+    for mesh, used in zip(meshes, uses, strict=True):
+        if not used:
+            indices.append(jnp.zeros(mesh.faces.shape, jnp.int32))
+        else:
+            indices.append(mesh.uv_faces + first)
+            uvs.append(mesh.uvs)
+            first += mesh.uvs.shape[0]
+    return jnp.concatenate(uvs), jnp.concatenate(indices)
+
+
 def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
     width = max(m.edges.faces.shape[1] for m in meshes)
 
@@ -175,8 +213,8 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
 
 
 def _group(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
-    """BSDFs with the same static structure are stacked into one group."""
-    structures = [jax.tree.structure(b) for b in bsdfs]
+    """BSDFs with the same static structure and sizes of textures are stacked into one group."""
+    structures = [(jax.tree.structure(b), tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(b))) for b in bsdfs]
     groups = []
     for structure in dict.fromkeys(structures):
         members = [i for i, s in enumerate(structures) if s == structure]

@@ -1,6 +1,7 @@
 """Scene: shapes, camera and environment as one pytree with named parameters."""
 
 from collections.abc import Mapping
+from operator import attrgetter
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
+from jaxdr.scene.textures import textures_in
 
 RESERVED = ("camera", "environment")
 
@@ -37,7 +39,8 @@ def _sorted_by_id(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
 class Scene(eqx.Module):
     """Shapes by id, one camera, and an environment or None.
 
-    Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`.
+    Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`, and for textures
+    that do not fit the mesh of their shape.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
@@ -54,6 +57,7 @@ class Scene(eqx.Module):
                 )
             if not isinstance(shape, Shape):
                 raise ValueError(f"Scene: shapes[{name!r}] is a {type(shape).__name__}, expected a jaxdr.Shape")
+            _check_textures(name, shape)
 
     def parameters(self) -> dict[str, Array]:
         """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them."""
@@ -84,15 +88,15 @@ def _accessors(scene: Scene) -> dict:
     for name, shape in scene.shapes.items():
         found[f"{name}.vertices"] = lambda s, n=name: s.shapes[n].mesh.vertices
         for field in _float_fields(unwrap(shape.bsdf)):
-            found[f"{name}.bsdf.{field}"] = lambda s, n=name, f=field: getattr(unwrap(s.shapes[n].bsdf), f)
+            found[f"{name}.bsdf.{field}"] = lambda s, n=name, f=field: attrgetter(f)(unwrap(s.shapes[n].bsdf))
         if shape.emitter is not None:
             for field in _float_fields(shape.emitter):
-                found[f"{name}.emitter.{field}"] = lambda s, n=name, f=field: getattr(s.shapes[n].emitter, f)
+                found[f"{name}.emitter.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.shapes[n].emitter)
     for field in _float_fields(scene.camera):
-        found[f"camera.{field}"] = lambda s, f=field: getattr(s.camera, f)
+        found[f"camera.{field}"] = lambda s, f=field: attrgetter(f)(s.camera)
     if scene.environment is not None:
         for field in _float_fields(scene.environment):
-            found[f"environment.{field}"] = lambda s, f=field: getattr(s.environment, f)
+            found[f"environment.{field}"] = lambda s, f=field: attrgetter(f)(s.environment)
     return found
 
 
@@ -102,6 +106,29 @@ def unwrap(bsdf: BSDF | TwoSided) -> BSDF:
 
 
 def _float_fields(module: eqx.Module) -> list[str]:
-    """Names of the fields that are float arrays."""
-    values = {name: getattr(module, name) for name in module.__dataclass_fields__}
-    return [n for n, v in values.items() if isinstance(v, jax.Array) and jnp.issubdtype(v.dtype, jnp.floating)]
+    """Names of the fields that are float arrays; those of modules inside (textures, inner BSDFs) follow a dot."""
+    names = []
+    for name in module.__dataclass_fields__:
+        value = getattr(module, name)
+        if isinstance(value, eqx.Module):
+            names += [f"{name}.{inner}" for inner in _float_fields(value)]
+        elif isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
+            names.append(name)
+    return names
+
+
+def _check_textures(name: str, shape: Shape) -> None:
+    """Raise ValueError for a shape whose mesh has not what its textures need."""
+    mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
+    if bsdf.tangential and mesh.uvs is None:
+        raise ValueError(f"Scene: {name}.bsdf has a normal map, and the mesh of {name!r} has no uvs that tell its axes")
+    for field, texture in textures_in(bsdf):
+        owner = f"Scene: {name}.bsdf.{field}, a {type(texture).__name__},"
+        if texture.uses_uv and mesh.uvs is None:
+            raise ValueError(
+                f"{owner} needs texture coordinates, and the mesh of {name!r} has none (Mesh: uvs, uv_faces)"
+            )
+        vertices = mesh.vertices.shape[0]
+        if not texture.uses_uv and any(array.shape[0] != vertices for array in texture.data()):
+            rows = texture.data()[0].shape[0]
+            raise ValueError(f"{owner} has {rows} values, and the mesh of {name!r} has {vertices} vertices")

@@ -20,7 +20,8 @@ class SurfacePoint(NamedTuple):
 
     `normal` is the unit geometric normal (orientation of the face), `shading_normal` the interpolated one, `area` the
     area of the face, all differentiable; `barycentric`, `face` and `scale`, the largest coordinate that the position
-    was computed from, are detached.
+    was computed from, are detached. `on_face` are the barycentric coordinates as they change where the point slides
+    over its face, differentiable; None in scenes without textures.
     """
 
     valid: Bool[Array, " N"]
@@ -31,6 +32,7 @@ class SurfacePoint(NamedTuple):
     shading_normal: Float[Array, "N 3"]
     area: Float[Array, " N"]
     scale: Float[Array, " N"]
+    on_face: Float[Array, "N 3"] | None = None
 
     def area_ratio(self) -> Float[Array, " N"]:
         """J = dA(x) / dA(p), one in value (Eq. 4): the Jacobian from the reference surface to the moving one."""
@@ -58,6 +60,7 @@ def _surface_point(packed, valid, face, barycentric, position, corners, normal2,
         shading_normal=_shading_normal(packed, face, barycentric, normal),
         area=0.5 * length,
         scale=scale,
+        on_face=barycentric if packed.textured else None,
     )
 
 
@@ -139,9 +142,12 @@ def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 
     return position + (side * point.scale)[:, None] * normal
 
 
-def local_frame(normal: Float[Array, "N 3"]):
-    """Functions world -> local and local -> world for the frame around unit normals (z along the normal)."""
-    s, t = orthonormal_basis(normal)
+def local_frame(normal: Float[Array, "N 3"], tangents: tuple[Float[Array, "N 3"], Float[Array, "N 3"]] | None = None):
+    """Functions world -> local and local -> world for the frame around unit normals (z along the normal).
+
+    Its x and y are the `tangents`, or any where none are given.
+    """
+    s, t = orthonormal_basis(normal) if tangents is None else tangents
 
     def to_local(w):
         return jnp.stack([dot(w, s), dot(w, t), dot(w, normal)], -1)

@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
@@ -14,6 +13,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 from jaxdr.transport.near_field import NearField
+from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
 
@@ -33,12 +33,13 @@ class Scatterer:
         turned = behind & packed.two_sided[shape]
         flip = jnp.where(turned, -1.0, 1.0)[:, None].astype(wi.dtype)
         self.normal = flip * point.normal
-        self.to_local, self.to_world = local_frame(flip * point.shading_normal)
+        tangents = tangents_along_u(packed, point) if packed.tangential else None
+        self.to_local, self.to_world = local_frame(flip * point.shading_normal, tangents)
         self.wi = self.to_local(wi)
         if packed.normals is not None:
             below = (self.wi[:, 2:] < 0) != (behind & ~turned)[:, None]
             self.wi = jnp.where(below, self.wi * jnp.asarray([1.0, 1.0, -1.0], wi.dtype), self.wi)
-        self.groups = [(_take(group.bsdf, group.row[shape]), group.member[shape]) for group in packed.bsdfs]
+        self.groups = bsdfs_at(packed, point, shape)
 
     def _combine(self, values) -> Array:
         """The value of the group each point belongs to."""
@@ -172,10 +173,6 @@ def _unblocked(scatterer: Scatterer, wo):
     """f_s |cos| where `wo` is on the same side of the face as of its shading normal."""
     leaves = dot(scatterer.normal, wo) * scatterer.cosine(wo) > 0
     return jnp.where(leaves[:, None], scatterer.eval(wo), 0.0)
-
-
-def _take(bsdf, row):
-    return jax.tree.map(lambda field: field[row], bsdf)
 
 
 class EmitterSample(NamedTuple):

@@ -21,8 +21,8 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
 <shape type="cube" id="b"><emitter type="beam"/>
     <bsdf type="diffuse"><texture type="noise" name="reflectance"/></bsdf></shape>"""
 MESSAGES = [
-    "line 2, <bsdf>: unknown type 'velvet'; known: diffuse, twosided, roughconductor, roughdielectric, roughplastic, "
-    "principled; with ignore_unsupported a grey diffuse BSDF",
+    "line 2, <bsdf>: unknown type 'velvet'; known: diffuse, twosided, mask, normalmap, roughconductor, "
+    "roughdielectric, roughplastic, principled; with ignore_unsupported a grey diffuse BSDF",
     "line 3, <shape>: unknown type 'hair'; known: obj, ply,",
     "line 4, <float>: unknown parameter 'aperture' of sensor 'perspective'; known: ",
     "line 5, <rfilter>: unknown type 'lanczos'; known: box, gaussian, tent; with ignore_unsupported a Gaussian",
@@ -32,7 +32,8 @@ MESSAGES = [
     "line 8, <integrator>: unknown type 'volpath'",
     "line 9, <medium>: not supported inside scene 'scene'; with ignore_unsupported it is left out",
     "line 10, <emitter>: unknown type 'beam'; known: area; with ignore_unsupported the shape does not glow",
-    "line 11, <texture>: unknown type 'noise'; known: uniform, d65; with ignore_unsupported reflectance is 0.5",
+    "line 11, <texture>: unknown type 'noise'; known: uniform, d65, bitmap, checkerboard, mesh_attribute; with "
+    "ignore_unsupported reflectance is 0.5",
 ]
 
 

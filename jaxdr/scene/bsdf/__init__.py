@@ -8,6 +8,7 @@ from jaxdr.scene.bsdf.conductor import Conductor as Conductor
 from jaxdr.scene.bsdf.dielectric import Dielectric as Dielectric
 from jaxdr.scene.bsdf.diffuse import Diffuse as Diffuse
 from jaxdr.scene.bsdf.mask import Mask as Mask
+from jaxdr.scene.bsdf.normal_map import NormalMap as NormalMap
 from jaxdr.scene.bsdf.plastic import Plastic as Plastic
 from jaxdr.scene.bsdf.principled import Principled as Principled
 from jaxdr.scene.bsdf.rough_conductor import RoughConductor as RoughConductor

@@ -1,7 +1,8 @@
 """The interface of a BSDF, in the local frame of a surface point (z along the shading normal).
 
 All directions point away from the surface. A BSDF is written for points with a leading batch shape: fields carry
-one row for every point when its methods are called (`Scene` gathers them by shape). Choices are static fields.
+one row for every point when its methods are called (they are gathered by shape, and textures looked up). Choices are
+static fields.
 """
 
 import abc
@@ -33,11 +34,13 @@ class BSDF(eqx.Module):
 
     `transmissive`: it tells the inside (wi.z < 0) from the outside and scatters through the surface; else it is black
     from behind. `delta`: it has delta lobes; `eval` and `pdf` leave them out, and `pdf` integrates to the probability
-    that `sample_delta` chooses none of them, or to less where sampling fails.
+    that `sample_delta` chooses none of them, or to less where sampling fails. `tangential`: the x axis has to be along
+    increasing u (the texture coordinate); else it may be any tangent.
     """
 
     transmissive: ClassVar[bool] = False
     delta: ClassVar[bool] = False
+    tangential: ClassVar[bool] = False
 
     @abc.abstractmethod
     def eval(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

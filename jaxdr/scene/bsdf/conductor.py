@@ -1,12 +1,10 @@
 """Smooth metal: a mirror."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
-from jaxdr.scene.bsdf.parameters import complex_index, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, complex_index, rgb
 
 
 class Conductor(DeltaBSDF):
@@ -16,17 +14,17 @@ class Conductor(DeltaBSDF):
     `specular_reflectance` (RGB in [0, 1]) scales it.
     """
 
-    eta: Float[Array, "*n 3"]
-    k: Float[Array, "*n 3"]
-    specular_reflectance: Float[Array, "*n 3"]
+    eta: Color
+    k: Color
+    specular_reflectance: Color
 
     def __init__(
         self,
         material: str | None = None,
         *,
-        eta: ArrayLike | None = None,
-        k: ArrayLike | None = None,
-        specular_reflectance: ArrayLike = 1.0,
+        eta: Value | None = None,
+        k: Value | None = None,
+        specular_reflectance: Value = 1.0,
     ):
         self.eta, self.k = complex_index(material, eta, k, "Conductor")
         self.specular_reflectance = rgb(specular_reflectance, "Conductor: specular_reflectance")

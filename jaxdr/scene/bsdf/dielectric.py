@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
-from jaxdr.scene.bsdf.parameters import relative_index, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
 
 
 class SmoothInterface(DeltaBSDF):
@@ -17,8 +17,8 @@ class SmoothInterface(DeltaBSDF):
     """
 
     eta: Float[Array, "*n"]
-    specular_reflectance: Float[Array, "*n 3"]
-    specular_transmittance: Float[Array, "*n 3"]
+    specular_reflectance: Color
+    specular_transmittance: Color
     transmissive = True
 
     def __init__(
@@ -26,8 +26,8 @@ class SmoothInterface(DeltaBSDF):
         int_ior: ArrayLike | str = "bk7",
         ext_ior: ArrayLike | str = "air",
         *,
-        specular_reflectance: ArrayLike = 1.0,
-        specular_transmittance: ArrayLike = 1.0,
+        specular_reflectance: Value = 1.0,
+        specular_transmittance: Value = 1.0,
     ):
         model = type(self).__name__
         self.eta = relative_index(int_ior, ext_ior, model)

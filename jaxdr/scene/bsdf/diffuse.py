@@ -3,21 +3,19 @@
 import math
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, both_above
-from jaxdr.scene.color import as_rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 from jaxdr.scene.sampling import cosine_hemisphere
 
 
 class Diffuse(BSDF):
     """Lambertian reflection with RGB `reflectance` (a number means grey); black from behind."""
 
-    reflectance: Float[Array, "*n 3"]
+    reflectance: Color
 
-    def __init__(self, reflectance: ArrayLike = 0.5):
-        self.reflectance = as_rgb(reflectance, "Diffuse: reflectance")
+    def __init__(self, reflectance: Value = 0.5):
+        self.reflectance = rgb(reflectance, "Diffuse: reflectance", 0.0, math.inf)
 
     def eval(self, wi, wo):
         cosine = jnp.where(both_above(wi, wo), wo[..., 2], 0.0)

@@ -1,11 +1,9 @@
 """Holes in a surface."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
-from jaxdr.scene.bsdf.parameters import number
+from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
 
 
@@ -16,11 +14,11 @@ class Mask(BSDF):
     at an opacity of exactly 1 its derivative is missed, and at exactly 0 that of the BSDF inside.
     """
 
-    opacity: Float[Array, "*n"]
+    opacity: Number
     bsdf: BSDF
     delta = True
 
-    def __init__(self, opacity: ArrayLike, bsdf: BSDF | TwoSided):
+    def __init__(self, opacity: Value, bsdf: BSDF | TwoSided):
         if not isinstance(bsdf, BSDF):
             inside = type(bsdf).__name__
             raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")
@@ -31,6 +29,10 @@ class Mask(BSDF):
     def transmissive(self) -> bool:
         """As the BSDF inside: what the holes let through does not tell the sides apart."""
         return self.bsdf.transmissive
+
+    @property
+    def tangential(self) -> bool:
+        return self.bsdf.tangential
 
     def eval(self, wi, wo):
         return self.opacity[..., None] * self.bsdf.eval(wi, wo)
@@ -51,6 +53,9 @@ class Mask(BSDF):
         )
         probability = jnp.where(hole, through.probability, inside.probability)
         return DeltaSample(wo, share[..., None] * weight, share * probability)
+
+    def turn(self, wi, wo):
+        return self.bsdf.turn(wi, wo)
 
     def lobe_width(self, wi):
         return self.bsdf.lobe_width(wi)

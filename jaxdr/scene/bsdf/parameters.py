@@ -1,19 +1,38 @@
-"""Parameters of BSDFs: their shapes and ranges, checked when a model is made. Traced values have no range to check."""
+"""Parameters of BSDFs: their shapes and ranges, checked when a model is made. Traced values have no range to check.
+
+Each may be a texture instead. The points' own values take its place before a BSDF is evaluated: `Color` and `Number`
+are fields that models compute with, `Value` what such a field is made of.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.materials import DIELECTRICS, METALS
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS
 from jaxdr.scene.color import as_rgb
+from jaxdr.scene.textures import Texture
+
+if TYPE_CHECKING:
+    Color = Float[Array, "*n 3"]
+    Number = Float[Array, "*n"]
+    Value = ArrayLike | Texture
+else:
+    Color = Float[Array, "*n 3"] | Texture
+    Number = Float[Array, "*n"] | Texture
+    Value = object  # NumPy's ArrayLike is written for static checkers
 
 SMOOTHEST = 1e-4  # alpha; half-vectors in float32 are too coarse for less
 
 
-def number(value, name: str, low: float, high: float) -> Float[Array, ""]:
-    """A number in [low, high]; ValueError names the parameter otherwise."""
+def number(value, name: str, low: float, high: float) -> Number:
+    """A number in [low, high], or a texture of such; ValueError names the parameter otherwise."""
+    if isinstance(value, Texture):
+        return _texture(value, name, 1, low, high)
     array = jnp.asarray(value, float)
     if array.shape != ():
         raise ValueError(f"{name} must be a number, got shape {array.shape}")
@@ -21,11 +40,19 @@ def number(value, name: str, low: float, high: float) -> Float[Array, ""]:
     return array
 
 
-def rgb(value, name: str, low: float = 0.0, high: float = 1.0) -> Float[Array, "3"]:
-    """A number or three numbers in [low, high]; ValueError names the parameter otherwise."""
+def rgb(value, name: str, low: float = 0.0, high: float = 1.0) -> Color:
+    """A number or three numbers in [low, high], or a texture of such; ValueError names the parameter otherwise."""
+    if isinstance(value, Texture):
+        return _texture(value, name, 3, low, high)
     array = as_rgb(value, name)
     _check_range(array, name, low, high)
     return array
+
+
+def _texture(texture: Texture, name: str, channels: int, low: float, high: float) -> Any:
+    fitted = texture.fitted(channels, name)
+    fitted.check_range(name, low, high)
+    return fitted
 
 
 def _check_range(array, name, low, high):
@@ -37,7 +64,7 @@ def _check_range(array, name, low, high):
         raise ValueError(f"{name} must be {expected}, got {values.tolist()}")
 
 
-def roughness(value, model: str) -> Float[Array, ""]:
+def roughness(value, model: str) -> Number:
     """The alpha of a microfacet distribution."""
     return number(value, f"{model}: alpha", SMOOTHEST, 1.0)
 
@@ -56,6 +83,8 @@ def relative_index(int_ior, ext_ior, model: str, low: float = 0.0, high: float =
 
 
 def _index(value, name) -> Float[Array, ""]:
+    if isinstance(value, Texture):
+        raise ValueError(f"{name} must be a number or a name, not a texture")
     if isinstance(value, str):
         if value.lower() not in DIELECTRICS:
             raise ValueError(f"{name}: unknown material {value!r}; known: {', '.join(DIELECTRICS)}")
@@ -63,7 +92,7 @@ def _index(value, name) -> Float[Array, ""]:
     return number(value, name, 0.1, 100.0)
 
 
-def complex_index(material, eta, k, model: str) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+def complex_index(material, eta, k, model: str) -> tuple[Color, Color]:
     """(eta, k), RGB, of a named metal or as given; of a perfect mirror when nothing is given."""
     if (eta is None) != (k is None):
         raise ValueError(f"{model}: give both eta and k, or neither")

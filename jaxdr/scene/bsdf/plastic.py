@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
 from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric
-from jaxdr.scene.bsdf.parameters import relative_index, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
@@ -21,19 +21,19 @@ class Plastic(BSDF):
     each a number or a name. `specular_reflectance` (RGB in [0, 1]) scales the mirror.
     """
 
-    diffuse_reflectance: Float[Array, "*n 3"]
+    diffuse_reflectance: Color
     eta: Float[Array, "*n"]
-    specular_reflectance: Float[Array, "*n 3"]
+    specular_reflectance: Color
     nonlinear: bool = eqx.field(static=True)
     delta = True
 
     def __init__(
         self,
-        diffuse_reflectance: ArrayLike = 0.5,
+        diffuse_reflectance: Value = 0.5,
         int_ior: ArrayLike | str = "polypropylene",
         ext_ior: ArrayLike | str = "air",
         *,
-        specular_reflectance: ArrayLike = 1.0,
+        specular_reflectance: Value = 1.0,
         nonlinear: bool = False,
     ):
         self.diffuse_reflectance = rgb(diffuse_reflectance, "Plastic: diffuse_reflectance")

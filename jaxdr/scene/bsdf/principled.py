@@ -4,12 +4,11 @@ import math
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import number, rgb
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 SHARPEST = 1e-3  # alpha, as in Mitsuba
@@ -23,17 +22,17 @@ class Principled(BSDF):
     0.5: 4 %, glTF's). Where `specular` is exactly zero its derivative is taken as zero: that of the index is infinite.
     """
 
-    base_color: Float[Array, "*n 3"]
-    metallic: Float[Array, "*n"]
-    roughness: Float[Array, "*n"]
-    specular: Float[Array, "*n"]
+    base_color: Color
+    metallic: Number
+    roughness: Number
+    specular: Number
 
     def __init__(
         self,
-        base_color: ArrayLike = 0.5,
-        metallic: ArrayLike = 0.0,
-        roughness: ArrayLike = 0.5,
-        specular: ArrayLike = 0.5,
+        base_color: Value = 0.5,
+        metallic: Value = 0.0,
+        roughness: Value = 0.5,
+        specular: Value = 0.5,
     ):
         self.base_color = rgb(base_color, "Principled: base_color")
         self.metallic = number(metallic, "Principled: metallic", 0.0, 1.0)

@@ -2,13 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import complex_index, distribution_name, rgb, roughness
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, complex_index, distribution_name, rgb, roughness
 
 
 class RoughConductor(BSDF):
@@ -18,20 +16,20 @@ class RoughConductor(BSDF):
     and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost, as in Mitsuba 3.
     """
 
-    alpha: Float[Array, "*n"]
-    eta: Float[Array, "*n 3"]
-    k: Float[Array, "*n 3"]
-    specular_reflectance: Float[Array, "*n 3"]
+    alpha: Number
+    eta: Color
+    k: Color
+    specular_reflectance: Color
     distribution: str = eqx.field(static=True)
 
     def __init__(
         self,
-        alpha: ArrayLike = 0.1,
+        alpha: Value = 0.1,
         material: str | None = None,
         *,
-        eta: ArrayLike | None = None,
-        k: ArrayLike | None = None,
-        specular_reflectance: ArrayLike = 1.0,
+        eta: Value | None = None,
+        k: Value | None = None,
+        specular_reflectance: Value = 1.0,
         distribution: str = "ggx",
     ):
         self.alpha = roughness(alpha, "RoughConductor")

@@ -13,7 +13,7 @@ from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.bsdf.base import BSDF
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection, refract
-from jaxdr.scene.bsdf.parameters import distribution_name, relative_index, rgb, roughness
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, distribution_name, relative_index, rgb, roughness
 from jaxdr.scene.sampling import choose
 
 # Uniform numbers of the facets that decide how often reflection is chosen; half of them, by symmetry.
@@ -28,21 +28,21 @@ class RoughDielectric(BSDF):
     `Dielectric`. Scatters on both sides; refracted radiance is scaled by the squared ratio of indices.
     """
 
-    alpha: Float[Array, "*n"]
+    alpha: Number
     eta: Float[Array, "*n"]
-    specular_reflectance: Float[Array, "*n 3"]
-    specular_transmittance: Float[Array, "*n 3"]
+    specular_reflectance: Color
+    specular_transmittance: Color
     distribution: str = eqx.field(static=True)
     transmissive = True
 
     def __init__(
         self,
-        alpha: ArrayLike = 0.1,
+        alpha: Value = 0.1,
         int_ior: ArrayLike | str = "bk7",
         ext_ior: ArrayLike | str = "air",
         *,
-        specular_reflectance: ArrayLike = 1.0,
-        specular_transmittance: ArrayLike = 1.0,
+        specular_reflectance: Value = 1.0,
+        specular_transmittance: Value = 1.0,
         distribution: str = "ggx",
     ):
         self.alpha = roughness(alpha, "RoughDielectric")

@@ -11,7 +11,7 @@ from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import distribution_name, relative_index, rgb, roughness
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, distribution_name, relative_index, rgb, roughness
 from jaxdr.scene.bsdf.plastic import coat_probability, coated
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
@@ -24,21 +24,21 @@ class RoughPlastic(BSDF):
     `RoughConductor`; int_ior / ext_ior is in [1, 2.5]; the other parameters are those of `Plastic`.
     """
 
-    diffuse_reflectance: Float[Array, "*n 3"]
-    alpha: Float[Array, "*n"]
+    diffuse_reflectance: Color
+    alpha: Number
     eta: Float[Array, "*n"]
-    specular_reflectance: Float[Array, "*n 3"]
+    specular_reflectance: Color
     distribution: str = eqx.field(static=True)
     nonlinear: bool = eqx.field(static=True)
 
     def __init__(
         self,
-        diffuse_reflectance: ArrayLike = 0.5,
-        alpha: ArrayLike = 0.1,
+        diffuse_reflectance: Value = 0.5,
+        alpha: Value = 0.1,
         int_ior: ArrayLike | str = "polypropylene",
         ext_ior: ArrayLike | str = "air",
         *,
-        specular_reflectance: ArrayLike = 1.0,
+        specular_reflectance: Value = 1.0,
         distribution: str = "ggx",
         nonlinear: bool = False,
     ):

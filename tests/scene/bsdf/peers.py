@@ -40,6 +40,8 @@ def _peers():
         plugin = {"type": "principled", "base_color": base, "metallic": metallic, "roughness": roughness}
         yield f"principled {metallic}", model, {**plugin, "specular": specular}, 1e-3, 1e-3
     inner = {"type": "diffuse", "reflectance": base}
+    plugin = {"type": "normalmap", "normalmap": rgb(0.7, 0.4, 0.9), "inner": inner}
+    yield "normal map", jd.NormalMap((0.7, 0.4, 0.9), jd.Diffuse(COLOUR)), plugin, 1e-4, 1e-4
     yield "mask", jd.Mask(0.3, jd.Diffuse(COLOUR)), {"type": "mask", "opacity": 0.3, "inner": inner}, 1e-4, 1e-4
 
 

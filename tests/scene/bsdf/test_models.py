@@ -35,6 +35,7 @@ MODELS = {
     "principled": jd.Principled(COLOUR, 0.4, 0.5, 0.7),
     "mask": jd.Mask(0.3, jd.Principled(COLOUR, 0.9, 0.6)),
     "masked plastic": jd.Mask(0.6, jd.Plastic(COLOUR)),
+    "normal map": jd.NormalMap((0.6, 0.45, 0.9), jd.Principled(COLOUR, 0.4, 0.5, 0.7)),
 }
 models = pytest.mark.parametrize("name", MODELS)
 # For what takes long to compile: the second distribution is in the same places of the code as the first.
@@ -73,7 +74,7 @@ def test_energy(name):
         assert np.all(np.abs(weight.mean(0) - albedo) < 4 * error + 2e-3)
 
 
-@models
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "normal map"])  # that has none
 def test_reciprocity(name):
     """f(a, b) n_b² = f(b, a) n_a², with the indices n of the sides that a and b are on."""
     bsdf = MODELS[name]
@@ -149,6 +150,8 @@ EDGES = {
     "sharp": jd.Principled(0.0, 1.0, 0.0, 0.0),
     "dull": jd.Principled(1.0, 0.0, 1.0, 0.0),
     "mask": jd.Mask(0.0, jd.Mask(1.0, jd.Plastic())),
+    "across": jd.NormalMap((1.0, 0.5, 0.5), jd.RoughConductor(0.2)),
+    "no normal": jd.NormalMap(0.5, jd.Diffuse()),
 }
 
 

@@ -1,0 +1,85 @@
+"""Where textures jump: at UV seams, which are creases, and inside faces, where no estimator looks for it."""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+from jaxdr.geometry.vector import dot
+from jaxdr.scene.bsdf import BSDF
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.scene import Scene, unwrap
+from jaxdr.scene.textures import textures_in
+from jaxdr.transport.interaction import material_point
+from jaxdr.transport.texturing import tangents_along_u, texture_difference
+
+PROBES = 5  # points along an edge at which the two sides are compared
+TURN = 1e-5  # one less the cosine: tangents along u that differ by more turn a normal map
+LEAST = 0.1  # jump of textures that seams stand for at least: between the probes they may be further apart
+
+
+def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"]:
+    """How much the textures of the two faces at edges differ there, roughly; zero where UVs go on across. Detached.
+
+    Only the noise depends on how much it is, but it is positive wherever textures may jump inside a mesh.
+    """
+    if packed.uvs is None:
+        return jnp.zeros(edge.shape, packed.vertices.dtype)
+    packed = jax.tree.map(stop_gradient, packed)
+    interior, ends = packed.edges.interior[edge], packed.edges.vertices[edge]
+    sides = []
+    for k in (0, 1):
+        face = jnp.where(interior, packed.edges.faces[edge, k], 0)
+        sides.append((face, [packed.faces[face] == ends[:, i, None] for i in (0, 1)]))
+
+    def points(share):
+        for face, (start, end) in sides:
+            yield material_point(packed, face, (1.0 - share) * start + share * end, interior)
+
+    apart = jnp.zeros_like(interior)
+    for share in (0.0, 1.0):
+        one, two = (_uv(packed, point) for point in points(share))
+        apart |= (one != two).any(-1)
+    if packed.tangential:
+        (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
+        apart |= dot(one, two) < 1.0 - TURN
+    jump = sum(texture_difference(packed, *points((i + 0.5) / PROBES)) for i in range(PROBES)) / PROBES
+    return jnp.where(interior & apart, LEAST + jump, 0.0)
+
+
+def _uv(packed, point):
+    return (packed.uvs[packed.uv_faces[point.face]] * point.barycentric[..., None]).sum(1)
+
+
+def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool, attached: float) -> None:
+    """Raise ValueError where a texture's jumps inside faces move in the image, or in the image in an attached lobe.
+
+    With `fixed_rays` first hits slide over the shapes that move relative to the camera, in lobes narrower than
+    `attached` later ones over any shape. Points in material form take the jumps along.
+    """
+    lobes = any(type(unwrap(shape.bsdf)).lobe_width is not BSDF.lobe_width for shape in scene.shapes.values())
+    in_lobes = ["attached=0"] if lobes and attached > 0 else []
+    for (name, shape), moves in zip(scene.shapes.items(), moving, strict=True):
+        remedies = (['primary="material"'] if fixed_rays and moves else []) + in_lobes
+        for field, texture in textures_in(unwrap(shape.bsdf)):
+            if remedies and not texture.continuous:
+                raise ValueError(
+                    f"render: {name}.bsdf.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
+                    f"the image it has no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
+                    "or boundary=None for the interior term alone"
+                )
+
+
+def check_still_maps(active: Scene) -> None:
+    """Raise ValueError where a texture that jumps inside faces moves over its surface.
+
+    Leaves of the scene say whether they are differentiated.
+    """
+    for name, shape in active.shapes.items():
+        for field, texture in textures_in(unwrap(shape.bsdf)):
+            moves = bool(shape.mesh.uvs) or bool(getattr(texture, "to_uv", False))
+            if texture.uses_uv and moves and not texture.continuous:
+                raise ValueError(
+                    f"render: {name}.bsdf.{field} jumps inside faces ({type(texture).__name__}): it has no derivative "
+                    "by to_uv or UVs; use a bilinear Bitmap, or boundary=None for the interior term alone"
+                )

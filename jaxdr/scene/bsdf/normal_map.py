@@ -1,0 +1,109 @@
+"""Normals from a texture."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
+from jaxdr.scene.bsdf.parameters import Color, Value, rgb
+
+
+class NormalMap(BSDF):
+    """A BSDF in frames that are turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
+
+    `normal`: RGB in [0, 1], stored as (n + 1) / 2 (`Bitmap.from_file` with `raw`), n in the frame of the surface: x
+    along increasing u, z along the shading normal, y completes them. A normal that faces away from the viewer is turned
+    half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019), which hides that
+    none comes from below the surface. For a two-sided one: `TwoSided(NormalMap(normal, bsdf))`.
+
+    Where a mapped normal begins to face away, which is at grazing angles, the image jumps inside faces; the motion of
+    that jump has no derivative.
+    """
+
+    normal: Color
+    bsdf: BSDF
+
+    def __init__(self, normal: Value, bsdf: BSDF | TwoSided):
+        if not isinstance(bsdf, BSDF):
+            inside = type(bsdf).__name__
+            raise ValueError(
+                f"NormalMap: bsdf can't be a {inside}; a two-sided one is TwoSided(NormalMap(normal, bsdf))"
+            )
+        self.normal = rgb(normal, "NormalMap: normal")
+        self.bsdf = bsdf
+
+    @property
+    def transmissive(self) -> bool:
+        return self.bsdf.transmissive
+
+    @property
+    def delta(self) -> bool:
+        return self.bsdf.delta
+
+    @property
+    def tangential(self) -> bool:
+        return True
+
+    def eval(self, wi, wo):
+        frame = _Frame(self.normal, wi)
+        value = self.bsdf.eval(frame.to_local(wi), frame.to_local(wo)) * frame.shadowing(wo)[..., None]
+        return jnp.where(frame.keeps_side(wo)[..., None], value, 0.0)
+
+    def pdf(self, wi, wo):
+        frame = _Frame(self.normal, wi)
+        return jnp.where(frame.keeps_side(wo), self.bsdf.pdf(frame.to_local(wi), frame.to_local(wo)), 0.0)
+
+    def sample(self, wi, u):
+        frame = _Frame(self.normal, wi)
+        wo = frame.to_surface(self.bsdf.sample(frame.to_local(wi), u))
+        return jnp.where(frame.keeps_side(wo)[..., None], wo, 0.0)
+
+    def sample_delta(self, wi, u):
+        frame = _Frame(self.normal, wi)
+        inside = self.bsdf.sample_delta(frame.to_local(wi), u)
+        wo = frame.to_surface(inside.wo)
+        keeps = frame.keeps_side(wo)
+        weight = jnp.where(keeps[..., None], inside.weight * frame.shadowing(wo)[..., None], 0.0)
+        return DeltaSample(wo, weight, inside.probability)
+
+    def turn(self, wi, wo):
+        frame = _Frame(self.normal, wi)
+        return frame.to_surface(self.bsdf.turn(frame.to_local(wi), frame.to_local(wo)))
+
+    def lobe_width(self, wi):
+        return self.bsdf.lobe_width(_Frame(self.normal, wi).to_local(wi))
+
+
+class _Frame:
+    """The frame around mapped normals, in that of the surface."""
+
+    def __init__(self, stored: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"]):
+        n = 2.0 * stored - 1.0
+        turned = wi[..., 2] * dot(wi, n) <= 0
+        n = jnp.where(turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
+        none = dot(n, n) == 0
+        self.normal = normalize(jnp.where(none[..., None], jnp.asarray([0.0, 0.0, 1.0], n.dtype), n))
+        self.s, self.t = orthonormal_basis(self.normal)
+
+    def to_local(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """From the frame of the surface."""
+        return jnp.stack([dot(w, self.s), dot(w, self.t), dot(w, self.normal)], -1)
+
+    def to_surface(self, v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """To the frame of the surface."""
+        return v[..., :1] * self.s + v[..., 1:2] * self.t + v[..., 2:] * self.normal
+
+    def keeps_side(self, w: Float[Array, "*n 3"]):
+        """Whether directions are on the same side of the surface as of the mapped normal."""
+        return w[..., 2] * dot(w, self.normal) > 0
+
+    def shadowing(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+        """Estevez et al. 2019, Eq. 2 and 3: GGX masking, rougher the more the normal is turned."""
+        alpha2 = jnp.minimum(0.125 * _tangent2(self.normal), 1.0)
+        return 2.0 / (1.0 + jnp.sqrt(1.0 + alpha2 * _tangent2(w)))
+
+
+def _tangent2(w):
+    """Squared tangent of the angle to z; large, but finite, across it."""
+    cosine2 = jnp.maximum(w[..., 2] * w[..., 2], 1e-12)
+    return jnp.maximum(1.0 - cosine2, 0.0) / cosine2

@@ -1,0 +1,8 @@
+"""Textures, one model a file. Adding one: a file with a `Texture` subclass, and its name here."""
+
+from jaxdr.scene.textures.base import Texture as Texture
+from jaxdr.scene.textures.base import TexturePoint as TexturePoint
+from jaxdr.scene.textures.base import textures_in as textures_in
+from jaxdr.scene.textures.bitmap import Bitmap as Bitmap
+from jaxdr.scene.textures.checkerboard import Checkerboard as Checkerboard
+from jaxdr.scene.textures.vertex_colors import VertexColors as VertexColors

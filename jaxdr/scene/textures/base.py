@@ -1,0 +1,124 @@
+"""The interface of a texture: values that vary over a surface, in the place of a constant field of a BSDF.
+
+The path tracer looks the values up where it meets a surface; BSDFs are evaluated with them and never see a texture.
+"""
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
+
+
+class TexturePoint(NamedTuple):
+    """N points on surfaces, as textures see them. `uv` and `barycentric` are differentiable where points slide.
+
+    `uv`: texture coordinates, (0, 0) at an image's lower left; None in scenes whose textures use none. `barycentric`
+    coordinates in the face, and `vertices`, the rows of its corners in the vertices of its own mesh.
+    """
+
+    uv: Float[Array, "N 2"] | None
+    barycentric: Float[Array, "N 3"]
+    vertices: Int[Array, "N 3"]
+
+
+class Texture(eqx.Module):
+    """Values over a surface: one number or RGB.
+
+    `uses_uv`: it needs texture coordinates; else one row of data for every vertex.
+    """
+
+    uses_uv: ClassVar[bool] = True
+
+    @property
+    @abc.abstractmethod
+    def continuous(self) -> bool:
+        """Whether values change continuously inside a face. Where they jump and that moves, derivatives miss it."""
+
+    @abc.abstractmethod
+    def data(self) -> tuple[Float[Array, "..."], ...]:
+        """The arrays whose values, in the last axis, are looked up and mixed: of 1 (a number) or 3 channels (RGB)."""
+
+    @abc.abstractmethod
+    def lookup(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N C"]:
+        """Values at points. Every array of this texture has a leading axis: `row` says which one counts at a point."""
+
+    def fitted(self, channels: int, name: str) -> "Texture":
+        """The texture with this number of channels: numbers become grey. ValueError names the parameter otherwise."""
+        data = self.data()
+        if all(array.shape[-1] == channels for array in data):
+            return self
+        if channels == 1:
+            raise ValueError(f"{name} must be a number at every point, and the texture has RGB; give one channel of it")
+        grey = [jnp.broadcast_to(array, (*array.shape[:-1], channels)) for array in data]
+        return eqx.tree_at(lambda texture: texture.data(), self, tuple(grey))
+
+    def check_range(self, name: str, low: float, high: float) -> None:
+        """Raise ValueError that names the parameter where a value is outside of [low, high]; traced ones pass."""
+        for array in self.data():
+            if isinstance(array, Tracer):
+                continue
+            least, most = float(jnp.min(array)), float(jnp.max(array))
+            lowest, highest = (float(np.asarray(limit, array.dtype)) for limit in (low, high))
+            if not (lowest <= least and most <= highest and np.isfinite(most)):
+                expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
+                raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
+
+    def values(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N *C"]:
+        """What takes the texture's place in the BSDF of every point: numbers [N] or RGB [N, 3]."""
+        found = self.lookup(row, point)
+        return found[:, 0] if found.shape[-1] == 1 else found
+
+
+def textures_in(tree: Any) -> list[tuple[str, Texture]]:
+    """All textures in a pytree, with the names of the fields that lead to them, joined by dots."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree, is_leaf=lambda leaf: isinstance(leaf, Texture))
+    return [(jax.tree_util.keystr(path, simple=True, separator="."), x) for path, x in leaves if isinstance(x, Texture)]
+
+
+def channels_last(value: ArrayLike, name: str, axes: int) -> Float[Array, "..."]:
+    """Float array of numbers or RGB at `axes` indices, channels last; ValueError names the parameter otherwise."""
+    array = jnp.asarray(value)
+    if not jnp.issubdtype(array.dtype, jnp.floating) and axes:
+        raise ValueError(f"{name} must be floats, linear, got {array.dtype}")
+    array = jnp.asarray(array, float)
+    if array.ndim == axes:
+        array = array[..., None]
+    if array.ndim != axes + 1 or array.shape[-1] not in (1, 3) or 0 in array.shape:
+        raise ValueError(f"{name} must have 1 or 3 channels at {axes} indices, got shape {array.shape}")
+    return array
+
+
+class ImageTexture(Texture):
+    """A texture in the plane of an image, placed by an affine map of the UVs, `to_uv` (None: as they are).
+
+    `to_uv` [2, 3]: (u', v') = `to_uv` @ (u, v, 1).
+    """
+
+    to_uv: eqx.AbstractVar[Float[Array, "*k 2 3"] | None]
+
+    def image_point(self, row: Int[Array, " N"], point: TexturePoint) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+        """Coordinates in the image, (0, 0) at its top left and (1, 1) at its lower right, before any wrapping."""
+        assert point.uv is not None
+        u, v = point.uv[:, 0], point.uv[:, 1]
+        if self.to_uv is not None:
+            matrix = self.to_uv[row]
+            u, v = (matrix[:, i, 0] * u + matrix[:, i, 1] * v + matrix[:, i, 2] for i in (0, 1))
+        return u, 1.0 - v
+
+
+def affine(to_uv: ArrayLike | None, name: str) -> Float[Array, "2 3"] | None:
+    """An affine map of the plane, from [2, 3] or [3, 3] with the last row 0 0 1."""
+    if to_uv is None:
+        return None
+    matrix = jnp.asarray(to_uv, float)
+    if matrix.shape == (3, 3) and not isinstance(matrix, Tracer) and matrix[2].tolist() != [0, 0, 1]:
+        raise ValueError(f"{name}: the last row of to_uv must be 0 0 1, got {matrix[2].tolist()}")
+    if matrix.shape not in ((2, 3), (3, 3)):
+        raise ValueError(f"{name}: to_uv must have shape [2, 3] or [3, 3], got {list(matrix.shape)}")
+    return matrix[:2]

@@ -1,0 +1,97 @@
+"""Images on surfaces."""
+
+import os
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.images import load_image
+from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
+
+FILTERS = ("bilinear", "nearest")
+WRAPS = ("repeat", "mirror", "clamp")
+
+
+class Bitmap(ImageTexture):
+    """An image, `pixels` [H, W] or [H, W, C] (C = 1 or 3; linear floats, the top row first), over UVs in [0, 1]².
+
+    Values belong to the centres of pixels. `filter`: "bilinear" interpolates between them, "nearest" takes the nearest
+    one's (then values jump inside faces). `wrap` says what is outside of [0, 1]²: "repeat", "mirror" or "clamp".
+    `to_uv` [2, 3] or [3, 3] maps the UVs before the image is looked up. What Mitsuba 3's `bitmap` gives.
+
+    Raises ValueError for another shape, integers (`Bitmap.from_file` reads images), or an unknown `filter` or `wrap`.
+    """
+
+    pixels: Float[Array, "*k H W C"]
+    to_uv: Float[Array, "*k 2 3"] | None
+    filter: str = eqx.field(static=True)
+    wrap: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        pixels: ArrayLike,
+        *,
+        filter: str = "bilinear",
+        wrap: str = "repeat",
+        to_uv: ArrayLike | None = None,
+    ):
+        for name, value, known in (("filter", filter, FILTERS), ("wrap", wrap, WRAPS)):
+            if value not in known:
+                raise ValueError(f"Bitmap: {name} must be one of {', '.join(known)}; got {value!r}")
+        self.pixels = channels_last(pixels, "Bitmap: pixels [H, W, C]", 2)
+        self.to_uv = affine(to_uv, "Bitmap")
+        self.filter = filter
+        self.wrap = wrap
+
+    @classmethod
+    def from_file(
+        cls, path: str | os.PathLike, *, raw: bool = False, channel: int | None = None, **settings
+    ) -> "Bitmap":
+        """The texture of an image file that `load_image` reads; `settings` are those of `Bitmap`.
+
+        PNG and JPEG hold sRGB, which is made linear: right for colours. For roughness, opacity and normals `raw` leaves
+        their numbers as they are. `channel` takes one alone (0 red … 3 alpha); without it alpha is dropped.
+        Raises ValueError that names the file for one that can't be read, or has no such channel.
+        """
+        image = load_image(path, raw=raw)
+        if channel is None:
+            return cls(image[..., :3], **settings)
+        if not 0 <= channel < image.shape[-1]:
+            raise ValueError(f"{path}: there is no channel {channel}; the image has {image.shape[-1]}")
+        return cls(image[..., channel], **settings)
+
+    @property
+    def continuous(self) -> bool:
+        return self.filter == "bilinear"
+
+    def data(self):
+        return (self.pixels,)
+
+    def lookup(self, row, point):
+        height, width = self.pixels.shape[-3:-1]
+        across, down = self.image_point(row, point)
+        x, y = across * width, down * height
+        if self.filter == "nearest":
+            return self._pixel(row, jnp.floor(x), jnp.floor(y))
+        x, y = x - 0.5, y - 0.5
+        left, top = jnp.floor(x), jnp.floor(y)
+        right, below = (x - left)[:, None], (y - top)[:, None]
+        upper = (1.0 - right) * self._pixel(row, left, top) + right * self._pixel(row, left + 1, top)
+        lower = (1.0 - right) * self._pixel(row, left, top + 1) + right * self._pixel(row, left + 1, top + 1)
+        return (1.0 - below) * upper + below * lower
+
+    def _pixel(self, row, x, y) -> Float[Array, "N C"]:
+        height, width = self.pixels.shape[-3:-1]
+        return self.pixels[row, self._wrapped(y, height), self._wrapped(x, width)]
+
+    def _wrapped(self, index, size):
+        """Row or column of the image that an index without limits stands for."""
+        index = index.astype(jnp.int32)
+        if self.wrap == "clamp":
+            return jnp.clip(index, 0, size - 1)
+        if self.wrap == "repeat":
+            return jnp.mod(index, size)
+        there_and_back = jnp.mod(index, 2 * size)
+        return jnp.minimum(there_and_back, 2 * size - 1 - there_and_back)

@@ -1,0 +1,35 @@
+"""A board of two colours."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
+
+
+class Checkerboard(ImageTexture):
+    """Two by two fields over UVs in [0, 1]² and on: `color0` at the upper left and lower right, else `color1`.
+
+    Both are numbers or both RGB; `to_uv` [2, 3] or [3, 3] maps the UVs first. Mitsuba 3's `checkerboard`.
+    """
+
+    color0: Float[Array, "*k C"]
+    color1: Float[Array, "*k C"]
+    to_uv: Float[Array, "*k 2 3"] | None
+
+    def __init__(self, color0: ArrayLike = 0.4, color1: ArrayLike = 0.2, *, to_uv: ArrayLike | None = None):
+        colors = [channels_last(c, f"Checkerboard: color{i}", 0) for i, c in enumerate((color0, color1))]
+        channels = max(color.shape[0] for color in colors)
+        self.color0, self.color1 = (jnp.broadcast_to(color, (channels,)) for color in colors)
+        self.to_uv = affine(to_uv, "Checkerboard")
+
+    @property
+    def continuous(self) -> bool:
+        return False
+
+    def data(self):
+        return self.color0, self.color1
+
+    def lookup(self, row, point):
+        second_column, second_row = (x - jnp.floor(x) > 0.5 for x in self.image_point(row, point))
+        return jnp.where((second_column == second_row)[:, None], self.color0[row], self.color1[row])

@@ -1,0 +1,64 @@
+"""BSDFs at surface points: each point gets its shape's, and the values of its textures."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.scene.bsdf import BSDF
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.textures import Texture, TexturePoint, textures_in
+from jaxdr.transport.interaction import SurfacePoint
+
+
+def bsdfs_at(packed: PackedScene, point: SurfacePoint, shape: Int[Array, " N"]) -> list[tuple[BSDF, Bool[Array, " N"]]]:
+    """For each kind of BSDF its fields at points of the shapes `shape`, one row each, and which points have it."""
+    at = texture_point(packed, point) if packed.textured else None
+    return [(_take(group.bsdf, group.row[shape], at), group.member[shape]) for group in packed.bsdfs]
+
+
+def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
+    """Where textures are looked up. It moves over the face where the point does."""
+    assert point.on_face is not None  # there wherever the scene has textures
+    uv = None
+    if packed.uvs is not None:
+        uv = (packed.uvs[packed.uv_faces[point.face]] * point.on_face[..., None]).sum(1)
+    first = jnp.asarray(packed.first_vertex, jnp.int32)[packed.face_shape[point.face]]
+    return TexturePoint(uv, point.on_face, packed.faces[point.face] - first[:, None])
+
+
+def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
+    """Two tangents to the shading normal: the first where u increases, the second completes a right-handed frame.
+
+    Any two where the UVs of a face tell no direction.
+    """
+    normal = point.shading_normal
+    corners, uv = packed.vertices[packed.faces[point.face]], packed.uvs[packed.uv_faces[point.face]]
+    sides, steps = corners[:, 1:] - corners[:, :1], uv[:, 1:] - uv[:, :1]
+    area = steps[:, 0, 0] * steps[:, 1, 1] - steps[:, 0, 1] * steps[:, 1, 0]
+    along = steps[:, 1, 1, None] * sides[:, 0] - steps[:, 0, 1, None] * sides[:, 1]
+    along = normalize(along) * jnp.sign(area)[:, None]  # dp/du at constant v
+    along = normalize(along - dot(normal, along)[:, None] * normal)
+    known = dot(along, along)[:, None] > 0
+    s = jnp.where(known, along, orthonormal_basis(normal)[0])
+    return s, jnp.cross(normal, s)
+
+
+def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint) -> Float[Array, " N"]:
+    """Sum over all textured fields of how much they differ between points of the same shapes, mean over channels."""
+    shape = packed.face_shape[one.face]
+    first, second = texture_point(packed, one), texture_point(packed, two)
+    total = jnp.zeros_like(one.area)
+    for group in packed.bsdfs:
+        for _, texture in textures_in(group.bsdf):
+            row = group.row[shape]
+            apart = jnp.abs(texture.lookup(row, first) - texture.lookup(row, second)).mean(-1)
+            total = total + jnp.where(group.member[shape], apart, 0.0)
+    return total
+
+
+def _take(bsdf: BSDF, row: Int[Array, " N"], at: TexturePoint | None) -> BSDF:
+    def at_points(field):
+        return field[row] if at is None or not isinstance(field, Texture) else field.values(row, at)
+
+    return jax.tree.map(at_points, bsdf, is_leaf=lambda field: isinstance(field, Texture))
