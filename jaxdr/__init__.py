@@ -35,6 +35,7 @@ from jaxdr.scene.camera import Perspective as Perspective
 from jaxdr.scene.camera import look_at as look_at
 from jaxdr.scene.emitters import AreaEmitter as AreaEmitter
 from jaxdr.scene.emitters import ConstantEnvironment as ConstantEnvironment
+from jaxdr.scene.environment_map import EnvironmentMap as EnvironmentMap
 from jaxdr.scene.film import Box as Box
 from jaxdr.scene.film import Film as Film
 from jaxdr.scene.film import Gaussian as Gaussian

@@ -194,7 +194,7 @@ class AttachedLines:
             offset = point.position - seen.apex
             distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
             cosine = jnp.abs(dot(point.normal, seen.towards))
-            total = density + emitter_pdf(self.detached, point, distance2, cosine)
+            total = density + emitter_pdf(self.detached, point, seen.towards, distance2, cosine)
             return density / jnp.where(total > 0, total, 1.0)
 
         return jax.vmap(share)(sides)

@@ -130,7 +130,7 @@ class EmitterLines:
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
         towards = offset / jnp.sqrt(distance2)[:, None]
         detached = jax.tree.map(stop_gradient, self.packed)
-        density = emitter_pdf(detached, point, distance2, jnp.abs(dot(point.normal, towards)))
+        density = emitter_pdf(detached, point, towards, distance2, jnp.abs(dot(point.normal, towards)))
         total = density + scatterer.pdf(towards)
         return density / jnp.where(total > 0, total, 1.0)
 

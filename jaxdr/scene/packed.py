@@ -19,7 +19,7 @@ from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.color import luminance
-from jaxdr.scene.emitters import ConstantEnvironment
+from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.scene import Scene, unwrap
 
 
@@ -62,7 +62,8 @@ class PackedScene(eqx.Module):
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
     camera: Perspective
-    environment: ConstantEnvironment | None
+    environment: Environment | None
+    environment_sampler: DirectionSampler | None
 
     @property
     def has_area_emitters(self) -> bool:
@@ -141,6 +142,7 @@ def pack(scene: Scene) -> PackedScene:
         emitter_faces=emitter_faces,
         camera=scene.camera,
         environment=scene.environment,
+        environment_sampler=scene.environment and scene.environment.sampler(),
     )
 
 

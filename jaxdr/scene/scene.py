@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective
-from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
+from jaxdr.scene.emitters import AreaEmitter, Environment
 
 RESERVED = ("camera", "environment")
 
@@ -42,7 +42,7 @@ class Scene(eqx.Module):
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
     camera: Perspective
-    environment: ConstantEnvironment | None = None
+    environment: Environment | None = None
 
     def __check_init__(self):
         if not self.shapes:

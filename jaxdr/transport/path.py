@@ -362,7 +362,7 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
 
     emission = jnp.zeros_like(throughput)
     if settings.mis:
-        found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
+        found = emitter_pdf(packed, following, transfer.towards, transfer.distance2, jnp.abs(transfer.cosine))
         if narrow is None:
             weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
         else:

@@ -1,6 +1,5 @@
 """BSDFs and emitters of a packed scene, at surface points."""
 
-import math
 from typing import NamedTuple
 
 import jax
@@ -10,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
-from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
+from jaxdr.scene.sampling import uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
 from jaxdr.transport.near_field import NearField
 
@@ -196,8 +195,13 @@ def has_emitters(packed: PackedScene) -> bool:
     return packed.environment is not None or packed.has_area_emitters
 
 
+def environment_radiance(packed: PackedScene, direction: Float[Array, "N 3"]) -> Float[Array, "*#N 3"]:
+    """Radiance of the environment from unit world directions, differentiable in them."""
+    return packed.environment.eval(direction)
+
+
 def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:
-    """Material points on emitters, proportional to power; directions to the environment, uniform."""
+    """Material points on emitters and directions to the environment, proportional to power."""
     n, dtype = u.shape[0], u.dtype
     p_environment = environment_probability(packed)
     infinite = jnp.full(n, p_environment == 1.0)
@@ -217,9 +221,9 @@ def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample
         nowhere = jnp.zeros(n, jnp.int32)
         point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
     if packed.environment is not None:
-        direction = uniform_sphere(u)
-        radiance = jnp.where(infinite[:, None], packed.environment.radiance, radiance)
-        pdf = jnp.where(infinite, p_environment / (4 * math.pi), pdf)
+        direction = packed.environment_sampler.sample(u)
+        radiance = jnp.where(infinite[:, None], environment_radiance(packed, direction), radiance)
+        pdf = jnp.where(infinite, p_environment * packed.environment_sampler.pdf(direction), pdf)
     return EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))
 
 
@@ -243,10 +247,12 @@ def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Arra
     return probability[point.face] / stop_gradient(point.area)
 
 
-def emitter_pdf(packed: PackedScene, point: SurfacePoint, distance2, cosine) -> Float[Array, " N"]:
-    """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or the direction of a miss."""
+def emitter_pdf(
+    packed: PackedScene, point: SurfacePoint, direction: Float[Array, "N 3"], distance2, cosine
+) -> Float[Array, " N"]:
+    """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or on a miss its `direction`."""
     p_environment = environment_probability(packed)
-    miss = p_environment / (4 * math.pi)
+    miss = 0.0 if packed.environment is None else p_environment * packed.environment_sampler.pdf(direction)
     if not packed.has_area_emitters:
         return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
     per_area = (1 - p_environment) * emitting_surface_pdf(packed, point)
@@ -263,5 +269,5 @@ def emitted(packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]) -
         front = point.valid & (stop_gradient(dot(point.normal, wi)) > 0)
         result = jnp.where(front[:, None], packed.radiance[packed.face_shape[point.face]], 0.0)
     if packed.environment is not None:
-        result = jnp.where(point.valid[:, None], result, packed.environment.radiance)
+        result = jnp.where(point.valid[:, None], result, environment_radiance(packed, -wi))
     return result
