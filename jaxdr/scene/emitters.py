@@ -34,6 +34,10 @@ class DirectionSampler(eqx.Module):
         """Density (solid angle) at unit world directions; differentiable in them."""
 
     @abc.abstractmethod
+    def extent(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
+        """Angle (radians) around directions within which the density stays comparable to that there; detached."""
+
+    @abc.abstractmethod
     def mean(self) -> Float[Array, ""]:
         """Luminance of the mean radiance over the sphere, about; detached."""
 
@@ -66,6 +70,10 @@ class UniformDirections(DirectionSampler):
     def pdf(self, direction):
         del direction
         return 1.0 / (4.0 * math.pi)
+
+    def extent(self, direction):
+        del direction
+        return math.pi
 
     def mean(self):
         return jnp.maximum(luminance(self.radiance), 0.0)

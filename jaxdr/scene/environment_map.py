@@ -20,6 +20,10 @@ from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.sampling import linear, search_sorted_rows
 
 FLOOR = 0.01  # luminance that every direction is sampled with at least, relative to the mean
+# Share of the mean of a cell in its corners. Bilinear alone, the density is so low at a black texel beside the sun that
+# the slope of the look-up, which is what a turning map's derivative samples, is divided by next to nothing.
+BLEND = 0.5
+COMPARABLE = 0.25  # share of the density to which it may fall within `extent`
 
 
 class EnvironmentMap(Environment):
@@ -57,8 +61,7 @@ class EnvironmentMap(Environment):
     def eval(self, direction):
         height, width, _ = self.radiance.shape
         local = _to_map(self.to_world[:3, :3], direction)
-        cosine, theta, u = _angles(local)
-        del cosine
+        _, theta, u = _angles(local)
         row, along_row = _cell(theta * ((height - 1) / math.pi), height - 1)
         first, second, along = _columns(u, width)
         table = self.radiance.reshape(-1, 3)
@@ -76,14 +79,16 @@ class EnvironmentMap(Environment):
 class LatLongSampler(DirectionSampler):
     """Density per solid angle that is bilinear in longitude and the cosine of the polar angle, in every cell of a map.
 
-    `corners` is what it is proportional to at the texels, `integral` that over the sphere. Cells lie between the texels:
-    `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within each band.
+    `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie between the texels:
+    `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within each band. `extents` of
+    the cells: within that angle the density stays above a quarter of the highest in the cell, half a texel at least.
     """
 
     corners: Float[Array, "H W"]
     integral: Float[Array, ""]
     rows: Float[Array, " R"]
     columns: Float[Array, "R W"]
+    extents: Float[Array, "R W"]
     to_world: Float[Array, "3 3"]
     scale: Float[Array, ""]
 
@@ -100,7 +105,15 @@ class LatLongSampler(DirectionSampler):
         columns = jnp.cumsum(cells, axis=1)
         bands = columns[:, -1]
         rows = jnp.cumsum(bands)
-        return cls(corners, rows[-1], rows / rows[-1], columns / bands[:, None], _rotation(to_world), scale)
+        return cls(
+            corners=corners,
+            integral=rows[-1],
+            rows=rows / rows[-1],
+            columns=columns / bands[:, None],
+            extents=_extents(corners),
+            to_world=_rotation(to_world),
+            scale=scale,
+        )
 
     def sample(self, u):
         height, width = self.corners.shape
@@ -119,13 +132,19 @@ class LatLongSampler(DirectionSampler):
     def pdf(self, direction):
         height, width = self.corners.shape
         cosine, theta, u = _angles(_to_map(self.to_world, direction))
-        row, _ = _cell(stop_gradient(theta) * ((height - 1) / math.pi), height - 1)
+        row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
         first, second, along = _columns(u, width)
         edges = jnp.asarray(_band_edges(height), cosine.dtype)
         down = jnp.clip((edges[row] - cosine) / (edges[row] - edges[row + 1]), 0.0, 1.0)
         (a, b), (c, d) = self._at(row, first, second)
         value = (1 - down) * ((1 - along) * a + along * b) + down * ((1 - along) * c + along * d)
         return value / self.integral
+
+    def extent(self, direction):
+        height, width = self.corners.shape
+        _, theta, u = _angles(_to_map(self.to_world, stop_gradient(direction)))
+        row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
+        return self.extents.reshape(-1)[row * width + _columns(u, width)[0]]
 
     def mean(self):
         return self.scale * self.integral / (4.0 * math.pi * (1.0 + FLOOR))
@@ -134,7 +153,10 @@ class LatLongSampler(DirectionSampler):
         """Corners of cells: ((upper left, upper right), (lower left, lower right))."""
         width = self.corners.shape[1]
         table = self.corners.reshape(-1)
-        return tuple((table[(row + k) * width + first], table[(row + k) * width + second]) for k in (0, 1))
+        corners = [table[(row + k) * width + column] for k in (0, 1) for column in (first, second)]
+        mean = BLEND * 0.25 * sum(corners)
+        a, b, c, d = ((1.0 - BLEND) * corner + mean for corner in corners)
+        return (a, b), (c, d)
 
 
 def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -183,3 +205,33 @@ def _band_angles(height: int, width: int, dtype) -> Float[Array, " R"]:
     """Solid angle of a cell in every band."""
     middle = np.pi * (np.arange(height - 1) + 0.5) / (height - 1)
     return jnp.asarray(2 * np.sin(middle) * np.sin(0.5 * np.pi / (height - 1)) * 2 * np.pi / width, dtype)
+
+
+def _extents(corners: Float[Array, "H W"]) -> Float[Array, "R W"]:
+    """Angles around the cells within which the lowest corner is at least a quarter of the highest of the cell."""
+    height, width = corners.shape
+    stacked = jnp.stack([corners[:-1], corners[1:]])
+    stacked = jnp.concatenate([stacked, jnp.roll(stacked, -1, axis=2)])
+    highest, lowest = stacked.max(0), stacked.min(0)
+    step = np.pi / (height - 1)
+    middle = (np.arange(height - 1) + 0.5) * step
+    polar = np.minimum(middle, np.pi - middle)[:, None]
+    # What is certainly within k cells of a cell: columns are narrower towards the poles.
+    result, k = jnp.full_like(lowest, 0.5) * _texel(polar, width, step), 1
+    while 2 * k <= min(height - 1, width) // 2:
+        lowest = _grown(lowest, max(k // 2, 1))  # over 1, 2, 4, ... cells to all sides
+        result = jnp.where(lowest >= COMPARABLE * highest, k * _texel(polar - k * step, width, step), result)
+        k *= 2
+    return result
+
+
+def _texel(polar, width: int, step: float):
+    """Smaller side of a cell (radians) at an angle from the nearer pole."""
+    return np.minimum(step, 2 * np.pi / width * np.sin(np.maximum(polar, 0.5 * step)))
+
+
+def _grown(table: Float[Array, "R W"], cells: int) -> Float[Array, "R W"]:
+    """Minimum over what is up to `cells` away in rows and columns, for a table that is one already."""
+    down = jnp.pad(table, ((cells, cells), (0, 0)), mode="edge")
+    table = jnp.minimum(jnp.minimum(down[: -2 * cells], down[2 * cells :]), table)
+    return jnp.minimum(jnp.minimum(jnp.roll(table, cells, axis=1), jnp.roll(table, -cells, axis=1)), table)

@@ -36,8 +36,9 @@ class Segments(NamedTuple):
     `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
     without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
     over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples; `lobe`, of
-    BSDF-sampled segments, is that over the density of `direction` (solid angle), whatever lies there.
+    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples, and `unlit`,
+    the weight without the radiance, where that of the environment depends on the direction; `lobe`, of BSDF-sampled
+    segments, is the throughput over the density of `direction` (solid angle), whatever lies there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -49,6 +50,7 @@ class Segments(NamedTuple):
     weight: Float[Array, "B N 3"]
     visible: Bool[Array, "B N"]
     throughput: Float[Array, "B N 3"] | None = None
+    unlit: Float[Array, "B N 3"] | None = None
     lobe: Float[Array, "B N 3"] | None = None
 
 
@@ -286,6 +288,9 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     elif settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
         light *= (solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)))[:, None]
+    unlit = None
+    if packed.environment is not None and not packed.environment.uniform:
+        unlit = jnp.where(reachable[:, None], throughput / sample.pdf[:, None], 0.0)
     segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -296,6 +301,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         weight=jnp.where(reachable[:, None], arriving, 0.0),
         visible=seen,
         throughput=jnp.where(point.valid[:, None], throughput, 0.0),
+        unlit=unlit,
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
 
@@ -317,7 +323,7 @@ def _balance(density, other, narrow):
 def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
     """A vertex behind which paths end: emitter sampling alone."""
     light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
-    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, lobe=jnp.zeros_like(light))
+    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, unlit=None, lobe=jnp.zeros_like(light))
     return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
 
 
