@@ -1,15 +1,14 @@
 """Environment map: radiance from a photograph of all directions, looked up as Mitsuba's `envmap` does.
 
 With direction d in the map's frame, u = atan2(d.x, -d.z) / 2π and v = acos(d.y) / π. Column i of W is centred at
-u = (i + 1/2) / W and goes around; row j of H is at v = j / (H - 1), the first one at the pole +y. Look-ups are bilinear.
+u = (i + 1/2) / W and goes around; row j of H is at v = j / (H - 1), the first at the pole +y. Look-ups are bilinear.
 """
 
 import math
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
@@ -52,7 +51,7 @@ class EnvironmentMap(Environment):
             raise ValueError(f"EnvironmentMap: to_world must be a 4 x 4 matrix, got shape {self.to_world.shape}")
         if self.scale.shape != ():
             raise ValueError(f"EnvironmentMap: scale must be a number, got shape {self.scale.shape}")
-        if not isinstance(self.to_world, jax.core.Tracer):
+        if not isinstance(self.to_world, Tracer):
             turn = np.asarray(self.to_world, float)[:3, :3]
             gram = turn.T @ turn
             if not np.allclose(gram, gram[0, 0] * np.eye(3), atol=1e-3 * abs(gram[0, 0])) or not gram[0, 0] > 0:
@@ -79,9 +78,10 @@ class EnvironmentMap(Environment):
 class LatLongSampler(DirectionSampler):
     """Density per solid angle that is bilinear in longitude and the cosine of the polar angle, in every cell of a map.
 
-    `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie between the texels:
-    `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within each band. `extents` of
-    the cells: within that angle the density stays above a quarter of the highest in the cell, half a texel at least.
+    `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie
+    between the texels: `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within
+    each band. `extents` of the cells: within that angle the density stays above a quarter of the highest in the cell,
+    or half a texel.
     """
 
     corners: Float[Array, "H W"]

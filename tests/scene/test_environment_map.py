@@ -1,4 +1,4 @@
-"""Environment maps: look-up, density and sampler on their own. What they light is in tests/transport/test_environment.py."""
+"""Environment maps: look-up, density and sampler on their own; tests/transport has what they light."""
 
 from functools import cache
 
