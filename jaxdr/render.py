@@ -151,6 +151,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     distribution = prepared = None
     if with_boundary:
         _check_opaque(packed)
+        _check_hard_shadows(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         key, pilot_key = jax.random.split(key)
         distribution = edge_distribution(packed, shapes, pilot_key)
@@ -182,6 +183,12 @@ def _check_opaque(packed: PackedScene) -> None:
                 f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
                 "opaque BSDF, differentiate nothing that moves, or boundary=None for the interior term alone"
             )
+
+
+def _check_hard_shadows(packed: PackedScene) -> None:
+    """Raises ValueError where hard shadows would have to move."""
+    if packed.light_count:
+        raise ValueError("render: the hard shadows of lights without area have no derivative yet")
 
 
 def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key, spp, integrator) -> dict:

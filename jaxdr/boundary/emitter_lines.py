@@ -14,10 +14,10 @@ from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitter_pdf, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
-from jaxdr.transport.shading import emitted, emitter_pdf, emitting_surface_pdf
 
 
 class Centres(NamedTuple):

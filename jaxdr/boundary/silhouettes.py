@@ -8,11 +8,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
+from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint, footprint
 from jaxdr.transport.path import Segments, Vertices
 from jaxdr.transport.primary import PrimarySamples
-from jaxdr.transport.shading import Scatterer, environment_radiance
+from jaxdr.transport.shading import Scatterer
 
 # How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
 BESIDE = 1.2e-5

@@ -32,11 +32,11 @@ def _perspective(element: Element) -> Perspective:
     if sampler is not None:
         read_plugin(sampler, SAMPLERS, "it has no effect")
     properties.ignore(*SENSOR_SETTINGS)
-    fov, axis = _field_of_view(properties)
+    fov, axis = field_of_view(properties)
     return Perspective(to_world, fov, _read_film(film), axis, near, far)
 
 
-def _field_of_view(properties: Properties) -> tuple[float, str]:
+def field_of_view(properties: Properties) -> tuple[float, str]:
     """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
     fov = properties.value("fov", NUMBER)
     axis = properties.value("fov_axis", "string", "x")

@@ -1,4 +1,4 @@
-"""Scene: shapes, camera and environment as one pytree with named parameters."""
+"""Scene: shapes, camera, environment and lights as one pytree with named parameters."""
 
 from collections.abc import Mapping
 
@@ -11,6 +11,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.emitters import AreaEmitter, Environment
+from jaxdr.scene.lights import DeltaLight
 
 RESERVED = ("camera", "environment")
 
@@ -29,31 +30,39 @@ class Shape(eqx.Module):
                 raise ValueError(f"Shape: {name} can't be a {type(value).__name__}")
 
 
-def _sorted_by_id(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
+def _sorted_by_id(members: Mapping) -> dict:
     # JAX sorts dictionaries when it flattens them: sorting here keeps the order the same before and after.
-    return dict(sorted(shapes.items()))
+    return dict(sorted(members.items()))
 
 
 class Scene(eqx.Module):
-    """Shapes by id, one camera, and an environment or None.
+    """Shapes by id, one camera, an environment or None, and lights without area by id.
 
-    Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`.
+    Raises ValueError for ids that are empty, contain a dot, collide with `camera` and `environment`, or name both a
+    shape and a light.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
     camera: Perspective
     environment: Environment | None = None
+    lights: dict[str, DeltaLight] = eqx.field(converter=_sorted_by_id, default_factory=dict)
 
     def __check_init__(self):
         if not self.shapes:
             raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
-        for name, shape in self.shapes.items():
-            if not name or "." in name or name in RESERVED:
-                raise ValueError(
-                    f"Scene: {name!r} can't be a shape id (no dots, not empty, not {' or '.join(RESERVED)})"
-                )
-            if not isinstance(shape, Shape):
-                raise ValueError(f"Scene: shapes[{name!r}] is a {type(shape).__name__}, expected a jaxdr.Shape")
+        for kind, members, expected in (("shape", self.shapes, Shape), ("light", self.lights, DeltaLight)):
+            for name, member in members.items():
+                if not name or "." in name or name in RESERVED:
+                    raise ValueError(
+                        f"Scene: {name!r} can't be a {kind} id (no dots, not empty, not {' or '.join(RESERVED)})"
+                    )
+                if not isinstance(member, expected):
+                    raise ValueError(
+                        f"Scene: {kind}s[{name!r}] is a {type(member).__name__}, expected a jaxdr.{expected.__name__}"
+                    )
+        for name in self.lights:
+            if name in self.shapes:
+                raise ValueError(f"Scene: {name!r} is the id of a shape and of a light")
 
     def parameters(self) -> dict[str, Array]:
         """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them."""
@@ -93,6 +102,9 @@ def _accessors(scene: Scene) -> dict:
     if scene.environment is not None:
         for field in _float_fields(scene.environment):
             found[f"environment.{field}"] = lambda s, f=field: getattr(s.environment, f)
+    for name, light in scene.lights.items():
+        for field in _float_fields(light):
+            found[f"{name}.{field}"] = lambda s, n=name, f=field: getattr(s.lights[n], f)
     return found
 
 

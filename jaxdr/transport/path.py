@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import (
     SurfacePoint,
     detached_barycentric,
@@ -26,7 +27,7 @@ from jaxdr.transport.interaction import (
 )
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.sampler import uniform
-from jaxdr.transport.shading import Scatterer, ScatteringJump, emitted, emitter_pdf, sample_emitter
+from jaxdr.transport.shading import Scatterer, ScatteringJump
 
 
 class Segments(NamedTuple):
@@ -237,11 +238,14 @@ class _Transfer(NamedTuple):
     geometry: Float[Array, " N"]
 
 
-def _transfer(scatterer, target: SurfacePoint, infinite, direction) -> _Transfer:
+def _transfer(scatterer, target: SurfacePoint, infinite, direction, delta=None) -> _Transfer:
+    """`delta` ones have no area, and so no cosine."""
     offset = target.position - scatterer.point.position
     towards = jnp.where(infinite[:, None], direction, normalize(offset))
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
     cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
+    if delta is not None:
+        cosine = jnp.where(delta, 1.0, cosine)
     geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
     scattered = scatterer.eval_towards(towards, target.position, infinite)
     return _Transfer(scattered * geometry[:, None], towards, distance2, cosine, geometry)
@@ -268,7 +272,8 @@ def _both_forms(
 def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
     sample, point = sample_emitter(packed, u), scatterer.point
-    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction)
+    delta = sample.is_delta
+    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction, delta)
     infinite, towards = sample.infinite[:, None], fixed.towards
     facing = stop_gradient(fixed.cosine) > 0
     reachable = point.valid & facing & (stop_gradient(fixed.value) != 0).any(-1)
@@ -279,18 +284,21 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     # Narrow lobes have one form: it has no geometric term that grows, and MIS bounds that of the emitter samples.
     narrow = _narrow(scatterer, settings)
     far = sample.infinite if narrow is None else sample.infinite | narrow
+    far = far if delta is None else far | delta
     value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction, far)
-    arriving = throughput * sample.radiance / sample.pdf[:, None]
+    arriving = throughput * radiance_towards(packed, sample, towards) / sample.pdf[:, None]
     light = arriving * value
     if narrow is not None:
         solid_angle_pdf = sample.pdf * fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0)
-        light *= _balance(solid_angle_pdf, scatterer.density(towards), narrow)[:, None]
+        light *= _share(_balance(solid_angle_pdf, scatterer.density(towards), narrow), delta)
     elif settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
-        light *= (solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)))[:, None]
+        light *= _share(solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)), delta)
+    # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
+    carries = reachable if delta is None else reachable & ~delta
     unlit = None
     if packed.environment is not None and not packed.environment.uniform:
-        unlit = jnp.where(reachable[:, None], throughput / sample.pdf[:, None], 0.0)
+        unlit = jnp.where(carries[:, None], throughput / sample.pdf[:, None], 0.0)
     segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -298,7 +306,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         target_barycentric=sample.point.barycentric,
         infinite=sample.infinite,
         direction=sample.direction,
-        weight=jnp.where(reachable[:, None], arriving, 0.0),
+        weight=jnp.where(carries[:, None], arriving, 0.0),
         visible=seen,
         throughput=jnp.where(point.valid[:, None], throughput, 0.0),
         unlit=unlit,
@@ -318,6 +326,11 @@ def _balance(density, other, narrow):
     """
     weight = density / (density + other)
     return jnp.where(narrow, weight, stop_gradient(weight))
+
+
+def _share(weight, delta):
+    """Weight of emitter samples, [N, 1]: one where nothing else finds the light."""
+    return (weight if delta is None else jnp.where(delta, 1.0, weight))[:, None]
 
 
 def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:

@@ -192,7 +192,7 @@ ERRORS = {
     "unknown shape": ('<shape type="hair"/>', "2, <shape>: unknown type 'hair'; known: obj, ply, rectangle, cube, sph"),
     "unknown bsdf": (CUBE % '\n<bsdf type="plastic"/>', "3, <bsdf>: unknown type 'plastic'; known: diffuse, twosided"),
     "unused unknown bsdf": ('<bsdf type="plastic" id="p"/>', "2, <bsdf>: unknown type 'plastic'"),
-    "unknown emitter": ('<emitter type="envmap"/>', "2, <emitter>: unknown type 'envmap'; known: constant"),
+    "unknown emitter": ('<emitter type="sunsky"/>', "2, <emitter>: unknown type 'sunsky'; known: constant"),
     "unknown sensor": ('<sensor type="thinlens"/>', "2, <sensor>: unknown type 'thinlens'; known: perspective"),
     "unknown integrator": ('<integrator type="volpath"/>', "2, <integrator>: unknown type 'volpath'; known: path, "),
     "hidden emitters": (
