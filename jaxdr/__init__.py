@@ -38,11 +38,17 @@ from jaxdr.scene.camera import ThinLens as ThinLens
 from jaxdr.scene.camera import look_at as look_at
 from jaxdr.scene.emitters import AreaEmitter as AreaEmitter
 from jaxdr.scene.emitters import ConstantEnvironment as ConstantEnvironment
+from jaxdr.scene.environment_map import EnvironmentMap as EnvironmentMap
 from jaxdr.scene.film import Box as Box
 from jaxdr.scene.film import Film as Film
 from jaxdr.scene.film import Gaussian as Gaussian
 from jaxdr.scene.film import Tent as Tent
 from jaxdr.scene.gltf import load_gltf as load_gltf
+from jaxdr.scene.lights import DeltaLight as DeltaLight
+from jaxdr.scene.lights import DirectionalLight as DirectionalLight
+from jaxdr.scene.lights import PointLight as PointLight
+from jaxdr.scene.lights import Projector as Projector
+from jaxdr.scene.lights import SpotLight as SpotLight
 from jaxdr.scene.mitsuba import load_mitsuba as load_mitsuba
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape

@@ -156,6 +156,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     distribution = prepared = None
     if with_boundary:
         _check_opaque(packed)
+        _check_hard_shadows(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
         key, pilot_key = jax.random.split(key)
@@ -190,6 +191,12 @@ def _check_opaque(packed: PackedScene) -> None:
                 "opaque BSDF without delta lobes, differentiate nothing that moves, or boundary=None for the interior "
                 "term alone"
             )
+
+
+def _check_hard_shadows(packed: PackedScene) -> None:
+    """Raises ValueError where hard shadows would have to move."""
+    if packed.light_count:
+        raise ValueError("render: the hard shadows of lights without area have no derivative yet")
 
 
 def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key, spp, integrator) -> dict:

@@ -34,10 +34,10 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitter_pdf
 from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance
 from jaxdr.transport.sampler import lattice
-from jaxdr.transport.shading import emitted, emitter_pdf
 
 FLAT = 1e-6  # radians: faces that fold by less continue each other
 TOUCHING = 50.0  # how much further than from the edge in the image a ray beside it may end on an oblique surface
@@ -199,7 +199,7 @@ class AttachedLines:
             offset = point.position - seen.apex
             distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
             cosine = jnp.abs(dot(point.normal, seen.towards))
-            total = density + emitter_pdf(self.detached, point, distance2, cosine)
+            total = density + emitter_pdf(self.detached, point, seen.towards, distance2, cosine)
             return density / jnp.where(total > 0, total, 1.0)
 
         return jax.vmap(share)(sides)

@@ -18,8 +18,9 @@ from jaxdr.boundary.emitter_planes import chord_inside
 from jaxdr.geometry.queries import UNBOUNDED, UNBOUNDED_FOLDS
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import sample_emitting_surface
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.shading import Scatterer, sample_emitting_surface
+from jaxdr.transport.shading import Scatterer
 
 
 class Chords(NamedTuple):

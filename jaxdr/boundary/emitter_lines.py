@@ -21,10 +21,10 @@ from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitter_pdf, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
-from jaxdr.transport.shading import emitted, emitter_pdf, emitting_surface_pdf
 
 
 class Centres(NamedTuple):
@@ -157,7 +157,7 @@ class EmitterLines:
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
         towards = offset / jnp.sqrt(distance2)[:, None]
         detached = jax.tree.map(stop_gradient, self.packed)
-        density = emitter_pdf(detached, point, distance2, jnp.abs(dot(point.normal, towards)))
+        density = emitter_pdf(detached, point, towards, distance2, jnp.abs(dot(point.normal, towards)))
         total = density + scatterer.pdf(towards)
         return density / jnp.where(total > 0, total, 1.0)
 

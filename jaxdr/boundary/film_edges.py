@@ -18,11 +18,11 @@ from jaxdr.scene.camera import View
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
+from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.path import PathSettings, trace_jump, trace_paths
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
-from jaxdr.transport.shading import has_emitters, sample_emitter
 
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
 
@@ -156,7 +156,12 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
         squared = jnp.maximum(dot(offset, offset), 1e-30)
         direction = jnp.where(sample.infinite[i], sample.direction[i], offset / jnp.sqrt(squared)[:, None])
         facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / squared
-        power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
+        if sample.light is None:
+            power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
+        else:
+            one = jax.tree.map(lambda x, i=i: jnp.broadcast_to(x[i], (corner.shape[0], *x.shape[1:])), sample)
+            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf[i] / PILOTS
+            facing = jnp.where(one.is_delta, 1.0 / squared, facing)
         cosine = dot(direction, normal)
         cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
         received = received + cosine * jnp.where(sample.infinite[i], 1.0, facing) * power

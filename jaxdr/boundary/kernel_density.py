@@ -157,7 +157,10 @@ class KernelDensity(eqx.Module):
     def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""
         every = jnp.arange(paths.count)
-        lit = (paths.table.weight != 0).any(-1) & (both_sides | paths.table.visible)
+        lit = (paths.table.weight != 0).any(-1)
+        if paths.table.unlit is not None:  # black where a path meets it, a map may glow at the boundary
+            lit = jnp.where(paths.table.infinite, (paths.table.unlit != 0).any(-1), lit)
+        lit = lit & (both_sides | paths.table.visible)
         scale = jnp.where(lit, jnp.tile(scale, segments.apex_face.shape[0]), 0.0)
         ends = jax.tree.map(stop_gradient, paths.ends(every))
         span = norm(ends.target - ends.apex)
@@ -173,6 +176,12 @@ class KernelDensity(eqx.Module):
         r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
         r = jnp.where(valid, r, 1.0)
 
+        goal = projection.point if self.at_boundary else stop_gradient(ends.target)
+        if paths.table.unlit is not None and self.at_boundary:
+            # No wider than details of the map: its radiance at the boundary over the density at the sample is bounded.
+            extent = packed.environment_sampler.extent(paths.direction(segment, goal)) * paths.distance_to_infinity
+            r = jnp.where(ends.infinite, jnp.minimum(r, extent), r)
+            valid = valid & (~ends.infinite | (norm(goal - stop_gradient(ends.target)) < r))
         whole_face = jnp.zeros_like(valid)
         if self.kernel == "edge":
             width = 2 * r if both_sides else r
@@ -183,8 +192,7 @@ class KernelDensity(eqx.Module):
         else:
             disc = jnp.pi * r**2 if both_sides else 0.5 * jnp.pi * r**2
             share = density * projection.stretch / disc  # Eq. 16, 19
-        goal = projection.point if self.at_boundary else stop_gradient(ends.target)
-        weight = paths.weight(segment) * paths.transfer(segment, ends, goal) * (share * pairs.weight)[:, None]
+        weight = paths.weight(segment, goal) * paths.transfer(segment, ends, goal) * (share * pairs.weight)[:, None]
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, settings)
         displacement = projection.displacement - stop_gradient(projection.displacement)

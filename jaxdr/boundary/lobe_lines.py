@@ -12,8 +12,8 @@ from jaxdr.boundary.emitter_lines import Centres
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.shading import emitted
 
 
 class LobeLines:

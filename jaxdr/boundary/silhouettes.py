@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
+from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint, footprint
 from jaxdr.transport.path import Segments, Vertices
@@ -133,10 +134,24 @@ class PathSegments:
         apex = self.apex(index).position
         return _mixed(apex, *self._attached(index, apex), goal)
 
-    def weight(self, index: Int[Array, " C"]) -> Float[Array, "C 3"]:
-        """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target."""
-        far = jnp.where(self.table.infinite[index], self.distance_to_infinity**2, 1.0)
-        return self.table.weight[index] * far[:, None]
+    def weight(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target.
+
+        From the environment comes what it sends from the direction of `goal`.
+        """
+        infinite = self.table.infinite[index]
+        far = jnp.where(infinite, self.distance_to_infinity**2, 1.0)
+        weight = self.table.weight[index]
+        if self.table.unlit is not None:
+            radiance = stop_gradient(environment_radiance(self.packed, self.direction(index, goal)))
+            weight = jnp.where(infinite[:, None], self.table.unlit[index] * radiance, weight)
+        return weight * far[:, None]
+
+    def direction(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        """From the near ends to `goal`; detached."""
+        offset = stop_gradient(goal - self.apex(index).position)
+        there = dot(offset, offset) > 0
+        return normalize(jnp.where(there[:, None], offset, 1.0))
 
     def scatterer(self, index: Int[Array, " C"]) -> Scatterer:
         """The BSDF at the near ends; detached."""

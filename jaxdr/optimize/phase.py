@@ -85,7 +85,7 @@ def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer) -> Callable:
     """Jitted (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
     old = scene.shapes[OBJECT]
     shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
-    scene = Scene(shapes, scene.camera, scene.environment)
+    scene = Scene(shapes, scene.camera, scene.environment, scene.lights)
 
     def image(vertices, to_world, key, spp):
         moved = scene.replace({f"{OBJECT}.vertices": vertices, "camera.to_world": to_world})

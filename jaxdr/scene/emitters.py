@@ -1,10 +1,16 @@
-"""Emitters: surfaces that glow, and the constant environment."""
+"""Emitters: surfaces that glow, what an environment is, and the constant one."""
+
+import abc
+import math
 
 import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.scene.color import as_rgb
+from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.sampling import uniform_sphere
 
 
 class AreaEmitter(eqx.Module):
@@ -16,10 +22,75 @@ class AreaEmitter(eqx.Module):
         self.radiance = as_rgb(radiance, "AreaEmitter: radiance")
 
 
-class ConstantEnvironment(eqx.Module):
-    """The same RGB `radiance` from every direction."""
+class DirectionSampler(eqx.Module):
+    """Draws directions from which an environment sends light; detached from the scene's parameters."""
+
+    @abc.abstractmethod
+    def sample(self, u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
+        """World directions drawn from `pdf`, from uniform numbers; detached."""
+
+    @abc.abstractmethod
+    def pdf(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
+        """Density (solid angle) at unit world directions; differentiable in them."""
+
+    @abc.abstractmethod
+    def extent(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
+        """Angle (radians) around directions within which the density stays comparable to that there; detached."""
+
+    @abc.abstractmethod
+    def mean(self) -> Float[Array, ""]:
+        """Luminance of the mean radiance over the sphere, about; detached."""
+
+
+class Environment(eqx.Module):
+    """Light from infinitely far away. A new one is a file with a look-up by direction and a sampler.
+
+    `uniform`: whether radiance and density are the same in all directions.
+    """
+
+    uniform: eqx.AbstractClassVar[bool]
+
+    @abc.abstractmethod
+    def eval(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*#n 3"]:
+        """RGB radiance (W / m^2 sr) that comes from unit world directions; differentiable in them."""
+
+    @abc.abstractmethod
+    def sampler(self) -> DirectionSampler:
+        """What directions are drawn from."""
+
+
+class UniformDirections(DirectionSampler):
+    """Every direction is as likely, and has the same `radiance`."""
 
     radiance: Float[Array, "3"]
 
+    def sample(self, u):
+        return uniform_sphere(u)
+
+    def pdf(self, direction):
+        del direction
+        return 1.0 / (4.0 * math.pi)
+
+    def extent(self, direction):
+        del direction
+        return math.pi
+
+    def mean(self):
+        return jnp.maximum(luminance(self.radiance), 0.0)
+
+
+class ConstantEnvironment(Environment):
+    """The same RGB `radiance` from every direction."""
+
+    radiance: Float[Array, "3"]
+    uniform = True
+
     def __init__(self, radiance: ArrayLike = 1.0):
         self.radiance = as_rgb(radiance, "ConstantEnvironment: radiance")
+
+    def eval(self, direction):
+        del direction
+        return self.radiance
+
+    def sampler(self):
+        return UniformDirections(stop_gradient(self.radiance))

@@ -11,7 +11,7 @@ from pathlib import Path
 from jaxdr.scene.mitsuba_bsdfs import read_bsdf
 from jaxdr.scene.mitsuba_document import read_document
 from jaxdr.scene.mitsuba_element import Element
-from jaxdr.scene.mitsuba_emitters import read_emitter
+from jaxdr.scene.mitsuba_emitters import read_emitters
 from jaxdr.scene.mitsuba_sensors import read_sensor
 from jaxdr.scene.mitsuba_shapes import read_shapes
 from jaxdr.scene.mitsuba_textures import TEXTURES
@@ -47,8 +47,8 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
         read_plugin(element, INTEGRATORS, "it has no effect")
     sensor = properties.at_most_one("sensor")
     camera = None if sensor is None else read_sensor(sensor)
-    environment = read_emitter(properties.at_most_one("emitter"))
     shapes = read_shapes(properties.objects("shape"))
+    environment, lights = read_emitters(properties.objects("emitter"), shapes)
     properties.finish()
     if sensor is None:
         root.problems.add(root, root.place("the scene has no <sensor>"))
@@ -56,7 +56,7 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     if camera is None:
         raise sensor.error("the scene has no other sensor that could take its place")
     with root.located():
-        return Scene(shapes=shapes, camera=camera, environment=environment)
+        return Scene(shapes=shapes, camera=camera, environment=environment, lights=lights)
 
 
 def _integrator(element: Element) -> None:

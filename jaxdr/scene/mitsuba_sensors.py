@@ -23,7 +23,7 @@ FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for 
 def _perspective(element: Element) -> Perspective:
     properties = Properties(element)
     offset = [properties.value(f"principal_point_offset_{axis}", NUMBER, 0.0) for axis in "xy"]
-    return Perspective(**_common(properties, scales=False), **_field_of_view(properties), principal_point=offset)
+    return Perspective(**_common(properties, scales=False), **field_of_view(properties), principal_point=offset)
 
 
 def _thin_lens(element: Element) -> ThinLens:
@@ -33,7 +33,7 @@ def _thin_lens(element: Element) -> ThinLens:
     if radius is None:
         raise ValueError("aperture_radius is missing")
     focus = properties.value("focus_distance", NUMBER, common["far_clip"])
-    return ThinLens(**common, **_field_of_view(properties), aperture_radius=radius, focus_distance=focus)
+    return ThinLens(**common, **field_of_view(properties), aperture_radius=radius, focus_distance=focus)
 
 
 def _orthographic(element: Element) -> Orthographic:
@@ -53,7 +53,7 @@ def _common(properties: Properties, scales: bool) -> dict[str, Any]:
     return {"to_world": to_world, "film": _read_film(film), "near_clip": near, "far_clip": far}
 
 
-def _field_of_view(properties: Properties) -> dict[str, Any]:
+def field_of_view(properties: Properties) -> dict[str, Any]:
     """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
     fov = properties.value("fov", NUMBER)
     axis = properties.value("fov_axis", "string", "x")

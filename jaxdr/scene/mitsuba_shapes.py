@@ -17,10 +17,11 @@ from jaxdr.scene.bsdf import Diffuse
 from jaxdr.scene.mitsuba_bsdfs import read_bsdf
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_emitters import read_shape_emitter
+from jaxdr.scene.mitsuba_names import object_names, parameter_name
 from jaxdr.scene.mitsuba_textures import VERTEX_COLOR
 from jaxdr.scene.mitsuba_values import tangent
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
-from jaxdr.scene.scene import RESERVED, Shape
+from jaxdr.scene.scene import Shape
 
 SPHERE_SUBDIVISIONS = 4  # 5120 triangles, within 0.1 % of the radius
 CIRCLE_SEGMENTS = 128  # within 0.03 % of the radius
@@ -199,7 +200,7 @@ def _around(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3 2"]:
 def _shape_group(element: Element) -> list[tuple[str, Shape]]:
     """The shapes inside with their names; they are seen only through instances."""
     inside = Properties(element).objects("shape")
-    shapes = [(name, read_shape(child)) for name, child in zip(shape_names(inside), inside, strict=True)]
+    shapes = [(name, read_shape(child)) for name, child in zip(object_names(inside), inside, strict=True)]
     return [(name, shape) for name, shape in shapes if shape is not None]
 
 
@@ -217,20 +218,6 @@ def _instance(element: Element) -> list[tuple[str, Shape]]:
 GROUPS: dict[str, Callable[[Element], list[tuple[str, Shape]]]] = {"shapegroup": _shape_group, "instance": _instance}
 
 
-def shape_names(elements: list[Element]) -> list[str]:
-    """The ids of `<shape>`s; for one without, its type with the first free number (`cube`, `cube_1`, …)."""
-    taken = {element.attributes.get("id") for element in elements}
-    names = []
-    for element in elements:
-        name = element.attributes.get("id")
-        if name is None:
-            candidates = (f"{element.type}_{i}" if i else element.type for i in range(len(elements) + 1))
-            name = next(candidate for candidate in candidates if candidate not in taken)
-            taken.add(name)
-        names.append(name)
-    return names
-
-
 def read_shape(element: Element) -> Shape | None:
     """A `<shape>` in world space; None where it can't be read, which is noted as a problem."""
     return read_plugin(element, SHAPES, "it is left out")
@@ -242,26 +229,16 @@ def read_shapes(elements: list[Element]) -> dict[str, Shape]:
     Shapes of an instance of several are named by its name, `_` and theirs. A name that can't be is noted.
     """
     found: dict[str, Shape] = {}
-    for name, element in zip(shape_names(elements), elements, strict=True):
+    for name, element in zip(object_names(elements), elements, strict=True):
         if element.type in GROUPS:
             inside = read_plugin(element, GROUPS, "it is left out") or []
             shapes = [(f"{name}_{inner}" if len(inside) > 1 else name, shape) for inner, shape in inside]
         else:
             shapes = [(name, read_shape(element))]
         for wanted, shape in shapes:
-            whole = _parameter_name(element, wanted)
+            whole = parameter_name(element, wanted)
             if whole in found:
                 element.problems.add(element, element.place(f"a second shape {whole!r}; give one of them another id"))
             elif shape is not None and element.type != "shapegroup":
                 found[whole] = shape
     return found
-
-
-def _parameter_name(element: Element, name: str) -> str:
-    """The name, or where it would make no name of a parameter, which is noted, one that does."""
-    if name and "." not in name and name not in RESERVED:
-        return name
-    other = name.replace(".", "_") + ("" if "." in name else "_shape")
-    rule = f"not empty, no dots, not {' or '.join(RESERVED)}"
-    element.unsupported(f"id {name!r} can't name a shape ({rule}); give it another", f"it is called {other!r}")
-    return other

@@ -5,6 +5,7 @@ Only what the scene has is there: one group per kind of BSDF, emitter tables onl
 with smooth shapes, texture coordinates only with textures that use them.
 """
 
+import dataclasses
 import itertools
 
 import equinox as eqx
@@ -19,7 +20,8 @@ from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
-from jaxdr.scene.emitters import ConstantEnvironment
+from jaxdr.scene.emitters import DirectionSampler, Environment
+from jaxdr.scene.packed_lights import LightGroup, emitter_choice, group_lights
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.scene.textures import textures_in
 
@@ -49,7 +51,8 @@ class PackedScene(eqx.Module):
     """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
 
     Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
-    `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs.
+    `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
+    emitters, where there are several, is as `emitter_choice` says.
     """
 
     vertices: Float[Array, "V 3"]
@@ -70,7 +73,10 @@ class PackedScene(eqx.Module):
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
     camera: Camera
-    environment: ConstantEnvironment | None
+    environment: Environment | None
+    environment_sampler: DirectionSampler | None
+    lights: tuple[LightGroup, ...]
+    choice: Float[Array, " K"] | None
 
     @property
     def textured(self) -> bool:
@@ -113,14 +119,23 @@ class PackedScene(eqx.Module):
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return jnp.cross(b - a, c - a)
 
+    @property
+    def light_count(self) -> int:
+        """Number of lights without area."""
+        return self.lights[0].row.shape[0] if self.lights else 0
+
+    def emitter_powers(self) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
+        """(area times luminance of the radiance, area) of every emitting face; detached."""
+        area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
+        radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
+        return area * luminance(radiance), area
+
     def emitter_cdf(self) -> Float[Array, " L"]:
         """Cumulative probability of choosing each emitting face, proportional to its power; detached.
 
         Proportional to area where all emitters are off, as an optimisation of their radiance may start.
         """
-        area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
-        radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
-        power = area * luminance(radiance)
+        power, area = self.emitter_powers()
         cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
         return cumulative / cumulative[-1]
 
@@ -141,7 +156,7 @@ def pack(scene: Scene) -> PackedScene:
         black = jnp.zeros(3, meshes[0].vertices.dtype)
         radiance = jnp.stack([shape.emitter.radiance if shape.emitter else black for shape in shapes])
         emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
-    return PackedScene(
+    packed = PackedScene(
         vertices=jnp.concatenate([m.vertices for m in meshes]),
         faces=jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
         face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
@@ -161,7 +176,15 @@ def pack(scene: Scene) -> PackedScene:
         emitter_faces=emitter_faces,
         camera=scene.camera,
         environment=scene.environment,
+        environment_sampler=scene.environment and scene.environment.sampler(),
+        lights=group_lights(list(scene.lights.values())),
+        choice=None,
     )
+    if (scene.environment is not None) + packed.has_area_emitters + packed.light_count < 2:
+        return packed
+    surfaces = packed.emitter_powers()[0].sum() if packed.has_area_emitters else None
+    choice = emitter_choice(packed.size(), packed.environment_sampler, surfaces, packed.lights)
+    return dataclasses.replace(packed, choice=choice)
 
 
 def _normals(meshes):

@@ -2,8 +2,9 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 
 def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
@@ -48,3 +49,30 @@ def choose(
     stretched = (u[..., 0] - start) / jnp.where(width > 0, width, 1.0)
     below_one = 1.0 - jnp.finfo(u.dtype).epsneg  # the quotient may round to 1
     return first, jnp.stack([jnp.minimum(stretched, below_one), jnp.broadcast_to(u[..., 1], first.shape)], -1)
+
+
+def linear(u: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Numbers in [0, 1] of a density that is linear from `start` at 0 to `end` at 1, both positive, by inversion."""
+    root = jnp.sqrt((1.0 - u) * start * start + u * end * end)
+    return jnp.minimum(u * (start + end) / (start + root), 1.0)
+
+
+def search_sorted_rows(
+    cdf: Float[Array, "R K"], row: Int[Array, "*n"], u: Float[Array, "*n"]
+) -> tuple[Int[Array, "*n"], Float[Array, "*n"]]:
+    """(entries chosen by the cumulative probabilities in these rows, uniform numbers in [0, 1] that are left)."""
+    count, flat = cdf.shape[1], cdf.reshape(-1)
+    first = row * count
+
+    def halve(_, bounds):
+        # The entry is the number of those whose cumulative probability is not above u: in [low, high).
+        low, high = bounds
+        middle = (low + high) // 2
+        above = flat[first + middle] > u
+        return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
+
+    low = jnp.zeros_like(row)
+    entry, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (low, jnp.full_like(row, count - 1)))
+    before = jnp.where(entry > 0, flat[first + entry - 1], 0.0)
+    width = flat[first + entry] - before
+    return entry, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0)

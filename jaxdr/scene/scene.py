@@ -1,4 +1,4 @@
-"""Scene: shapes, camera and environment as one pytree with named parameters."""
+"""Scene: shapes, camera, environment and lights as one pytree with named parameters."""
 
 from collections.abc import Mapping
 from operator import attrgetter
@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Camera
-from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
+from jaxdr.scene.emitters import AreaEmitter, Environment
+from jaxdr.scene.lights import DeltaLight
 from jaxdr.scene.textures import textures_in
 
 RESERVED = ("camera", "environment")
@@ -31,32 +32,40 @@ class Shape(eqx.Module):
                 raise ValueError(f"Shape: {name} can't be a {type(value).__name__}")
 
 
-def _sorted_by_id(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
+def _sorted_by_id(members: Mapping) -> dict:
     # JAX sorts dictionaries when it flattens them: sorting here keeps the order the same before and after.
-    return dict(sorted(shapes.items()))
+    return dict(sorted(members.items()))
 
 
 class Scene(eqx.Module):
-    """Shapes by id, one camera, and an environment or None.
+    """Shapes by id, one camera, an environment or None, and lights without area by id.
 
-    Raises ValueError for ids that are empty, contain a dot or collide with `camera` and `environment`, and for textures
-    that do not fit the mesh of their shape.
+    Raises ValueError for ids that are empty, contain a dot, collide with `camera` and `environment`, or name both a
+    shape and a light, and for textures that do not fit the mesh of their shape.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
     camera: Camera
-    environment: ConstantEnvironment | None = None
+    environment: Environment | None = None
+    lights: dict[str, DeltaLight] = eqx.field(converter=_sorted_by_id, default_factory=dict)
 
     def __check_init__(self):
         if not self.shapes:
             raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
+        for kind, members, expected in (("shape", self.shapes, Shape), ("light", self.lights, DeltaLight)):
+            for name, member in members.items():
+                if not name or "." in name or name in RESERVED:
+                    raise ValueError(
+                        f"Scene: {name!r} can't be a {kind} id (no dots, not empty, not {' or '.join(RESERVED)})"
+                    )
+                if not isinstance(member, expected):
+                    raise ValueError(
+                        f"Scene: {kind}s[{name!r}] is a {type(member).__name__}, expected a jaxdr.{expected.__name__}"
+                    )
+        for name in self.lights:
+            if name in self.shapes:
+                raise ValueError(f"Scene: {name!r} is the id of a shape and of a light")
         for name, shape in self.shapes.items():
-            if not name or "." in name or name in RESERVED:
-                raise ValueError(
-                    f"Scene: {name!r} can't be a shape id (no dots, not empty, not {' or '.join(RESERVED)})"
-                )
-            if not isinstance(shape, Shape):
-                raise ValueError(f"Scene: shapes[{name!r}] is a {type(shape).__name__}, expected a jaxdr.Shape")
             _check_textures(name, shape)
 
     def parameters(self) -> dict[str, Array]:
@@ -97,6 +106,9 @@ def _accessors(scene: Scene) -> dict:
     if scene.environment is not None:
         for field in _float_fields(scene.environment):
             found[f"environment.{field}"] = lambda s, f=field: attrgetter(f)(s.environment)
+    for name, light in scene.lights.items():
+        for field in _float_fields(light):
+            found[f"{name}.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.lights[n])
     return found
 
 

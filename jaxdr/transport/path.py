@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import (
     SurfacePoint,
     detached_barycentric,
@@ -27,7 +28,7 @@ from jaxdr.transport.interaction import (
 )
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.sampler import uniform
-from jaxdr.transport.shading import Scatterer, ScatteringJump, emitted, emitter_pdf, sample_emitter
+from jaxdr.transport.shading import Scatterer, ScatteringJump
 
 
 class Segments(NamedTuple):
@@ -37,8 +38,9 @@ class Segments(NamedTuple):
     `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
     without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
     over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples; `lobe`, of
-    BSDF-sampled segments, is that over the density of `direction` (solid angle), whatever lies there.
+    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples, and `unlit`,
+    the weight without the radiance, where that of the environment depends on the direction; `lobe`, of BSDF-sampled
+    segments, is the throughput over the density of `direction` (solid angle), whatever lies there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -50,6 +52,7 @@ class Segments(NamedTuple):
     weight: Float[Array, "B N 3"]
     visible: Bool[Array, "B N"]
     throughput: Float[Array, "B N 3"] | None = None
+    unlit: Float[Array, "B N 3"] | None = None
     lobe: Float[Array, "B N 3"] | None = None
 
 
@@ -238,11 +241,14 @@ class _Transfer(NamedTuple):
     geometry: Float[Array, " N"]
 
 
-def _transfer(scatterer, target: SurfacePoint, infinite, direction) -> _Transfer:
+def _transfer(scatterer, target: SurfacePoint, infinite, direction, delta=None) -> _Transfer:
+    """`delta` ones have no area, and so no cosine."""
     offset = target.position - scatterer.point.position
     towards = jnp.where(infinite[:, None], direction, normalize(offset))
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
     cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
+    if delta is not None:
+        cosine = jnp.where(delta, 1.0, cosine)
     geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
     scattered = scatterer.eval_towards(towards, target.position, infinite)
     return _Transfer(scattered * geometry[:, None], towards, distance2, cosine, geometry)
@@ -269,7 +275,8 @@ def _both_forms(
 def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
     sample, point = sample_emitter(packed, u), scatterer.point
-    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction)
+    delta = sample.is_delta
+    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction, delta)
     infinite, towards = sample.infinite[:, None], fixed.towards
     facing = stop_gradient(fixed.cosine) > 0
     reachable = point.valid & facing & (stop_gradient(fixed.value) != 0).any(-1)
@@ -280,15 +287,21 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     # Narrow lobes have one form: it has no geometric term that grows, and MIS bounds that of the emitter samples.
     narrow = _narrow(scatterer, settings)
     far = sample.infinite if narrow is None else sample.infinite | narrow
+    far = far if delta is None else far | delta
     value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction, far)
-    arriving = throughput * sample.radiance / sample.pdf[:, None]
+    arriving = throughput * radiance_towards(packed, sample, towards) / sample.pdf[:, None]
     light = arriving * value
     if narrow is not None:
         solid_angle_pdf = sample.pdf * fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0)
-        light *= _balance(solid_angle_pdf, scatterer.density(towards), narrow)[:, None]
+        light *= _share(_balance(solid_angle_pdf, scatterer.density(towards), narrow), delta)
     elif settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
-        light *= (solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)))[:, None]
+        light *= _share(solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)), delta)
+    # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
+    carries = reachable if delta is None else reachable & ~delta
+    unlit = None
+    if packed.environment is not None and not packed.environment.uniform:
+        unlit = jnp.where(carries[:, None], throughput / sample.pdf[:, None], 0.0)
     segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -296,9 +309,10 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         target_barycentric=sample.point.barycentric,
         infinite=sample.infinite,
         direction=sample.direction,
-        weight=jnp.where(reachable[:, None], arriving, 0.0),
+        weight=jnp.where(carries[:, None], arriving, 0.0),
         visible=seen,
         throughput=jnp.where(point.valid[:, None], throughput, 0.0),
+        unlit=unlit,
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
 
@@ -317,10 +331,15 @@ def _balance(density, other, narrow):
     return jnp.where(narrow, weight, stop_gradient(weight))
 
 
+def _share(weight, delta):
+    """Weight of emitter samples, [N, 1]: one where nothing else finds the light."""
+    return (weight if delta is None else jnp.where(delta, 1.0, weight))[:, None]
+
+
 def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
     """A vertex behind which paths end: emitter sampling alone."""
     light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
-    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, lobe=jnp.zeros_like(light))
+    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, unlit=None, lobe=jnp.zeros_like(light))
     return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
 
 
@@ -380,12 +399,12 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     if settings.mis or delta is not None:
         weight = jnp.zeros_like(pdf)
         if settings.mis:
-            found = emitter_pdf(packed, following, transfer.distance2, jnp.abs(transfer.cosine))
+            found = emitter_pdf(packed, following, transfer.towards, transfer.distance2, jnp.abs(transfer.cosine))
             if narrow is None:
                 weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
             else:
                 weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
-        if delta is not None:
+        if chosen is not None:
             weight = jnp.where(chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]
     scattered = Segments(

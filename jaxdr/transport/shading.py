@@ -1,7 +1,4 @@
-"""BSDFs and emitters of a packed scene, at surface points."""
-
-import math
-from typing import NamedTuple
+"""BSDFs of a packed scene, at surface points."""
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -10,8 +7,7 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.bsdf.base import DeltaSample, no_delta
 from jaxdr.scene.packed import PackedScene
-from jaxdr.scene.sampling import uniform_sphere, uniform_triangle
-from jaxdr.transport.interaction import SurfacePoint, leave, local_frame, material_point
+from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
@@ -173,99 +169,3 @@ def _unblocked(scatterer: Scatterer, wo):
     """f_s |cos| where `wo` is on the same side of the face as of its shading normal."""
     leaves = dot(scatterer.normal, wo) * scatterer.cosine(wo) > 0
     return jnp.where(leaves[:, None], scatterer.eval(wo), 0.0)
-
-
-class EmitterSample(NamedTuple):
-    """Points on emitters (or directions to the environment) with their densities.
-
-    `pdf` is per area at `point`, or per solid angle where `infinite`; detached. `direction` is set where `infinite`.
-    """
-
-    point: SurfacePoint
-    infinite: Bool[Array, " N"]
-    direction: Float[Array, "N 3"]
-    radiance: Float[Array, "N 3"]
-    pdf: Float[Array, " N"]
-
-
-def environment_probability(packed: PackedScene) -> float:
-    """Probability of choosing the environment rather than a surface emitter."""
-    if packed.environment is None:
-        return 0.0
-    return 0.5 if packed.has_area_emitters else 1.0
-
-
-def has_emitters(packed: PackedScene) -> bool:
-    """Whether anything in the scene emits light."""
-    return packed.environment is not None or packed.has_area_emitters
-
-
-def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:
-    """Material points on emitters, proportional to power; directions to the environment, uniform."""
-    n, dtype = u.shape[0], u.dtype
-    p_environment = environment_probability(packed)
-    infinite = jnp.full(n, p_environment == 1.0)
-    choice = u[:, 0]
-    if 0.0 < p_environment < 1.0:
-        infinite = choice < p_environment
-        choice = jnp.where(infinite, choice / p_environment, (choice - p_environment) / (1 - p_environment))
-        u = jnp.stack([choice, u[:, 1]], -1)
-    direction = jnp.zeros((n, 3), dtype)
-    radiance, pdf = jnp.zeros((n, 3), dtype), jnp.ones(n, dtype)
-    if packed.has_area_emitters:
-        point, per_area = sample_emitting_surface(packed, u)
-        point = point._replace(valid=~infinite)
-        radiance = packed.radiance[packed.face_shape[point.face]]
-        pdf = (1 - p_environment) * per_area
-    else:
-        nowhere = jnp.zeros(n, jnp.int32)
-        point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
-    if packed.environment is not None:
-        direction = uniform_sphere(u)
-        radiance = jnp.where(infinite[:, None], packed.environment.radiance, radiance)
-        pdf = jnp.where(infinite, p_environment / (4 * math.pi), pdf)
-    return EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))
-
-
-def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
-    """(material points on area emitters, proportional to power, and their densities, per area, detached)."""
-    cdf = packed.emitter_cdf()
-    index = jnp.clip(jnp.searchsorted(cdf, u[:, 0], side="right"), 0, cdf.shape[0] - 1)
-    before = jnp.where(index > 0, cdf[index - 1], 0.0)
-    probability = cdf[index] - before
-    remapped = jnp.clip((u[:, 0] - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
-    barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
-    point = material_point(packed, packed.emitter_faces[index], barycentric, jnp.ones(index.shape, bool))
-    return point, probability / stop_gradient(point.area)
-
-
-def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Array, " N"]:
-    """Density (per area, detached) with which `sample_emitting_surface` would choose points."""
-    cdf = packed.emitter_cdf()
-    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
-    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
-    return probability[point.face] / stop_gradient(point.area)
-
-
-def emitter_pdf(packed: PackedScene, point: SurfacePoint, distance2, cosine) -> Float[Array, " N"]:
-    """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or the direction of a miss."""
-    p_environment = environment_probability(packed)
-    miss = p_environment / (4 * math.pi)
-    if not packed.has_area_emitters:
-        return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
-    per_area = (1 - p_environment) * emitting_surface_pdf(packed, point)
-    return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
-
-
-def emitted(packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-    """Radiance that reaches the previous vertex from a hit, or from the environment on a miss.
-
-    `wi` points from the hit towards the previous vertex. Surfaces glow on the side of their normal.
-    """
-    result = jnp.zeros_like(wi)
-    if packed.has_area_emitters:
-        front = point.valid & (stop_gradient(dot(point.normal, wi)) > 0)
-        result = jnp.where(front[:, None], packed.radiance[packed.face_shape[point.face]], 0.0)
-    if packed.environment is not None:
-        result = jnp.where(point.valid[:, None], result, packed.environment.radiance)
-    return result

@@ -211,9 +211,9 @@ ERRORS = {
     "two environments": (f'{SENSOR}<emitter type="constant"/>\n<emitter type="constant"/>', "3, <emitter>: a second"),
     "unknown element": ('<volume type="grid"/>', "2, <volume>: not supported inside scene 'scene'"),
     "unknown shape": ('<shape type="hair"/>', "2, <shape>: unknown type 'hair'; known: obj, ply, rectangle, cube, sph"),
-    "unknown bsdf": (CUBE % '\n<bsdf type="plastic"/>', "3, <bsdf>: unknown type 'plastic'; known: diffuse, twosided"),
-    "unused unknown bsdf": ('<bsdf type="plastic" id="p"/>', "2, <bsdf>: unknown type 'plastic'"),
-    "unknown emitter": ('<emitter type="envmap"/>', "2, <emitter>: unknown type 'envmap'; known: constant"),
+    "unknown bsdf": (CUBE % '\n<bsdf type="hair"/>', "3, <bsdf>: unknown type 'hair'; known: diffuse, twosided"),
+    "unused unknown bsdf": ('<bsdf type="hair" id="p"/>', "2, <bsdf>: unknown type 'hair'"),
+    "unknown emitter": ('<emitter type="sunsky"/>', "2, <emitter>: unknown type 'sunsky'; known: constant"),
     "unknown sensor": ('<sensor type="fisheye"/>', "2, <sensor>: unknown type 'fisheye'; known: perspective, thinlens"),
     "unknown integrator": ('<integrator type="volpath"/>', "2, <integrator>: unknown type 'volpath'; known: path, "),
     "hidden emitters": (

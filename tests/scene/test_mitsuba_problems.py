@@ -28,7 +28,7 @@ MESSAGES = [
     "line 5, <rfilter>: unknown type 'lanczos'; known: box, gaussian, tent; with ignore_unsupported a Gaussian",
     "line 5, <integer>: unknown parameter 'widht' of film 'hdrfilm'; did you mean 'width'?; with ignore_unsupported it",
     "line 6, <sensor>: a second one in one <scene>; with ignore_unsupported the first one counts",
-    "line 7, <emitter>: unknown type 'sunsky'; known: constant; with ignore_unsupported it is left out",
+    "line 7, <emitter>: unknown type 'sunsky'; known: constant, envmap, point, spot, directional, projector; with",
     "line 8, <integrator>: unknown type 'volpath'",
     "line 9, <medium>: not supported inside scene 'scene'; with ignore_unsupported it is left out",
     "line 10, <emitter>: unknown type 'beam'; known: area; with ignore_unsupported the shape does not glow",

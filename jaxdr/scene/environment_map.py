@@ -1,0 +1,237 @@
+"""Environment map: radiance from a photograph of all directions, looked up as Mitsuba's `envmap` does.
+
+With direction d in the map's frame, u = atan2(d.x, -d.z) / 2π and v = acos(d.y) / π. Column i of W is centred at
+u = (i + 1/2) / W and goes around; row j of H is at v = j / (H - 1), the first at the pole +y. Look-ups are bilinear.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.vector import normalize
+from jaxdr.scene.color import luminance
+from jaxdr.scene.emitters import DirectionSampler, Environment
+from jaxdr.scene.sampling import linear, search_sorted_rows
+
+FLOOR = 0.01  # luminance that every direction is sampled with at least, relative to the mean
+# Share of the mean of a cell in its corners. Bilinear alone, the density is so low at a black texel beside the sun that
+# the slope of the look-up, which is what a turning map's derivative samples, is divided by next to nothing.
+BLEND = 0.5
+COMPARABLE = 0.25  # share of the density to which it may fall within `extent`
+
+
+class EnvironmentMap(Environment):
+    """Radiance `scale` x `radiance` [H, W, 3] from all directions, on a grid of longitude and latitude.
+
+    `to_world` [4, 4] turns the map's frame into the world's: a rotation, mirrored or scaled evenly if need be (only
+    directions matter). Conventions are Mitsuba's: in the map's frame the upper border of the image is the direction +y,
+    its middle column +z, and further right comes -x. Importance sampled by luminance.
+
+    Raises ValueError for an image that is no RGB image of at least 3 x 2 pixels, or a matrix that skews.
+    """
+
+    radiance: Float[Array, "H W 3"]
+    to_world: Float[Array, "4 4"]
+    scale: Float[Array, ""]
+    uniform = False
+
+    def __init__(self, radiance: ArrayLike, to_world: ArrayLike | None = None, scale: ArrayLike = 1.0):
+        self.radiance = jnp.asarray(radiance, float)
+        self.to_world = jnp.asarray(np.eye(4) if to_world is None else to_world, float)
+        self.scale = jnp.asarray(scale, float)
+        shape = self.radiance.shape
+        if len(shape) != 3 or shape[2] != 3 or shape[0] < 3 or shape[1] < 2:
+            raise ValueError(f"EnvironmentMap: radiance must be [H >= 3, W >= 2, 3], got shape {list(shape)}")
+        if self.to_world.shape != (4, 4):
+            raise ValueError(f"EnvironmentMap: to_world must be a 4 x 4 matrix, got shape {self.to_world.shape}")
+        if self.scale.shape != ():
+            raise ValueError(f"EnvironmentMap: scale must be a number, got shape {self.scale.shape}")
+        if not isinstance(self.to_world, Tracer):
+            turn = np.asarray(self.to_world, float)[:3, :3]
+            gram = turn.T @ turn
+            if not np.allclose(gram, gram[0, 0] * np.eye(3), atol=1e-3 * abs(gram[0, 0])) or not gram[0, 0] > 0:
+                raise ValueError("EnvironmentMap: to_world must not skew or scale unevenly")
+
+    def eval(self, direction):
+        height, width, _ = self.radiance.shape
+        local = _to_map(self.to_world[:3, :3], direction)
+        _, theta, u = _angles(local)
+        row, along_row = _cell(theta * ((height - 1) / math.pi), height - 1)
+        first, second, along = _columns(u, width)
+        table = self.radiance.reshape(-1, 3)
+        top, bottom = row * width, (row + 1) * width
+        along, along_row = along[..., None], along_row[..., None]
+        upper = (1 - along) * table[top + first] + along * table[top + second]
+        lower = (1 - along) * table[bottom + first] + along * table[bottom + second]
+        return self.scale * ((1 - along_row) * upper + along_row * lower)
+
+    def sampler(self):
+        radiance, to_world, scale = stop_gradient((self.radiance, self.to_world, self.scale))
+        return LatLongSampler.of(jnp.maximum(luminance(radiance), 0.0), to_world[:3, :3], scale)
+
+
+class LatLongSampler(DirectionSampler):
+    """Density per solid angle that is bilinear in longitude and the cosine of the polar angle, in every cell of a map.
+
+    `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie
+    between the texels: `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within
+    each band. `extents` of the cells: within that angle the density stays above a quarter of the highest in the cell,
+    or half a texel.
+    """
+
+    corners: Float[Array, "H W"]
+    integral: Float[Array, ""]
+    rows: Float[Array, " R"]
+    columns: Float[Array, "R W"]
+    extents: Float[Array, "R W"]
+    to_world: Float[Array, "3 3"]
+    scale: Float[Array, ""]
+
+    @classmethod
+    def of(cls, luminances: Float[Array, "H W"], to_world: Float[Array, "3 3"], scale) -> "LatLongSampler":
+        """Proportional to luminance, but never zero: texels that are black now have a derivative."""
+        height, width = luminances.shape
+        floor = FLOOR * luminances.mean()
+        corners = luminances + jnp.where(floor > 0, floor, 1.0)
+        angle = _band_angles(height, width, corners.dtype)
+        right = jnp.roll(corners, -1, axis=1)
+        cells = 0.25 * (corners + right)
+        cells = (cells[:-1] + cells[1:]) * angle[:, None]
+        columns = jnp.cumsum(cells, axis=1)
+        bands = columns[:, -1]
+        rows = jnp.cumsum(bands)
+        return cls(
+            corners=corners,
+            integral=rows[-1],
+            rows=rows / rows[-1],
+            columns=columns / bands[:, None],
+            extents=_extents(corners),
+            to_world=_rotation(to_world),
+            scale=scale,
+        )
+
+    def sample(self, u):
+        height, width = self.corners.shape
+        row, rest_row = search_sorted_rows(self.rows[None], jnp.zeros(u.shape[:-1], jnp.int32), u[..., 1])
+        column, rest_column = search_sorted_rows(self.columns, row, u[..., 0])
+        (a, b), (c, d) = self._at(row, column, (column + 1) % width)
+        down = linear(rest_row, a + b, c + d)
+        along = linear(rest_column, a + down * (c - a), b + down * (d - b))
+        edges = jnp.asarray(_band_edges(height), u.dtype)
+        cosine = jnp.clip((1 - down) * edges[row] + down * edges[row + 1], -1.0, 1.0)
+        sine = jnp.sqrt((1.0 - cosine) * (1.0 + cosine))
+        longitude = (column + 0.5 + along) * (2 * math.pi / width)
+        local = jnp.stack([sine * jnp.sin(longitude), cosine, -sine * jnp.cos(longitude)], -1)
+        return stop_gradient(normalize(local @ self.to_world.T))
+
+    def pdf(self, direction):
+        height, width = self.corners.shape
+        cosine, theta, u = _angles(_to_map(self.to_world, direction))
+        row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
+        first, second, along = _columns(u, width)
+        edges = jnp.asarray(_band_edges(height), cosine.dtype)
+        down = jnp.clip((edges[row] - cosine) / (edges[row] - edges[row + 1]), 0.0, 1.0)
+        (a, b), (c, d) = self._at(row, first, second)
+        value = (1 - down) * ((1 - along) * a + along * b) + down * ((1 - along) * c + along * d)
+        return value / self.integral
+
+    def extent(self, direction):
+        height, width = self.corners.shape
+        _, theta, u = _angles(_to_map(self.to_world, stop_gradient(direction)))
+        row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
+        return self.extents.reshape(-1)[row * width + _columns(u, width)[0]]
+
+    def mean(self):
+        return self.scale * self.integral / (4.0 * math.pi * (1.0 + FLOOR))
+
+    def _at(self, row, first, second):
+        """Corners of cells: ((upper left, upper right), (lower left, lower right))."""
+        width = self.corners.shape[1]
+        table = self.corners.reshape(-1)
+        corners = [table[(row + k) * width + column] for k in (0, 1) for column in (first, second)]
+        mean = BLEND * 0.25 * sum(corners)
+        a, b, c, d = ((1.0 - BLEND) * corner + mean for corner in corners)
+        return (a, b), (c, d)
+
+
+def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The matrix without its scale."""
+    return matrix / jnp.sqrt((matrix[:, 0] ** 2).sum())
+
+
+def _to_map(to_world: Float[Array, "3 3"], direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """World directions in the map's frame; not unit where the matrix scales."""
+    return direction @ to_world
+
+
+def _angles(local: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
+    """(cosine, polar angle from +y, turns around it from -z) of directions of any length; zero derivative at the poles.
+
+    Slots that hold no direction (zero) count as +y.
+    """
+    x, y, z = local[..., 0], local[..., 1], local[..., 2]
+    on_axis = x * x + z * z == 0
+    x, z = jnp.where(on_axis, 0.0, x), jnp.where(on_axis, -1.0, z)
+    radius = jnp.where(on_axis, 0.0, jnp.sqrt(x * x + z * z))
+    y = jnp.where(on_axis & (y == 0), 1.0, y)
+    return y / jnp.sqrt(radius * radius + y * y), jnp.arctan2(radius, y), jnp.arctan2(x, -z) / (2 * math.pi)
+
+
+def _cell(position, count: int) -> tuple[Int[Array, "*n"], Float[Array, "*n"]]:
+    """(cell of 0 to count - 1, share of the way through it) of positions in [0, count]."""
+    cell = jnp.clip(jnp.floor(stop_gradient(position)), 0, count - 1)
+    return cell.astype(jnp.int32), position - cell
+
+
+def _columns(u, width: int) -> tuple[Int[Array, "*n"], Int[Array, "*n"], Float[Array, "*n"]]:
+    """(left column, right column, share of the way) of turns around the axis."""
+    position = u * width - 0.5
+    left = jnp.floor(stop_gradient(position))
+    first = jnp.mod(left.astype(jnp.int32), width)
+    return first, (first + 1) % width, position - left
+
+
+def _band_edges(height: int) -> Float[np.ndarray, " H"]:
+    """Cosines of the polar angles of the rows."""
+    return np.cos(np.pi * np.arange(height) / (height - 1))
+
+
+def _band_angles(height: int, width: int, dtype) -> Float[Array, " R"]:
+    """Solid angle of a cell in every band."""
+    middle = np.pi * (np.arange(height - 1) + 0.5) / (height - 1)
+    return jnp.asarray(2 * np.sin(middle) * np.sin(0.5 * np.pi / (height - 1)) * 2 * np.pi / width, dtype)
+
+
+def _extents(corners: Float[Array, "H W"]) -> Float[Array, "R W"]:
+    """Angles around the cells within which the lowest corner is at least a quarter of the highest of the cell."""
+    height, width = corners.shape
+    stacked = jnp.stack([corners[:-1], corners[1:]])
+    stacked = jnp.concatenate([stacked, jnp.roll(stacked, -1, axis=2)])
+    highest, lowest = stacked.max(0), stacked.min(0)
+    step = np.pi / (height - 1)
+    middle = (np.arange(height - 1) + 0.5) * step
+    polar = np.minimum(middle, np.pi - middle)[:, None]
+    # What is certainly within k cells of a cell: columns are narrower towards the poles.
+    result, k = jnp.full_like(lowest, 0.5) * _texel(polar, width, step), 1
+    while 2 * k <= min(height - 1, width) // 2:
+        lowest = _grown(lowest, max(k // 2, 1))  # over 1, 2, 4, ... cells to all sides
+        result = jnp.where(lowest >= COMPARABLE * highest, k * _texel(polar - k * step, width, step), result)
+        k *= 2
+    return result
+
+
+def _texel(polar, width: int, step: float):
+    """Smaller side of a cell (radians) at an angle from the nearer pole."""
+    return np.minimum(step, 2 * np.pi / width * np.sin(np.maximum(polar, 0.5 * step)))
+
+
+def _grown(table: Float[Array, "R W"], cells: int) -> Float[Array, "R W"]:
+    """Minimum over what is up to `cells` away in rows and columns, for a table that is one already."""
+    down = jnp.pad(table, ((cells, cells), (0, 0)), mode="edge")
+    table = jnp.minimum(jnp.minimum(down[: -2 * cells], down[2 * cells :]), table)
+    return jnp.minimum(jnp.minimum(jnp.roll(table, cells, axis=1), jnp.roll(table, -cells, axis=1)), table)

@@ -1,0 +1,7 @@
+"""Lights without area, one model a file. Adding one: a file with a `DeltaLight` subclass, and its name here."""
+
+from jaxdr.scene.lights.base import DeltaLight as DeltaLight
+from jaxdr.scene.lights.directional import DirectionalLight as DirectionalLight
+from jaxdr.scene.lights.point import PointLight as PointLight
+from jaxdr.scene.lights.projector import Projector as Projector
+from jaxdr.scene.lights.spot import SpotLight as SpotLight

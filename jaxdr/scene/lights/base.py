@@ -1,0 +1,50 @@
+"""The interface of a light without area: it shines from a point, or from one direction."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+
+class DeltaLight(eqx.Module):
+    """A light without area: no ray meets it, its shadows are hard.
+
+    Methods are written for fields that carry one row for every point (`PackedScene` gathers them by light) or, with
+    `stackable` off, none. `infinite`: it shines from infinitely far away, in one direction.
+    """
+
+    infinite: ClassVar[bool] = False
+    stackable: ClassVar[bool] = True
+
+    @abc.abstractmethod
+    def place(self) -> Float[Array, "*#n 3"]:
+        """Position (world); where `infinite` the unit direction towards the light."""
+
+    @abc.abstractmethod
+    def intensity_in(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*#n 3"]:
+        """RGB intensity (W / sr) in unit world directions away from the light; its irradiance (W / m^2) if `infinite`.
+
+        Continuous in the direction but for `borders`.
+        """
+
+    @abc.abstractmethod
+    def power(self, radius: Float[Array, ""]) -> Float[Array, ""]:
+        """Luminance of the power (W) that a scene of this radius receives, about; of one light."""
+
+    def borders(self) -> Float[Array, "K 3 3"] | None:
+        """World points on the border of what is lit, where that ends abruptly: both ends of K lines and a point inside.
+
+        None for a light that fades.
+        """
+        return None
+
+
+def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:
+    """Three numbers; ValueError names the parameter otherwise."""
+    array = jnp.asarray(value, float)
+    if array.shape != (3,):
+        raise ValueError(f"{name} must be three numbers, got shape {array.shape}")
+    return array

@@ -1,0 +1,39 @@
+"""Light from infinitely far away, in one direction."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.vector import normalize
+from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.lights.base import DeltaLight, vector
+
+
+class DirectionalLight(DeltaLight):
+    """Light that travels along `direction` (any length), of RGB `irradiance` (W / m^2) on a plane across it.
+
+    Raises ValueError for a direction of zero length.
+    """
+
+    direction: Float[Array, "*n 3"]
+    irradiance: Float[Array, "*n 3"]
+    infinite = True
+
+    def __init__(self, direction: ArrayLike, irradiance: ArrayLike = 1.0):
+        self.direction = vector(direction, "DirectionalLight: direction")
+        self.irradiance = as_rgb(irradiance, "DirectionalLight: irradiance")
+        if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
+            raise ValueError("DirectionalLight: direction must not be zero")
+
+    def place(self):
+        return -normalize(self.direction)
+
+    def intensity_in(self, direction):
+        del direction
+        return self.irradiance
+
+    def power(self, radius):
+        # As an environment whose mean radiance has this irradiance, see `emitter_powers`.
+        return 0.25 * radius**2 * jnp.maximum(luminance(self.irradiance), 0.0)

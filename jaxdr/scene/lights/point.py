@@ -1,0 +1,32 @@
+"""Light from a point, the same in all directions."""
+
+import math
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.lights.base import DeltaLight, vector
+
+
+class PointLight(DeltaLight):
+    """RGB `intensity` (W / sr) in all directions from `position`."""
+
+    position: Float[Array, "*n 3"]
+    intensity: Float[Array, "*n 3"]
+
+    def __init__(self, position: ArrayLike, intensity: ArrayLike = 1.0):
+        self.position = vector(position, "PointLight: position")
+        self.intensity = as_rgb(intensity, "PointLight: intensity")
+
+    def place(self):
+        return self.position
+
+    def intensity_in(self, direction):
+        del direction
+        return self.intensity
+
+    def power(self, radius):
+        del radius
+        return 4.0 * math.pi * jnp.maximum(luminance(self.intensity), 0.0)

@@ -1,0 +1,114 @@
+"""An image thrown into the scene from a point."""
+
+import math
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera.pinhole import FOV_AXES
+from jaxdr.scene.color import luminance
+from jaxdr.scene.film import Film
+from jaxdr.scene.lights.base import DeltaLight
+
+WRAPS = ("clamp", "repeat")
+
+
+class Projector(DeltaLight):
+    """The reciprocal of a pinhole camera: it throws an image [H, W, 3] along +z of its frame, x to the left, y up.
+
+    `to_world` [4, 4] (no scale), `fov` in degrees along `fov_axis`, as for `Perspective`. A white diffuse screen across
+    the axis at distance 1 has the radiance `scale` x `irradiance` (Mitsuba's convention; its irradiance is pi times
+    that), bilinear between texel centres. Beyond the outer centres the image goes on as `wrap` says, "clamp" or
+    "repeat" (Mitsuba's default, which lets opposite borders meet in half a texel).
+
+    Raises ValueError for an image that is not RGB, an unknown `wrap` or axis, or a matrix of another shape.
+    """
+
+    irradiance: Float[Array, "H W 3"]
+    to_world: Float[Array, "4 4"]
+    fov: Float[Array, ""]
+    scale: Float[Array, ""]
+    fov_axis: str = eqx.field(static=True)
+    wrap: Literal["clamp", "repeat"] = eqx.field(static=True)
+    stackable = False
+
+    def __init__(
+        self,
+        irradiance: ArrayLike,
+        to_world: ArrayLike,
+        fov: ArrayLike,
+        scale: ArrayLike = 1.0,
+        fov_axis: str = "x",
+        wrap: Literal["clamp", "repeat"] = "clamp",
+    ):
+        self.irradiance = jnp.asarray(irradiance, float)
+        self.to_world, self.fov, self.scale = (jnp.asarray(value, float) for value in (to_world, fov, scale))
+        self.fov_axis, self.wrap = fov_axis, wrap
+        if self.irradiance.ndim != 3 or self.irradiance.shape[2] != 3:
+            raise ValueError(f"Projector: irradiance must be an RGB image [H, W, 3], got {self.irradiance.shape}")
+        if self.to_world.shape != (4, 4):
+            raise ValueError(f"Projector: to_world must be a 4 x 4 matrix, got shape {self.to_world.shape}")
+        if self.fov.shape != () or self.scale.shape != ():
+            raise ValueError("Projector: fov and scale must be numbers")
+        if fov_axis not in FOV_AXES or wrap not in WRAPS:
+            raise ValueError(
+                f"Projector: fov_axis must be one of {', '.join(FOV_AXES)}, wrap one of {', '.join(WRAPS)}; "
+                f"got {fov_axis!r} and {wrap!r}"
+            )
+
+    @property
+    def camera(self) -> Perspective:
+        """The camera whose reciprocal it is; its film points are texels."""
+        height, width, _ = self.irradiance.shape
+        return Perspective(self.to_world, self.fov, Film(width, height), self.fov_axis)
+
+    def place(self):
+        return self.to_world[:3, 3]
+
+    def intensity_in(self, direction):
+        height, width, _ = self.irradiance.shape
+        local = direction @ self.to_world[:3, :3]
+        ahead = local[..., 2] > 0
+        local = jnp.where(ahead[..., None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
+        point = self.camera.project_local(local)
+        size = jnp.asarray([width, height], point.dtype)
+        inside = ahead & ((point >= 0) & (point <= size)).all(-1)
+        value = self._texture(jnp.where(inside[..., None], point, 0.5 * size))
+        # The image is per area of the screen at distance 1; cos^3 of that is a solid angle.
+        value = math.pi * self.scale * value / local[..., 2:] ** 3
+        return jnp.where(inside[..., None], value, 0.0)
+
+    def _texture(self, point):
+        """Bilinear look-up at film points."""
+        height, width, _ = self.irradiance.shape
+        low = jnp.floor(stop_gradient(point) - 0.5)
+        along = point - 0.5 - low
+        column, row = (low[..., k].astype(jnp.int32) for k in (0, 1))
+        columns, rows = (self._wrapped(c, n) for c, n in ((column, width), (row, height)))
+        table, a, b = self.irradiance.reshape(-1, 3), along[..., :1], along[..., 1:]
+        upper, lower = ((1 - a) * table[row * width + columns[0]] + a * table[row * width + columns[1]] for row in rows)
+        return (1 - b) * upper + b * lower
+
+    def _wrapped(self, index, count: int):
+        both = (index, index + 1)
+        return tuple(jnp.mod(i, count) if self.wrap == "repeat" else jnp.clip(i, 0, count - 1) for i in both)
+
+    def power(self, radius):
+        del radius
+        height, width, _ = self.irradiance.shape
+        area = width * height / self.camera.pixels_per_tangent**2
+        return math.pi * area * self.scale * jnp.maximum(luminance(self.irradiance), 0.0).mean()
+
+    def borders(self):
+        height, width, _ = self.irradiance.shape
+        film = jnp.asarray([[0, 0], [0, height], [width, height], [width, 0], [width / 2, height / 2]])
+        tangent = (film[4] - film.astype(self.fov.dtype)) / self.camera.pixels_per_tangent
+        local = jnp.concatenate([tangent, jnp.ones_like(tangent[:, :1])], -1)
+        points = self.to_world[:3, 3] + local @ self.to_world[:3, :3].T
+        corners, centre = points[:4], points[4:]
+        return jnp.stack([corners, jnp.roll(corners, -1, axis=0), jnp.broadcast_to(centre, (4, 3))], 1)

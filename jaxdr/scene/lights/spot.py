@@ -1,0 +1,71 @@
+"""Light from a point into a cone."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.vector import dot, normalize
+from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.lights.base import DeltaLight, vector
+
+
+class SpotLight(DeltaLight):
+    """RGB `intensity` (W / sr) from `position` along `direction` (any length), none beyond a cone around it.
+
+    Full within `beam_width` of the axis (degrees; default 3/4 of the cutoff angle), from there linear in the angle to
+    zero at `cutoff_angle`, as Mitsuba's.
+
+    Raises ValueError unless 0 <= beam_width < cutoff_angle <= 180, and for a direction of zero length.
+    """
+
+    position: Float[Array, "*n 3"]
+    direction: Float[Array, "*n 3"]
+    intensity: Float[Array, "*n 3"]
+    cutoff_angle: Float[Array, "*n"]
+    beam_width: Float[Array, "*n"]
+
+    def __init__(
+        self,
+        position: ArrayLike,
+        direction: ArrayLike,
+        intensity: ArrayLike = 1.0,
+        cutoff_angle: ArrayLike = 20.0,
+        beam_width: ArrayLike | None = None,
+    ):
+        self.position = vector(position, "SpotLight: position")
+        self.direction = vector(direction, "SpotLight: direction")
+        self.intensity = as_rgb(intensity, "SpotLight: intensity")
+        self.cutoff_angle = jnp.asarray(cutoff_angle, float)
+        self.beam_width = 0.75 * self.cutoff_angle if beam_width is None else jnp.asarray(beam_width, float)
+        for name in ("cutoff_angle", "beam_width"):
+            if getattr(self, name).shape != ():
+                raise ValueError(f"SpotLight: {name} must be a number (degrees)")
+        if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
+            raise ValueError("SpotLight: direction must not be zero")
+        if not any(isinstance(angle, Tracer) for angle in (self.cutoff_angle, self.beam_width)):
+            beam, cutoff = float(self.beam_width), float(self.cutoff_angle)
+            if not 0 <= beam < cutoff <= 180:
+                raise ValueError(
+                    f"SpotLight: need 0 <= beam_width < cutoff_angle <= 180 (degrees), got {beam:g} and {cutoff:g}"
+                )
+
+    def place(self):
+        return self.position
+
+    def intensity_in(self, direction):
+        cutoff, beam = jnp.deg2rad(self.cutoff_angle), jnp.deg2rad(self.beam_width)
+        cosine = dot(direction, normalize(self.direction))
+        within, lit = cosine >= jnp.cos(beam), cosine > jnp.cos(cutoff)
+        fades = lit & ~within
+        angle = jnp.arccos(jnp.where(fades, jnp.clip(cosine, -1.0, 1.0), 0.0))
+        share = jnp.where(fades, (cutoff - angle) / (cutoff - beam), jnp.where(within, 1.0, 0.0))
+        return self.intensity * share[..., None]
+
+    def power(self, radius):
+        del radius
+        cutoff, beam = jnp.cos(jnp.deg2rad(self.cutoff_angle)), jnp.cos(jnp.deg2rad(self.beam_width))
+        return 2.0 * math.pi * (1.0 - 0.5 * (cutoff + beam)) * jnp.maximum(luminance(self.intensity), 0.0)

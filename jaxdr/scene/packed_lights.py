@@ -1,0 +1,78 @@
+"""Lights without area as tables, and the choice among all emitters of a scene by power."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.scene.emitters import DirectionSampler
+from jaxdr.scene.lights import DeltaLight
+
+EVENLY = 0.1  # share of the choice that does not depend on power: a light that is off now has a derivative
+
+
+class LightGroup(eqx.Module):
+    """Lights of one kind, fields stacked; or one light alone. `row` maps a light of the scene to its row."""
+
+    light: DeltaLight
+    row: Int[Array, " D"]
+    member: Bool[Array, " D"]
+    stacked: bool = eqx.field(static=True)
+
+    def at(self, index: Int[Array, " N"]) -> DeltaLight:
+        """The lights of these numbers, where they are members."""
+        return jax.tree.map(lambda field: field[self.row[index]], self.light) if self.stacked else self.light
+
+    def powers(self, radius: Float[Array, ""]) -> Float[Array, " D"]:
+        """Luminance of their power, zero for lights that are no members."""
+        power = jax.vmap(lambda light: light.power(radius))(self.light) if self.stacked else self.light.power(radius)
+        return jnp.where(self.member, power[self.row] if self.stacked else power, 0.0)
+
+
+def group_lights(lights: list[DeltaLight]) -> tuple[LightGroup, ...]:
+    """Lights with the same static structure are stacked into one group, those with tables of their own are not."""
+    structures = [jax.tree.structure(light) if light.stackable else i for i, light in enumerate(lights)]
+    groups = []
+    for structure in dict.fromkeys(structures):
+        members = [i for i, s in enumerate(structures) if s == structure]
+        light = lights[members[0]]
+        if light.stackable:
+            light = jax.tree.map(lambda *fields: jnp.stack(fields), *(lights[i] for i in members))
+        row = np.zeros(len(lights), np.int32)
+        row[members] = np.arange(len(members))
+        member = np.isin(np.arange(len(lights)), members)
+        groups.append(LightGroup(light, jnp.asarray(row), jnp.asarray(member), lights[members[0]].stackable))
+    return tuple(groups)
+
+
+def emitter_choice(
+    size: Float[Array, ""],
+    environment: DirectionSampler | None,
+    surfaces: Float[Array, ""] | None,
+    lights: tuple[LightGroup, ...],
+) -> Float[Array, " K"]:
+    """Cumulative probabilities of environment, surfaces and every light, those that there are, by power.
+
+    Detached. `surfaces` is the area of the emitting surfaces times the luminance of their radiance. Their power is pi
+    times that; that of an environment of mean radiance L counts as pi R^2 L, R being the radius of the scene. Through
+    the scene's bounding sphere comes 4 pi times as much, but most of it meets nothing: that way a panel of area A at a
+    distance of R / 2 and a sky that light a surface alike count about alike.
+    """
+    lights = jax.tree.map(stop_gradient, lights)
+    radius = 0.5 * size
+    powers = []
+    if environment is not None:
+        powers.append(math.pi * radius**2 * environment.mean()[None])
+    if surfaces is not None:
+        powers.append(math.pi * surfaces[None])
+    if lights:
+        powers.append(sum(group.powers(radius) for group in lights))
+    power = jnp.concatenate(powers)
+    total = power.sum()
+    share = jnp.where(total > 0, power / jnp.where(total > 0, total, 1.0), 1.0 / power.shape[0])
+    cumulative = jnp.cumsum((1.0 - EVENLY) * share + EVENLY / power.shape[0])
+    return stop_gradient(cumulative / cumulative[-1])

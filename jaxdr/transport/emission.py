@@ -1,0 +1,183 @@
+"""Emitters of a packed scene: drawn by power, found by rays, and what they send."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.vector import dot
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import search_sorted_rows, uniform_triangle
+from jaxdr.transport.interaction import SurfacePoint, material_point
+
+
+class EmitterSample(NamedTuple):
+    """Points on emitters (or directions to the environment) with their densities.
+
+    `pdf` is per area at `point`, or per solid angle where `infinite`; detached. `direction` is set where `infinite`.
+    `light` is the number of the light without area that was chosen, -1 for other emitters, None where the scene has
+    none; `pdf` is a probability there, `point` has nothing but a position, and the radiance is that of
+    `radiance_towards`.
+    """
+
+    point: SurfacePoint
+    infinite: Bool[Array, " N"]
+    direction: Float[Array, "N 3"]
+    radiance: Float[Array, "N 3"]
+    pdf: Float[Array, " N"]
+    light: Int[Array, " N"] | None = None
+
+    @property
+    def is_delta(self) -> Bool[Array, " N"] | None:
+        """Whether it is on a light without area; None where the scene has none."""
+        return None if self.light is None else self.light >= 0
+
+
+class Shares(NamedTuple):
+    """Probabilities of choosing the environment, surfaces, and any of the lights; plain numbers without a choice."""
+
+    environment: Float[Array, ""] | float
+    surfaces: Float[Array, ""] | float
+    lights: Float[Array, " D"] | float
+
+
+def emitter_shares(packed: PackedScene) -> Shares:
+    """With which probabilities emitters are chosen."""
+    if packed.choice is None:
+        environment = 0.0 if packed.environment is None else 1.0
+        return Shares(environment, 1.0 - environment, 1.0)
+    each = jnp.diff(packed.choice, prepend=0.0)
+    environment, surfaces, first = 0.0, 0.0, 0
+    if packed.environment is not None:
+        environment, first = each[0], 1
+    if packed.has_area_emitters:
+        surfaces, first = each[first], first + 1
+    return Shares(environment, surfaces, each[first:])
+
+
+def has_emitters(packed: PackedScene) -> bool:
+    """Whether anything in the scene emits light."""
+    return packed.environment is not None or packed.has_area_emitters or packed.light_count > 0
+
+
+def environment_radiance(packed: PackedScene, direction: Float[Array, "N 3"]) -> Float[Array, "*#N 3"]:
+    """Radiance of the environment from unit world directions, differentiable in them."""
+    return packed.environment.eval(direction)
+
+
+def surface_radiance(packed: PackedScene, point: SurfacePoint) -> Float[Array, "N 3"]:
+    """Radiance of points on emitting surfaces, on the side of their normal; zero for other surfaces."""
+    return packed.radiance[packed.face_shape[point.face]]
+
+
+def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:
+    """Material points on emitters, directions to the environment, lights without area: chosen by power."""
+    n, dtype = u.shape[0], u.dtype
+    shares = emitter_shares(packed)
+    infinite = jnp.full(n, packed.environment is not None)
+    light = jnp.zeros(n, jnp.int32) if packed.light_count else None
+    if packed.choice is not None:
+        kind, left = search_sorted_rows(packed.choice[None], jnp.zeros(n, jnp.int32), u[:, 0])
+        u = jnp.stack([left, u[:, 1]], -1)
+        infinite = (kind == 0) & infinite
+        if light is not None:
+            light = jnp.maximum(kind - (packed.choice.shape[0] - packed.light_count), -1)
+    direction = jnp.zeros((n, 3), dtype)
+    radiance, pdf = jnp.zeros((n, 3), dtype), jnp.ones(n, dtype)
+    if packed.has_area_emitters:
+        point, per_area = sample_emitting_surface(packed, u)
+        point = point._replace(valid=~infinite)
+        radiance = surface_radiance(packed, point)
+        pdf = shares.surfaces * per_area
+    else:
+        nowhere = jnp.zeros(n, jnp.int32)
+        point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
+    if packed.environment is not None:
+        direction = packed.environment_sampler.sample(u)
+        radiance = jnp.where(infinite[:, None], environment_radiance(packed, direction), radiance)
+        pdf = jnp.where(infinite, shares.environment * packed.environment_sampler.pdf(direction), pdf)
+    sample = EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))
+    return sample if light is None else _with_lights(packed, sample, light, shares)
+
+
+def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shares) -> EmitterSample:
+    """Samples with the chosen lights in place of what they have now."""
+    chosen = light >= 0
+    number = jnp.maximum(light, 0)
+    position, direction, infinite = sample.point.position, sample.direction, sample.infinite & ~chosen
+    for group in packed.lights:
+        here = chosen & group.member[number]
+        place = group.at(number).place()
+        if group.light.infinite:
+            infinite = infinite | here
+            direction = jnp.where(here[:, None], place, direction)
+        else:
+            position = jnp.where(here[:, None], place, position)
+    point = sample.point
+    point = point._replace(
+        valid=point.valid & ~chosen,
+        position=position,
+        area=jnp.where(chosen, 1.0, point.area),
+        scale=jnp.where(chosen, 0.0, point.scale),
+    )
+    share = jnp.broadcast_to(jnp.asarray(shares.lights, sample.pdf.dtype), packed.light_count)[number]
+    radiance, pdf = jnp.where(chosen[:, None], 0.0, sample.radiance), jnp.where(chosen, share, sample.pdf)
+    return EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf), light)
+
+
+def radiance_towards(packed: PackedScene, sample: EmitterSample, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+    """Radiance of samples, of lights without area their intensity; `towards` them from where it arrives, unit."""
+    if sample.light is None:
+        return sample.radiance
+    radiance, number = sample.radiance, jnp.maximum(sample.light, 0)
+    for group in packed.lights:
+        here = (sample.light >= 0) & group.member[number]
+        radiance = jnp.where(here[:, None], group.at(number).intensity_in(-towards), radiance)
+    return radiance
+
+
+def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
+    """(material points on area emitters, proportional to power, and their densities, per area, detached)."""
+    cdf = packed.emitter_cdf()
+    index = jnp.clip(jnp.searchsorted(cdf, u[:, 0], side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(index > 0, cdf[index - 1], 0.0)
+    probability = cdf[index] - before
+    remapped = jnp.clip((u[:, 0] - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
+    barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
+    point = material_point(packed, packed.emitter_faces[index], barycentric, jnp.ones(index.shape, bool))
+    return point, probability / stop_gradient(point.area)
+
+
+def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Array, " N"]:
+    """Density (per area, detached) with which `sample_emitting_surface` would choose points."""
+    cdf = packed.emitter_cdf()
+    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
+    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
+    return probability[point.face] / stop_gradient(point.area)
+
+
+def emitter_pdf(
+    packed: PackedScene, point: SurfacePoint, direction: Float[Array, "N 3"], distance2, cosine
+) -> Float[Array, " N"]:
+    """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or on a miss its `direction`."""
+    shares = emitter_shares(packed)
+    miss = 0.0 if packed.environment is None else shares.environment * packed.environment_sampler.pdf(direction)
+    if not packed.has_area_emitters:
+        return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
+    per_area = shares.surfaces * emitting_surface_pdf(packed, point)
+    return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
+
+
+def emitted(packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+    """Radiance that reaches the previous vertex from a hit, or from the environment on a miss.
+
+    `wi` points from the hit towards the previous vertex. Surfaces glow on the side of their normal.
+    """
+    result = jnp.zeros_like(wi)
+    if packed.has_area_emitters:
+        front = point.valid & (stop_gradient(dot(point.normal, wi)) > 0)
+        result = jnp.where(front[:, None], surface_radiance(packed, point), 0.0)
+    if packed.environment is not None:
+        result = jnp.where(point.valid[:, None], result, environment_radiance(packed, -wi))
+    return result
