@@ -3,6 +3,7 @@
 from importlib.metadata import PackageNotFoundError as _NotInstalled
 from importlib.metadata import version as _version
 
+from jaxdr.aovs import render_aovs as render_aovs
 from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling as LineSampling
 from jaxdr.geometry import shapes as shapes

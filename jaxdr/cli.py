@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp
 
+from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
@@ -54,14 +55,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _render(options) -> int:
-    output = Path(options.output)
-    check_image_path(output)
+    output, key = Path(options.output), jax.random.key(options.seed)
+    aovs = {name: _aov_path(output, name) for name in options.aov}
+    for path in (output, *aovs.values()):
+        check_image_path(path)
     scene = _load_scene(options)
     tracer = PathTracer(max_depth=options.max_depth, boundary=None)
-    image = jax.jit(lambda key: render(scene, key, spp=options.spp, integrator=tracer))(jax.random.key(options.seed))
-    write_image(output, _finite(image))
-    print(output)
+    image = _finite(jax.jit(lambda key: render(scene, key, spp=options.spp, integrator=tracer))(key))
+    found = render_aovs(scene, key, spp=options.spp, names=aovs) if aovs else {}
+    found = {name: _finite(values.reshape(*values.shape[:2], -1)) for name, values in found.items()}
+    for path, values in ((output, image), *((aovs[name], values) for name, values in found.items())):
+        write_image(path, values)
+        print(path)
     return 0
+
+
+def _aov_path(output: Path, name: str) -> Path:
+    """Beside the image, in its format if that holds any float."""
+    suffix = output.suffix if output.suffix.lower() in (".exr", ".pfm", ".npy") else ".npy"
+    return output.with_name(f"{output.stem}.{name}{suffix}")
+
+
+def _aov_names(text: str) -> list[str]:
+    """Names separated by commas."""
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in NAMES:
+            raise argparse.ArgumentTypeError(f"unknown AOV {name!r}; known: {', '.join(NAMES)}")
+    return names
 
 
 def _gradient(options) -> int:
@@ -221,6 +242,9 @@ def _parser() -> argparse.ArgumentParser:
             help=f"longest path in segments (default {MAX_DEPTH})",
         )
         command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
+        if name == "render":
+            what = f"what is seen, in files beside the image, separated by commas: {', '.join(NAMES)}"
+            command.add_argument("--aov", type=_aov_names, default=[], metavar="NAME,...", help=what)
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)

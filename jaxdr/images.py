@@ -72,8 +72,10 @@ def check_image_path(path: Path) -> None:
         raise ValueError(f"{path}: {exr.INSTALL}")
 
 
-def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W 3"]) -> None:
+def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"]) -> None:
     """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (8-bit sRGB, clipped).
+
+    The first three hold one channel (C = 1) as well.
 
     The file appears complete or not at all. Raises ValueError as `check_image_path` does, and for values that `.hdr`
     can't hold (negative ones).

@@ -95,6 +95,17 @@ def test_render_formats_and_options(workplace, scenes, capsys):
     np.testing.assert_allclose(scene.environment.radiance, 2.0)
 
 
+@pytest.mark.parametrize("suffix, beside", [(".png", ".npy"), (".pfm", ".pfm")])
+def test_aovs_beside_the_image(workplace, scenes, capsys, suffix, beside):
+    assert cli.main(["render", "scene.xml", "-o", f"out{suffix}", "--spp", "4", "--aov", "depth, face,position"]) == 0
+    files = [f"out{suffix}", *(f"out.{name}{beside}" for name in ("depth", "face", "position"))]
+    assert capsys.readouterr().out.splitlines() == files and set(files) < set(names(workplace))
+    depth, face, position = (load_image(name) for name in files[1:])
+    assert (depth.shape, face.shape, position.shape) == ((6, 8, 1), (6, 8, 1), (6, 8, 3))
+    assert np.allclose(depth[3, 4], 3, atol=0.2) and np.allclose(position[3, 4, 1], -1, atol=0.01)
+    assert face.min() == -1 and 0 <= face[3, 4] < 12
+
+
 @pytest.mark.parametrize("suffix", [".png", ".exr", ".hdr", ".pfm", ".npy"])
 def test_every_image_format(scenes, suffix):
     if suffix == ".exr":
@@ -172,6 +183,10 @@ def test_boundary_is_chosen(scenes):
         ("render scene.xml", "the following arguments are required: -o/--output"),
         ("render scene.xml -o out.png --spp 0", "argument --spp: must be positive, got 0"),
         ("render scene.xml -o out.png --spp many", "argument --spp: invalid whole number value: 'many'"),
+        (
+            "render scene.xml -o out.png --aov depth,colour",
+            "argument --aov: unknown AOV 'colour'; known: depth, position",
+        ),
         ("render scene.xml -o out.png --sp 3", "unrecognized arguments: --sp 3"),
         ("render scene.xml -o out.png --set widht=3", "widht"),
         ("render scene.xml -o out.png --set width", "--set width: expected key=value"),

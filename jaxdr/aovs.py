@@ -1,0 +1,142 @@
+"""Arbitrary output variables: what camera rays hit, as images."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxdr.geometry.vector import norm
+from jaxdr.scene.packed import PackedScene, pack
+from jaxdr.scene.scene import Scene
+from jaxdr.transport.interaction import intersect
+from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.shading import Scatterer
+
+CHUNK = 1 << 18  # camera rays at once
+
+
+def _depth(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 1"]:
+    view, position = primary.view, primary.first.position
+    origin, _ = view.rays(view.project(position))
+    return norm(position - origin)[:, None]
+
+
+def _albedo(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 3"]:
+    scatterer = Scatterer(packed, primary.first, -primary.direction)
+    sampled = scatterer.sample(primary.u[:, 2:])
+    density = scatterer.pdf(sampled)[:, None]
+    return jnp.where(density > 0, scatterer.eval(sampled) / jnp.where(density > 0, density, 1.0), 0.0)
+
+
+# Averages over samples, zero where nothing is hit; and numbers at pixel centres. A new one is a function and a line.
+FLOATS: dict[str, Callable[[PackedScene, PrimarySamples], Float[Array, "N C"]]] = {
+    "depth": _depth,
+    "position": lambda packed, primary: primary.first.position,
+    "shading_normal": lambda packed, primary: primary.first.shading_normal,
+    "albedo": _albedo,
+}
+IDS: dict[str, Callable[[PackedScene, Int[Array, " N"]], Int[Array, " N"]]] = {
+    "face": lambda packed, face: face - jnp.asarray(packed.first_face)[packed.face_shape[face]],
+    "shape": lambda packed, face: packed.face_shape[face],
+}
+NAMES = (*FLOATS, *IDS)
+
+
+class _Settings(NamedTuple):
+    names: tuple[str, ...]
+    spp: int
+    rays: str
+
+
+def render_aovs(
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "warp"
+) -> dict[str, Array]:
+    """What camera rays hit, by name: floats [H, W, C], averaged with the pixel filter, and int32 numbers [H, W].
+
+    Floats are means over `spp` samples a pixel, with zero for samples that hit nothing, as of Mitsuba's `aov`
+    integrator (the image of pixels at borders mixes both sides):
+
+    - `depth` (C = 1): distance from the camera along the ray (from the pinhole, the point on the lens, or the plane of
+      a parallel camera; Mitsuba counts from the near plane);
+    - `position`, `shading_normal` (C = 3): in world space, the normal unit and on the side that the surface has it;
+    - `albedo` (C = 3): share of the light from everywhere that is scattered towards the camera, by one sample of the
+      BSDF each: exact for diffuse surfaces. Black surfaces and backs of one-sided ones have none.
+
+    Numbers are those at pixel centres, seen from the centre of the lens, -1 for nothing: `shape` counts `scene.shapes`,
+    `face` the faces of its mesh.
+
+    `rays` names the implementation of the ray queries. Raises ValueError for unknown names, and when differentiated:
+    the jumps at edges are not accounted for.
+    """
+    names = tuple(names)
+    for name in names:
+        if name not in NAMES:
+            raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
+    if int(spp) != spp or spp < 1:
+        raise ValueError(f"render_aovs: spp must be a positive whole number of samples per pixel, got {spp}")
+    found = _render(_Settings(names, int(spp), rays), scene, key)
+    return {name: found[name] for name in names}
+
+
+@partial(jax.jit, static_argnums=0)
+def _render(settings: _Settings, scene: Scene, key) -> dict[str, Array]:
+    packed = pack(_without_derivative(scene))
+    images = {}
+    if any(name in FLOATS for name in settings.names):
+        images |= _averages(settings, packed, key)
+    ids = [name for name in settings.names if name in IDS]
+    if ids:
+        face, shape = _central_faces(settings, packed)
+        images |= {n: jnp.where(face >= 0, IDS[n](packed, jnp.maximum(face, 0)), -1).reshape(shape) for n in ids}
+    return images
+
+
+def _averages(settings: _Settings, packed: PackedScene, key) -> dict[str, Array]:
+    _, _, width, height = packed.camera.film.window
+    names = [name for name in settings.names if name in FLOATS]
+    per_chunk = max(1, min(settings.spp, CHUNK // (width * height)))
+
+    def chunk(total, index):
+        samples = index * per_chunk + jnp.arange(per_chunk)
+        primary = primary_samples(packed, samples, key, settings.rays, "fixed")
+        counts = primary.first.valid & jnp.tile(samples < settings.spp, width * height)
+        values = {n: jnp.where(counts[:, None], FLOATS[n](packed, primary), 0.0) / settings.spp for n in names}
+        return {n: total[n] + v.reshape(height, width, per_chunk, -1).sum(2) for n, v in values.items()}, None
+
+    first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, "fixed"))
+    shapes = {name: jax.eval_shape(FLOATS[name], packed, first) for name in names}
+    start = {name: jnp.zeros((height, width, s.shape[1]), s.dtype) for name, s in shapes.items()}
+    return jax.lax.scan(chunk, start, jnp.arange(-(-settings.spp // per_chunk)))[0]
+
+
+def _central_faces(settings: _Settings, packed: PackedScene):
+    """(faces that the rays through pixel centres hit, the shape of the image)."""
+    x0, y0, width, height = packed.camera.film.window
+    row, column = jnp.divmod(jnp.arange(width * height), width)
+    centre = jnp.stack([column + x0, row + y0], -1).astype(packed.vertices.dtype) + 0.5
+    view = packed.camera.view()
+    origin, direction = view.rays(centre)
+    start, reach = view.clipped(origin, direction)
+    return intersect(packed, start, direction, jnp.ones(width * height, bool), settings.rays, reach), (height, width)
+
+
+@jax.custom_jvp
+def _without_derivative(scene: Scene) -> Scene:
+    return scene
+
+
+@partial(_without_derivative.defjvp, symbolic_zeros=True)
+def _jvp(primals, tangents):
+    if any(not isinstance(t, SymbolicZero) for t in jax.tree.leaves(tangents, is_leaf=_is_zero)):
+        raise ValueError(
+            "render_aovs has no derivative: what jumps at edges would be missing; take stop_gradient of it"
+        )
+    return primals[0], tangents[0]
+
+
+def _is_zero(tangent) -> bool:
+    return isinstance(tangent, SymbolicZero)
