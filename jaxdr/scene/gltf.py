@@ -14,16 +14,22 @@ import trimesh
 from jaxtyping import Float
 
 from jaxdr.geometry.load import Part, is_triangles, joined
-from jaxdr.scene.bsdf import BSDF, Principled, TwoSided
+from jaxdr.scene.bsdf import BSDF, NormalMap, Principled, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.film import Film
+from jaxdr.scene.gltf_textures import (
+    base_color,
+    metallic_roughness,
+    normal_map,
+    texture_infos,
+    unsupported_textures,
+)
 from jaxdr.scene.scene import RESERVED, Scene, Shape
 
 EXTENSIONS = (".glb", ".gltf")
 SUPPORTED = ("KHR_materials_emissive_strength",)
 LINE_LOOP, LINE_STRIP, TRIANGLE_FAN = 2, 3, 6  # primitive modes that trimesh leaves out
-TEXTURES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "emissiveTexture")
 FRAMING_FOV = 40.0  # degrees
 FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: assets face +z, and y is up
 
@@ -36,14 +42,15 @@ def load_gltf(
     """The scene in a glTF 2.0 file, y up, in its units: one shape for each mesh primitive of each node.
 
     Shapes are named by their nodes, with a number where names repeat. Base colour, metallic and roughness become a
-    `Principled` BSDF, two-sided where the material is; emissive factors become area emitters; where nothing emits, a
-    constant environment of radiance 1 does. Normals are those of the file's smoothing groups (`load_mesh`, shading
-    "file"). The first camera is taken, or one that shows the whole scene from the front. The film is `width` pixels
-    wide and, unless `height` is given, as high as the camera's aspect ratio asks for (square without one).
+    `Principled` BSDF with their textures, two-sided where the material is, in a `NormalMap` where there is one;
+    emissive factors become area emitters; where nothing emits, a constant environment of radiance 1 does. Normals are
+    those of the file's smoothing groups (`load_mesh`, shading "file"). The first camera is taken, or one that shows the
+    whole scene from the front. The film is `width` pixels wide and, unless `height` is given, as high as the camera's
+    aspect ratio asks for (square without one).
 
-    Raises one ValueError that lists whatever else is not supported (textures, vertex colours, transparency, lights,
-    animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded. Raises
-    ValueError for a missing or damaged file.
+    Raises one ValueError that lists whatever else is not supported (emissive textures, vertex colours, transparency,
+    lights, animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded.
+    Raises ValueError for a missing or damaged file.
     """
     path = Path(path)
     if path.suffix.lower() not in EXTENSIONS:
@@ -145,14 +152,32 @@ def _shapes(header: dict, nodes: list, primitives: list) -> Iterator[tuple[str, 
             )
             taken.add(name)
             material = header["materials"][primitive["material"]] if "material" in primitive else {}
-            yield name, Shape(joined([Part(geometry, to_world)], "file"), _bsdf(material), _emitter(material))
+            part = Part(geometry, to_world)
+            textures = {} if part.uvs is None else texture_infos(material)
+            bsdf = _bsdf(header, material, textures, geometry.visual)
+            yield name, Shape(joined([part], "file"), bsdf, _emitter(material))
 
 
-def _bsdf(material: dict) -> BSDF | TwoSided:
-    """The BSDF of a glTF material: metallic and roughness as the principled model has them, of index 1.5."""
+def _bsdf(header: dict, material: dict, textures: dict[str, dict], visual) -> BSDF | TwoSided:
+    """The BSDF of a glTF material: metallic and roughness as the principled model has them, of index 1.5.
+
+    `textures` are those that count, `visual` is what trimesh made of the material.
+    """
     factors = material.get("pbrMetallicRoughness", {})
-    base_color = factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))
-    bsdf = Principled(base_color[:3], factors.get("metallicFactor", 1.0), factors.get("roughnessFactor", 1.0))
+    color = factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
+    metallic, roughness = factors.get("metallicFactor", 1.0), factors.get("roughnessFactor", 1.0)
+    images = {name: getattr(visual.material, name) for name in textures}
+    for name, image in images.items():
+        if image is None:
+            raise ValueError(f"the image of {name} can't be read")
+    if (info := textures.get("baseColorTexture")) is not None:
+        color = base_color(header, info, images["baseColorTexture"], color)
+    if (info := textures.get("metallicRoughnessTexture")) is not None:
+        image = images["metallicRoughnessTexture"]
+        metallic, roughness = metallic_roughness(header, info, image, metallic, roughness)
+    bsdf: BSDF = Principled(color, metallic, roughness)
+    if (info := textures.get("normalTexture")) is not None:
+        bsdf = NormalMap(normal_map(header, info, images["normalTexture"]), bsdf)
     return TwoSided(bsdf) if material.get("doubleSided", False) else bsdf
 
 
@@ -196,6 +221,9 @@ def _unsupported(header: dict, nodes: list[tuple[dict, Matrix]]) -> Iterator[str
                 yield f"{name}: points, lines and triangle fans are not supported; they are left out"
             if "COLOR_0" in primitive["attributes"]:
                 yield f"{name}: vertex colours are not supported; the base colour of the material counts"
+            if "TEXCOORD_0" not in primitive["attributes"] and "material" in primitive:
+                if texture_infos(header["materials"][primitive["material"]]):
+                    yield f"{name}: there are no texture coordinates; its material counts without textures"
             if primitive.get("targets"):
                 yield f"{name}: morph targets are not supported; they have no effect"
     for node, _ in nodes:
@@ -208,9 +236,8 @@ def _unsupported(header: dict, nodes: list[tuple[dict, Matrix]]) -> Iterator[str
             yield f"{name}: orthographic cameras are not supported; the camera is left out"
     for i, material in enumerate(header.get("materials", [])):
         name = f"material {material.get('name', i)!r}"
-        for texture in TEXTURES:
-            if texture in material or texture in material.get("pbrMetallicRoughness", {}):
-                yield f"{name}: {texture} is not supported; its factor alone counts"
+        for problem in unsupported_textures(header, material):
+            yield f"{name}: {problem}"
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
             yield f"{name}: transparency is not supported; the material is opaque"
         for extension in material.get("extensions", {}):

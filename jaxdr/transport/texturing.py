@@ -46,9 +46,10 @@ def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Ar
 
 def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint) -> Float[Array, " N"]:
     """Sum over all textured fields of how much they differ between points of the same shapes, mean over channels."""
-    shape = packed.face_shape[one.face]
+    shape, total = packed.face_shape[one.face], jnp.zeros_like(one.area)
+    if not packed.textured:
+        return total
     first, second = texture_point(packed, one), texture_point(packed, two)
-    total = jnp.zeros_like(one.area)
     for group in packed.bsdfs:
         for _, texture in textures_in(group.bsdf):
             row = group.row[shape]

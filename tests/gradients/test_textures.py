@@ -218,6 +218,12 @@ def test_where_seams_are():
     np.testing.assert_allclose(jumps[at_seam], 0.1 + np.mean(np.subtract(BRIGHT, DARK)), rtol=1e-5)
     plain = pack(scene(jd.Diffuse(jd.Bitmap(PIXELS)), jd.shapes.plane(4.0, 3)))
     assert np.all(np.asarray(seam_jumps(plain, jnp.arange(plain.edges.vertices.shape[0]))) == 0)
+    # UVs that go back behind the diagonal: no seam for an image, but for normals, which follow them.
+    sheet, uvs = jd.shapes.rectangle(), [[0, 0], [1, 0], [1, 0], [1, 1]]
+    folded = jd.Mesh(sheet.vertices, sheet.faces, uvs, sheet.faces)
+    for bsdf, seams in ((jd.Diffuse(jd.Bitmap(PIXELS)), 0), (jd.NormalMap((0.6, 0.5, 0.9), jd.Diffuse()), 1)):
+        packed = pack(scene(bsdf, folded))
+        assert (np.asarray(seam_jumps(packed, jnp.arange(5))) > 0).sum() == seams
 
 
 def test_shadows_on_a_texture():

@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from jaxdr.scene.bsdf import Principled, TwoSided
+from jaxdr.scene.bsdf import NormalMap, Principled, TwoSided
 from jaxdr.scene.gltf import load_gltf
 
 
@@ -161,7 +162,7 @@ def unsupported(header):
     material = header["materials"][0]
     material["name"] = "glass"
     material["alphaMode"] = "BLEND"
-    material["normalTexture"] = {"index": 0}
+    material["emissiveTexture"] = {"index": 0}
     material["extensions"] = {"KHR_materials_transmission": {}}
 
 
@@ -170,7 +171,7 @@ UNSUPPORTED = [
     "animations are not supported",
     "mesh 'a mesh': vertex colours are not supported",
     "node 'a': point, spot and directional lights are not supported",
-    "material 'glass': normalTexture is not supported; its factor alone counts",
+    "material 'glass': emissiveTexture is not supported; it is left out",
     "material 'glass': transparency is not supported",
     "material 'glass': extension KHR_materials_transmission is not supported",
 ]
@@ -214,3 +215,83 @@ def test_bad_files_are_one_clear_error(write, tmp_path):
     path = write({"a": box()})
     path.write_bytes(path.read_bytes()[:-200])
     check(path, "not a readable glTF file")
+
+
+COLOURS = np.random.default_rng(0).integers(0, 256, (2, 3, 3), np.uint8)
+OTHERS = np.random.default_rng(1).integers(0, 256, (4, 2, 3), np.uint8)
+UVS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+def textured(**material):
+    """A square with UVs that start at the lower left."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    visual = TextureVisuals(uv=UVS, material=PBRMaterial(**material))
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False, visual=visual)
+
+
+def test_textures(write):
+    """Colours in sRGB, roughness in green, metallic in blue, all times their factors; UVs start at the lower left."""
+    square = textured(
+        baseColorFactor=[0.5, 1.0, 1.0, 1.0],
+        baseColorTexture=Image.fromarray(COLOURS),
+        metallicRoughnessTexture=Image.fromarray(OTHERS),
+        metallicFactor=0.5,
+        roughnessFactor=0.8,
+    )
+    shape = load_gltf(write({"a": square})).shapes["a"]
+    bsdf, share = shape.bsdf, COLOURS / 255
+    assert isinstance(bsdf, Principled)
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(bsdf.base_color.pixels, linear * [128 / 255, 1, 1], rtol=5e-3)  # 8 bits from trimesh
+    np.testing.assert_allclose(bsdf.metallic.pixels[..., 0], 0.5 * OTHERS[..., 2] / 255, rtol=1e-5)
+    np.testing.assert_allclose(bsdf.roughness.pixels[..., 0], 0.8 * OTHERS[..., 1] / 255, rtol=1e-5)
+    assert bsdf.base_color.wrap == "repeat" and bsdf.base_color.filter == "bilinear"
+    corners = np.asarray(shape.mesh.vertices)[np.asarray(shape.mesh.faces)]
+    uvs = np.asarray(shape.mesh.uvs)[np.asarray(shape.mesh.uv_faces)]
+    np.testing.assert_allclose(uvs, (corners[..., :2] + 1) / 2, atol=1e-6)
+
+
+def test_normal_textures_and_samplers(write):
+    def change(header):
+        header["samplers"] = [{"wrapS": 33071, "wrapT": 33071, "magFilter": 9728}]
+        header["textures"][0]["sampler"] = 0
+        header["materials"][0]["doubleSided"] = True
+
+    bsdf = load_gltf(write({"a": textured(normalTexture=Image.fromarray(COLOURS))}, change)).shapes["a"].bsdf
+    assert isinstance(bsdf, TwoSided) and isinstance(bsdf.bsdf, NormalMap) and isinstance(bsdf.bsdf.bsdf, Principled)
+    np.testing.assert_allclose(bsdf.bsdf.normal.pixels, COLOURS / 255, rtol=1e-6)
+    assert (bsdf.bsdf.normal.wrap, bsdf.bsdf.normal.filter) == ("clamp", "nearest")
+
+
+def test_textures_that_are_not_supported(write):
+    def change(header):
+        material = header["materials"][0]
+        material["normalTexture"]["scale"] = 0.5
+        color = material["pbrMetallicRoughness"]["baseColorTexture"]
+        color["extensions"] = {"KHR_texture_transform": {"offset": [0.5, 0]}}
+        header["samplers"] = [{"wrapS": 33071, "wrapT": 10497}]
+        header["textures"][color["index"]]["sampler"] = 0
+        material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["texCoord"] = 1
+
+    image = Image.fromarray(COLOURS)
+    square = textured(baseColorTexture=image, metallicRoughnessTexture=image, normalTexture=image)
+    path = write({"a": square}, change)
+    with pytest.warns(UserWarning) as warned:
+        bsdf = load_gltf(path, ignore_unsupported=True).shapes["a"].bsdf
+    assert isinstance(bsdf, Principled) and bsdf.base_color.wrap == "clamp" and bsdf.roughness.shape == ()
+    messages = [str(warning.message).split(": ", 2)[2] for warning in warned]
+    assert messages == [
+        "baseColorTexture: extension KHR_texture_transform is not supported; it has no effect",
+        "baseColorTexture wraps differently along u and v, which is not supported; as along u it wraps along both",
+        "metallicRoughnessTexture uses a second set of texture coordinates, which is not supported; it is left out",
+        "normalTexture has a scale other than 1, which is not supported; it is left out",
+    ]
+
+    def bare(header):
+        del header["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
+
+    path = write({"a": textured(baseColorTexture=image)}, bare)
+    with pytest.raises(ValueError, match="there are no texture coordinates; its material counts without textures"):
+        load_gltf(path)
+    with pytest.warns(UserWarning):
+        assert load_gltf(path, ignore_unsupported=True).shapes["a"].bsdf.base_color.shape == (3,)
