@@ -3,10 +3,13 @@
 A parallel camera sees it along the same ray; all rays through a lens that is focused on it end there.
 """
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.geometry.shapes import displaced_sphere, rectangle
 from tests.boundary.test_film_edges_cameras import lens_points
 from tests.gradients import floor_point
 from tests.gradients.floor_point import CAMERA, FILM, POINT, QUADRANGLE, UP, estimates, exact, mean_and_error, sheet
@@ -63,3 +66,75 @@ def _d_point(blocker):
     vertices = np.asarray(blocker.vertices, float)
     pieces = [vertices[face] for face in np.asarray(blocker.faces) if np.all(vertices[face, 2] > 0)]
     return floor_point.irradiance_derivatives(POINT, UP, floor_point.LIGHT, pieces)[2]
+
+
+# All terms together: a bumpy ball over a floor, a light and a sky, against finite differences.
+
+SIZE = 24
+VIEW = jd.look_at([0.5, -5, 1.2], [0, 0, -0.3], [0, 0, 1])
+SMOOTH = jd.Film(SIZE, SIZE)
+WHOLE = {
+    "parallel": jd.Orthographic(VIEW @ np.diag([2.0, 2.0, 1, 1]), SMOOTH),
+    "lens": jd.ThinLens(VIEW, 40.0, SMOOTH, 0.25, 3.8),
+}
+SIDEWAYS, ASKEW = jnp.asarray([1.0, 0, 0]), jnp.asarray([0.7, 0.2, 0.6])
+# Parameter, and how it goes with time.
+MOTIONS = {
+    "ball": ("ball.vertices", lambda v, t: v + t * SIDEWAYS),
+    "pose": ("camera.to_world", lambda m, t: m.at[:3, 3].add(t * ASKEW)),
+    "scale": ("camera.to_world", lambda m, t: m @ jnp.diag(jnp.asarray([1.0 + t, 1.0 + t, 1.0, 1.0]))),
+    "radius": ("camera.aperture_radius", lambda r, t: r + 5 * t),
+    "focus": ("camera.focus_distance", lambda f, t: f + 25 * t),
+}
+
+
+def bumpy_scene(kind) -> jd.Scene:
+    ball = displaced_sphere(2, 0.1)
+    light = jd.Mesh([[-1, -1, 3], [-1, 1, 3], [1, 1, 3], [1, -1, 3]], [[0, 1, 2], [0, 2, 3]])
+    shapes = {
+        "ball": jd.Shape(ball, jd.Diffuse((0.7, 0.5, 0.3))),
+        "floor": jd.Shape(rectangle(8.0, 8.0, (0.0, 0.0, -1.3)), jd.Diffuse(0.5)),
+        "light": jd.Shape(light, jd.Diffuse(0.0), jd.AreaEmitter(5.0)),
+    }
+    return jd.Scene(shapes, WHOLE[kind], jd.ConstantEnvironment(0.4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("primary", ["fixed_ray", "material"])
+@pytest.mark.parametrize(
+    ("kind", "motion"),
+    [(kind, motion) for kind in WHOLE for motion in ("ball", "pose")]
+    + [("parallel", "scale"), ("lens", "radius"), ("lens", "focus")],
+)
+def test_whole_gradient_is_the_finite_difference(kind, motion, primary):
+    """Common random numbers; the projection on them is one, up to both noises."""
+    of, (name, move) = bumpy_scene(kind), MOTIONS[motion]
+    start, step = of.parameters()[name], 0.02
+
+    @jax.jit
+    def image(t, key):
+        integrator = jd.PathTracer(max_depth=3, boundary=None)
+        return jd.render(of.replace({name: move(start, t)}), key, spp=512, integrator=integrator)
+
+    @jax.jit
+    def gradient(key):
+        integrator = jd.PathTracer(max_depth=3, boundary=jd.LineSampling(), primary=primary)
+
+        def at(t):
+            return jd.render(of.replace({name: move(start, t)}), key, spp=64, integrator=integrator)
+
+        return jax.jvp(at, (jnp.asarray(0.0),), (jnp.asarray(1.0),))[1]
+
+    keys = jax.random.split(jax.random.key(9), 8)
+    differences = np.stack([(image(step, key) - image(-step, key)) / (2 * step) for key in keys]).astype(float)
+    found = np.stack([gradient(key) for key in jax.random.split(jax.random.key(1), 8)]).astype(float)
+    # Halves of the differences for the norm, so that their noise does not make it larger.
+    norm = 2 * (differences[::2].mean(0) * differences[1::2].mean(0)).sum()
+    product = (found.mean(0) * differences.mean(0)).sum()
+    errors = [
+        (found.mean(0) * differences).sum((1, 2, 3)).std(ddof=1) / np.sqrt(8),
+        (found * differences.mean(0)).sum((1, 2, 3)).std(ddof=1) / np.sqrt(8),
+    ]
+    ratio, error = 2 * product / norm, 2 * np.hypot(*errors) / norm
+    assert error < 0.1, error
+    assert abs(ratio - 1) < 0.03 + 3 * error, f"{ratio} ± {error}"
