@@ -119,14 +119,14 @@ def test_every_image_format(scenes, suffix):
 
 
 def test_what_a_scene_has_and_jaxdr_has_not(workplace, scenes, capsys):
-    text = SCENE.replace("</scene>", '<emitter type="point"/><shape type="hair"/></scene>')
+    text = SCENE.replace("</scene>", '<emitter type="sunsky"/><shape type="hair"/></scene>')
     (workplace / "hairy.xml").write_text(text)
     assert cli.main(["render", "hairy.xml", "-o", "out.npy"]) == 2
     first, *rest = capsys.readouterr().err.splitlines()
     assert first == "jaxdr: error: hairy.xml has 2 problems:"
     assert [line.split(";")[0] for line in rest] == [
-        "  hairy.xml, line 10, <emitter>: a second one in one <scene>",
         "  hairy.xml, line 10, <shape>: unknown type 'hair'",
+        "  hairy.xml, line 10, <emitter>: unknown type 'sunsky'",
     ]
     assert "out.npy" not in names(workplace)
     assert cli.main(["render", "hairy.xml", "-o", "out.npy", "--ignore-unsupported"]) == 0

@@ -22,7 +22,8 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
     <bsdf type="diffuse"><texture type="noise" name="reflectance"/></bsdf></shape>"""
 MESSAGES = [
     "line 2, <bsdf>: unknown type 'velvet'; known: diffuse, twosided, mask, normalmap, roughconductor, "
-    "roughdielectric, roughplastic, principled; with ignore_unsupported a grey diffuse BSDF",
+    "roughdielectric, roughplastic, principled, conductor, dielectric, thindielectric, plastic; with "
+    "ignore_unsupported a grey diffuse BSDF",
     "line 3, <shape>: unknown type 'hair'; known: obj, ply,",
     "line 4, <float>: unknown parameter 'aperture' of sensor 'perspective'; known: ",
     "line 5, <rfilter>: unknown type 'lanczos'; known: box, gaussian, tent; with ignore_unsupported a Gaussian",

@@ -21,7 +21,7 @@ SCENE = jd.Scene(
 def test_names_of_parameters():
     assert set(SCENE.parameters()) == {
         "ball.vertices", "ball.bsdf.reflectance", "lamp.vertices", "lamp.bsdf.reflectance", "lamp.emitter.radiance",
-        "camera.to_world", "camera.fov", "environment.radiance",
+        "camera.to_world", "camera.fov", "camera.principal_point", "environment.radiance",
     }  # fmt: skip
 
 
