@@ -13,26 +13,54 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.film_edges import edge_distribution, film_edge_terms
+from jaxdr.boundary.film_edges import EdgeDistribution, edge_distribution, film_edge_terms
+from jaxdr.boundary.hard_shadows import (
+    ShadowDistribution,
+    film_shadow_term,
+    scattered_shadow_term,
+    shadow_distribution,
+)
 from jaxdr.boundary.pixel_borders import pixel_border_term
+from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
 from jaxdr.integrator import PathTracer
+from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
 
+# Parameters of lights without area that move their shadows.
+PLACES = ("position", "direction", "to_world", "fov")
+
 
 class Moving(NamedTuple):
-    """What geometry is being differentiated: one flag a shape, one for the camera. Static."""
+    """What geometry is being differentiated: one flag a shape, one for the camera, one a light without area. Static."""
 
     shapes: tuple[bool, ...]
     camera: bool
+    lights: tuple[bool, ...] = ()
+
+    @property
+    def seen(self) -> tuple[bool, ...]:
+        """Which shapes move relative to the camera."""
+        return (True,) * len(self.shapes) if self.camera else self.shapes
 
     @property
     def any(self) -> bool:
         """Whether visibility can change at all."""
-        return self.camera or any(self.shapes)
+        return any(self.seen) or any(self.lights)
+
+
+class Prepared(NamedTuple):
+    """What all chunks of an image share: distributions over edges and shadows, what the boundary estimator prepared.
+
+    None where there are no such terms.
+    """
+
+    edges: EdgeDistribution | None = None
+    boundary: Any = None
+    shadows: ShadowDistribution | None = None
 
 
 class Plan(NamedTuple):
@@ -79,10 +107,11 @@ def derivative_terms(
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
     Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
-    indirect light `pixel_borders`. Everything counts as moving unless `moving` says otherwise.
+    indirect light `pixel_borders`, with lights without area `shadows`. Everything counts as moving unless `moving` says
+    otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
-    moving = moving or Moving((True,) * len(scene.shapes), True)
+    moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights))
     return _estimate(scene, key, spp, integrator, moving)
 
 
@@ -141,6 +170,7 @@ def _moving(active: Scene) -> Moving:
     return Moving(
         shapes=tuple(bool(shape.mesh.vertices) for shape in active.shapes.values()),
         camera=any(jax.tree.leaves(active.camera)),
+        lights=tuple(any(getattr(light, name, False) for name in PLACES) for light in active.lights.values()),
     )
 
 
@@ -153,22 +183,18 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     chunks = min(chunks, spp)
     per_chunk = -(-spp // chunks)
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
-    distribution = prepared = None
-    if with_boundary:
+    prepared = None
+    if with_boundary and moving is not None:
         _check_opaque(packed)
-        _check_hard_shadows(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
         key, pilot_key = jax.random.split(key)
-        distribution = edge_distribution(packed, shapes, pilot_key)
-        prepared = integrator.boundary.prepare(packed, shapes, integrator.settings)
+        prepared = _prepare(packed, moving, pilot_key, integrator)
     key_film, key_chunks = jax.random.split(key)
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
-        return _chunk(
-            packed, distribution, prepared, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator
-        )
+        return _chunk(packed, prepared, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
 
     if chunks == 1:
         return chunk(packed, 0)
@@ -193,19 +219,35 @@ def _check_opaque(packed: PackedScene) -> None:
             )
 
 
-def _check_hard_shadows(packed: PackedScene) -> None:
-    """Raises ValueError where hard shadows would have to move."""
-    if packed.light_count:
-        raise ValueError("render: the hard shadows of lights without area have no derivative yet")
+def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:
+    """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
+    edges = boundary = shadows = None
+    if any(moving.seen):
+        edges = edge_distribution(packed, moving.seen, key)
+        boundary = integrator.boundary.prepare(packed, moving.seen, integrator.settings)
+    if packed.light_count and integrator.max_depth > 1:
+        if not isinstance(packed.camera, Perspective):
+            raise ValueError(
+                f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; take a "
+                "Perspective, or boundary=None for the interior term alone"
+            )
+        if integrator.max_depth > 2 and integrator.settings.attached > 0:
+            raise ValueError(
+                "render: hard shadows seen in attached lobes have no derivative yet; set attached=0, max_depth=2, or "
+                "boundary=None for the interior term alone"
+            )
+        lights = moving.lights or (False,) * packed.light_count
+        shadows = shadow_distribution(packed, moving.seen, lights, integrator.settings)
+    return Prepared(edges, boundary, shadows)
 
 
-def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key, spp, integrator) -> dict:
+def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_key, spp, integrator) -> dict:
     """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero."""
     _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
-    settings, form = integrator.settings, _form(packed, integrator, distribution is not None)
-    if distribution is None:
+    settings, form = integrator.settings, _form(packed, integrator, prepared is not None)
+    if prepared is None:
         settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
     primary = primary_samples(packed, samples, key, settings.rays, form)
     record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
@@ -217,19 +259,27 @@ def _chunk(packed: PackedScene, distribution, prepared, samples, key, chunk_key,
         return (values.reshape(pixels, count, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
 
     terms = {"interior": gather(radiance)}
-    if distribution is None:
+    if prepared is None:
         return terms
     points = max(1, round(pixels * count * integrator.edge_points_per_sample))
-    edges = film_edge_terms(packed, distribution, points, key_edges, settings, form)
-    share = weight.sum()
-    terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
-    index = jnp.tile(samples, pixels)
-    if form == "near" and packed.camera.film.filter.tiles:
-        key_borders = jax.random.fold_in(key_edges, 1)
-        sides = max(1, round(count * integrator.edge_points_per_sample / 4))
-        terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
-    total = integrator.boundary.estimate(packed, prepared, primary, record, index, key_boundary, settings)
-    terms["boundary"] = gather(total)
+    if prepared.edges is not None:
+        edges = film_edge_terms(packed, prepared.edges, points, key_edges, settings, form)
+        share = weight.sum()
+        terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
+        if form == "near" and packed.camera.film.filter.tiles:
+            sides = max(1, round(count * integrator.edge_points_per_sample / 4))
+            key_borders = jax.random.fold_in(key_edges, 2)
+            terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
+        index = jnp.tile(samples, pixels)
+        total = integrator.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
+        terms["boundary"] = gather(total)
+    if prepared.shadows is not None:
+        key_film, key_scattered = jax.random.split(jax.random.fold_in(key_edges, 1))
+        shadows = weight.sum() * film_shadow_term(packed, prepared.shadows, points, key_film, settings, form)
+        if settings.max_depth > 2 and record.direct is not None:
+            paths = PathSegments(packed, primary, record.direct)
+            shadows += gather(scattered_shadow_term(packed, prepared.shadows, paths, key_scattered, settings))
+        terms["shadows"] = shadows
     return terms
 
 

@@ -130,11 +130,29 @@ def radiance_towards(packed: PackedScene, sample: EmitterSample, towards: Float[
     """Radiance of samples, of lights without area their intensity; `towards` them from where it arrives, unit."""
     if sample.light is None:
         return sample.radiance
-    radiance, number = sample.radiance, jnp.maximum(sample.light, 0)
+    intensity = light_intensity(packed, jnp.maximum(sample.light, 0), -towards)
+    return jnp.where(sample.is_delta[:, None], intensity, sample.radiance)
+
+
+def light_places(packed: PackedScene) -> tuple[Float[Array, "D 3"], Bool[Array, " D"]]:
+    """(positions of the lights without area or directions towards them, whether they are infinitely far away)."""
+    number = jnp.arange(packed.light_count)
+    place, infinite = jnp.zeros((packed.light_count, 3), packed.vertices.dtype), jnp.zeros(packed.light_count, bool)
     for group in packed.lights:
-        here = (sample.light >= 0) & group.member[number]
-        radiance = jnp.where(here[:, None], group.at(number).intensity_in(-towards), radiance)
-    return radiance
+        place = jnp.where(group.member[:, None], group.at(number).place(), place)
+        infinite = jnp.where(group.member, group.light.infinite, infinite)
+    return place, infinite
+
+
+def light_intensity(
+    packed: PackedScene, number: Int[Array, " N"], direction: Float[Array, "N 3"]
+) -> Float[Array, "N 3"]:
+    """Intensity of lights without area, by their numbers, in unit directions away from them."""
+    intensity = jnp.zeros_like(direction)
+    for group in packed.lights:
+        here = group.member[number][:, None]
+        intensity = jnp.where(here, group.at(number).intensity_in(direction), intensity)
+    return intensity
 
 
 def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
