@@ -14,7 +14,7 @@ from jaxdr.transport.interaction import material_point
 from jaxdr.transport.texturing import tangents_along_u, texture_difference
 
 PROBES = 5  # points along an edge at which the two sides are compared
-TURN = 1e-5  # one less the cosine: tangents along u that differ by more turn a normal map
+TURN = 1e-6  # one less the cosine: tangents along u that differ by more turn a normal map
 LEAST = 0.1  # jump of textures that seams stand for at least: between the probes they may be further apart
 
 
