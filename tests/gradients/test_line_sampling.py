@@ -34,7 +34,7 @@ LIGHTS = {"small": LIGHT * [0.7, 0.7, 1.0], "very large": LIGHT * [20.0, 20.0, 2
     [
         pytest.param(HALF_PLANE, id="half plane", marks=pytest.mark.slow),
         pytest.param(QUADRANGLE, id="quadrangle", marks=pytest.mark.slow),
-        pytest.param(BOOMERANG, id="boomerang"),
+        pytest.param(BOOMERANG, id="boomerang", marks=pytest.mark.slow),
     ],
 )
 def test_every_derivative_is_the_closed_form(corners):
