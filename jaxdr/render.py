@@ -5,6 +5,7 @@ independent key, the sum of interior and boundary terms. An image that nobody di
 and the gradient of a non-linear loss of the image is unbiased.
 """
 
+import dataclasses
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,11 +36,12 @@ PLACES = ("position", "direction", "to_world", "fov")
 
 
 class Moving(NamedTuple):
-    """What geometry is being differentiated: one flag a shape, one for the camera, one a light without area. Static."""
+    """What is being differentiated that moves: shapes, camera, lights without area, the environment. Static."""
 
     shapes: tuple[bool, ...]
     camera: bool
     lights: tuple[bool, ...] = ()
+    environment: bool = False
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -49,7 +51,7 @@ class Moving(NamedTuple):
     @property
     def any(self) -> bool:
         """Whether visibility can change at all."""
-        return any(self.seen) or any(self.lights)
+        return any(self.seen) or any(self.lights) or self.environment
 
 
 class Prepared(NamedTuple):
@@ -111,7 +113,8 @@ def derivative_terms(
     otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
-    moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights))
+    turns = hasattr(scene.environment, "to_world")
+    moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
     return _estimate(scene, key, spp, integrator, moving)
 
 
@@ -171,6 +174,7 @@ def _moving(active: Scene) -> Moving:
         shapes=tuple(bool(shape.mesh.vertices) for shape in active.shapes.values()),
         camera=any(jax.tree.leaves(active.camera)),
         lights=tuple(any(getattr(light, name, False) for name in PLACES) for light in active.lights.values()),
+        environment=bool(getattr(active.environment, "to_world", False)),
     )
 
 
@@ -188,6 +192,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
         _check_opaque(packed)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
+        packed = dataclasses.replace(packed, environment_turns=moving.environment)
         key, pilot_key = jax.random.split(key)
         prepared = _prepare(packed, moving, pilot_key, integrator)
     key_film, key_chunks = jax.random.split(key)
@@ -224,6 +229,7 @@ def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -
     edges = boundary = shadows = None
     if any(moving.seen):
         edges = edge_distribution(packed, moving.seen, key)
+    if any(moving.seen) or moving.environment:
         boundary = integrator.boundary.prepare(packed, moving.seen, integrator.settings)
     if packed.light_count and integrator.max_depth > 1:
         if not isinstance(packed.camera, Perspective):
@@ -246,7 +252,8 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
     _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
-    settings, form = integrator.settings, _form(packed, integrator, prepared is not None)
+    moves = prepared is not None and prepared.edges is not None
+    settings, form = integrator.settings, _form(packed, integrator, moves)
     if prepared is None:
         settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
     primary = primary_samples(packed, samples, key, settings.rays, form)
@@ -270,6 +277,7 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
             sides = max(1, round(count * integrator.edge_points_per_sample / 4))
             key_borders = jax.random.fold_in(key_edges, 2)
             terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
+    if prepared.boundary is not None:
         index = jnp.tile(samples, pixels)
         total = integrator.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
         terms["boundary"] = gather(total)
@@ -283,9 +291,9 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
     return terms
 
 
-def _form(packed: PackedScene, integrator: PathTracer, with_boundary: bool) -> str:
-    """How first hits move, see `primary_samples`; without boundary terms as they always did."""
-    if not with_boundary:
+def _form(packed: PackedScene, integrator: PathTracer, moves: bool) -> str:
+    """How first hits move, see `primary_samples`; without boundary terms of moving edges as they always did."""
+    if not moves:
         return "fixed"
     if integrator.primary == "material":
         return "material"

@@ -126,13 +126,18 @@ class AttachedLines:
         in_lobe = scattered + share * emission
         sky = ~sides.valid[..., None]
         seen_at_all = scattered + jnp.where(sky, 1.0, share) * emission
+
         # Directions of unused slots are not unit, and narrow lobes overflow there.
-        for_edge, for_lobe = (
-            jnp.where(valid[:, None], value * weight[:, None] * (light[0] - light[1]), 0.0)
-            for light in (seen_at_all, in_lobe)
-        )
+        def jump(light):
+            return jnp.where(valid[:, None], value * weight[:, None] * (light[0] - light[1]), 0.0)
+
         edge, lobe = self._motion(found, seen)
-        return for_edge * edge[:, None] - for_lobe * lobe[:, None]
+        total = jump(seen_at_all) * edge[:, None] - jump(in_lobe) * lobe[:, None]
+        if self.packed.environment_turns:
+            sampled = jnp.where(sky, (1.0 - share) * emission, 0.0)
+            turned = dot(seen.pole, self.packed.turned(seen.towards))
+            total = total - jump(sampled) * (turned - stop_gradient(turned))[:, None]
+        return total
 
     def _boundary(self, drawn: LobeChords, found: Crossings) -> tuple[SeenEdges, Float[Array, "C 3"]]:
         """(the crossed edges as seen, contributions without radiance and normal velocity)."""

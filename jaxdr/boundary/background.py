@@ -96,7 +96,7 @@ def background_term(
 
     # Angular velocity of the silhouette relative to the material point behind it, seen from the apex.
     edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
-    # The environment stays in its direction, whatever the apex does, and is never near.
+    # The environment is seen in one direction, whatever the apex does, and is never near.
     there = background.valid[:, None]
     far = jnp.where(there, background.position, apex)
     moving_apex = paths.apex_towards(seen.segment, stop_gradient(far))
@@ -105,7 +105,8 @@ def background_term(
     # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
     horizon = -dot(horizon_normal(packed, seen.apex_face, pole), distance[:, None] * seen.towards)
     edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex)) / distance
-    far_moved = jnp.where(background.valid, dot(pole, far - moving_apex) / far_distance, 0.0)
+    sky = dot(pole, packed.turned(seen.towards)) if packed.environment_turns else 0.0
+    far_moved = jnp.where(background.valid, dot(pole, far - moving_apex) / far_distance, sky)
     displacement = edge_moved - far_moved
     displacement = displacement - stop_gradient(displacement)
     return jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]

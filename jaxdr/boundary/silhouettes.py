@@ -24,8 +24,9 @@ class SegmentEnds(eqx.Module):
 
     `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
     is large. `face` is the target's and `corners` are its vertices; `normal` is that of the plane at the target: its
-    face, or at infinity the plane across the segment. `attached` is the apex as a material point where it has both
-    forms, `footprint` that of a pixel there, of size zero where it has one form.
+    face, or at infinity the plane across the segment. `turn`, the identity in value, is how directions to the
+    environment move, where they do. `attached` is the apex as a material point where it has both forms, `footprint`
+    that of a pixel there, of size zero where it has one form.
     """
 
     apex: Float[Array, "C 3"]
@@ -35,6 +36,7 @@ class SegmentEnds(eqx.Module):
     face: Int[Array, " C"]
     corners: Float[Array, "C 3 3"]
     infinite: Bool[Array, " C"]
+    turn: Float[Array, "3 3"] | None = None
     attached: Float[Array, "C 3"] | None = None
     footprint: Footprint | None = None
 
@@ -108,11 +110,12 @@ class PathSegments:
         return SegmentEnds(
             apex=apex,
             apex_face=self.table.apex_face[index],
-            target=jnp.where(far, apex + self.distance_to_infinity * direction, on_face),
+            target=jnp.where(far, apex + self.distance_to_infinity * self.packed.turned(direction), on_face),
             normal=jnp.where(far, direction, normal),
             face=face,
             corners=corners,
             infinite=infinite,
+            turn=self.packed.environment.turn() if self.packed.environment_turns else None,
             attached=attached,
             footprint=seen,
         )
@@ -229,7 +232,8 @@ def project_edges(
     barycentric = affine_coordinates(corners, on_plane)
     rate = affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
     rigid = (ends.corners * barycentric[..., None]).sum(1)
-    material = jnp.where(ends.infinite[:, None], ends.apex + (on_plane - apex), rigid)
+    sky = on_plane - apex if ends.turn is None else (on_plane - apex) @ ends.turn.T
+    material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
     # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that
     # is close by, its motion would be the difference of two fast ones.
     corner = packed.vertices[packed.faces[ends.apex_face, 0]]

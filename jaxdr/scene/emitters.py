@@ -23,7 +23,7 @@ class AreaEmitter(eqx.Module):
 
 
 class DirectionSampler(eqx.Module):
-    """Draws directions from which an environment sends light; detached from the scene's parameters."""
+    """Draws directions from which an environment sends light; detached from the radiance."""
 
     @abc.abstractmethod
     def sample(self, u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
@@ -31,11 +31,15 @@ class DirectionSampler(eqx.Module):
 
     @abc.abstractmethod
     def pdf(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
-        """Density (solid angle) at unit world directions; differentiable in them."""
+        """Density (solid angle) at unit world directions; differentiable in them, and turns with the environment."""
 
     @abc.abstractmethod
     def extent(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
         """Angle (radians) around directions within which the density stays comparable to that there; detached."""
+
+    @abc.abstractmethod
+    def reach(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
+        """Angle (radians) that no `extent` of another direction exceeds which goes as far as this one; detached."""
 
     @abc.abstractmethod
     def mean(self) -> Float[Array, ""]:
@@ -58,6 +62,10 @@ class Environment(eqx.Module):
     def sampler(self) -> DirectionSampler:
         """What directions are drawn from."""
 
+    def turn(self) -> Float[Array, "3 3"]:
+        """The identity, differentiable as the rotation that takes directions along as the environment turns."""
+        return jnp.eye(3)
+
 
 class UniformDirections(DirectionSampler):
     """Every direction is as likely, and has the same `radiance`."""
@@ -72,6 +80,10 @@ class UniformDirections(DirectionSampler):
         return 1.0 / (4.0 * math.pi)
 
     def extent(self, direction):
+        del direction
+        return math.pi
+
+    def reach(self, direction):
         del direction
         return math.pi
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import normalize
@@ -71,8 +71,15 @@ class EnvironmentMap(Environment):
         return self.scale * ((1 - along_row) * upper + along_row * lower)
 
     def sampler(self):
-        radiance, to_world, scale = stop_gradient((self.radiance, self.to_world, self.scale))
-        return LatLongSampler.of(jnp.maximum(luminance(radiance), 0.0), to_world[:3, :3], scale)
+        radiance, scale = stop_gradient((self.radiance, self.scale))
+        return LatLongSampler.of(jnp.maximum(luminance(radiance), 0.0), self.to_world[:3, :3], scale)
+
+    def turn(self):
+        rotation = _rotation(self.to_world[:3, :3])
+        turned = rotation @ stop_gradient(rotation).T
+        # Whatever else a change of the matrix does, the look-up in a fixed direction accounts for.
+        turned = 0.5 * (turned - turned.T)
+        return jnp.eye(3, dtype=turned.dtype) + (turned - stop_gradient(turned))
 
 
 class LatLongSampler(DirectionSampler):
@@ -81,7 +88,7 @@ class LatLongSampler(DirectionSampler):
     `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie
     between the texels: `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within
     each band. `extents` of the cells: within that angle the density stays above a quarter of the highest in the cell,
-    or half a texel.
+    or half a texel; `reaches`: the largest extent of a cell that goes as far as this one.
     """
 
     corners: Float[Array, "H W"]
@@ -89,6 +96,7 @@ class LatLongSampler(DirectionSampler):
     rows: Float[Array, " R"]
     columns: Float[Array, "R W"]
     extents: Float[Array, "R W"]
+    reaches: Float[Array, "R W"]
     to_world: Float[Array, "3 3"]
     scale: Float[Array, ""]
 
@@ -102,6 +110,7 @@ class LatLongSampler(DirectionSampler):
         right = jnp.roll(corners, -1, axis=1)
         cells = 0.25 * (corners + right)
         cells = (cells[:-1] + cells[1:]) * angle[:, None]
+        extents, reaches = _extents(corners)
         columns = jnp.cumsum(cells, axis=1)
         bands = columns[:, -1]
         rows = jnp.cumsum(bands)
@@ -110,7 +119,8 @@ class LatLongSampler(DirectionSampler):
             integral=rows[-1],
             rows=rows / rows[-1],
             columns=columns / bands[:, None],
-            extents=_extents(corners),
+            extents=extents,
+            reaches=reaches,
             to_world=_rotation(to_world),
             scale=scale,
         )
@@ -141,10 +151,16 @@ class LatLongSampler(DirectionSampler):
         return value / self.integral
 
     def extent(self, direction):
+        return self.extents.reshape(-1)[self._cell_at(direction)]
+
+    def reach(self, direction):
+        return self.reaches.reshape(-1)[self._cell_at(direction)]
+
+    def _cell_at(self, direction):
         height, width = self.corners.shape
-        _, theta, u = _angles(_to_map(self.to_world, stop_gradient(direction)))
+        _, theta, u = _angles(stop_gradient(_to_map(self.to_world, direction)))
         row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
-        return self.extents.reshape(-1)[row * width + _columns(u, width)[0]]
+        return row * width + _columns(u, width)[0]
 
     def mean(self):
         return self.scale * self.integral / (4.0 * math.pi * (1.0 + FLOOR))
@@ -207,8 +223,9 @@ def _band_angles(height: int, width: int, dtype) -> Float[Array, " R"]:
     return jnp.asarray(2 * np.sin(middle) * np.sin(0.5 * np.pi / (height - 1)) * 2 * np.pi / width, dtype)
 
 
-def _extents(corners: Float[Array, "H W"]) -> Float[Array, "R W"]:
-    """Angles around the cells within which the lowest corner is at least a quarter of the highest of the cell."""
+def _extents(corners: Float[Array, "H W"]) -> tuple[Float[Array, "R W"], Float[Array, "R W"]]:
+    """(angles around the cells within which the lowest corner is at least a quarter of the highest of the cell;
+    for every cell the largest of those that go as far as it, or more)."""
     height, width = corners.shape
     stacked = jnp.stack([corners[:-1], corners[1:]])
     stacked = jnp.concatenate([stacked, jnp.roll(stacked, -1, axis=2)])
@@ -217,12 +234,26 @@ def _extents(corners: Float[Array, "H W"]) -> Float[Array, "R W"]:
     middle = (np.arange(height - 1) + 0.5) * step
     polar = np.minimum(middle, np.pi - middle)[:, None]
     # What is certainly within k cells of a cell: columns are narrower towards the poles.
-    result, k = jnp.full_like(lowest, 0.5) * _texel(polar, width, step), 1
+    extent, reach, k = jnp.full_like(lowest, 0.5) * _texel(polar, width, step), jnp.full_like(lowest, 0.5 * step), 1
     while 2 * k <= min(height - 1, width) // 2:
-        lowest = _grown(lowest, max(k // 2, 1))  # over 1, 2, 4, ... cells to all sides
-        result = jnp.where(lowest >= COMPARABLE * highest, k * _texel(polar - k * step, width, step), result)
+        lowest = -_grown(-lowest, max(k // 2, 1))  # over 1, 2, 4, ... cells to all sides
+        wide = lowest >= COMPARABLE * highest
+        extent = jnp.where(wide, k * _texel(polar - k * step, width, step), extent)
+        around = wide
+        for cells in _doubling(k + 1):
+            around = _grown(around, cells)
+        reach = jnp.where(around, k * step, reach)
         k *= 2
-    return result
+    return extent, reach
+
+
+def _doubling(count: int):
+    """Numbers that add up to `count`, none larger than the sum of those before it by more than one."""
+    total = 0
+    while total < count:
+        cells = min(total + 1, count - total)
+        total += cells
+        yield cells
 
 
 def _texel(polar, width: int, step: float):
@@ -230,8 +261,11 @@ def _texel(polar, width: int, step: float):
     return np.minimum(step, 2 * np.pi / width * np.sin(np.maximum(polar, 0.5 * step)))
 
 
-def _grown(table: Float[Array, "R W"], cells: int) -> Float[Array, "R W"]:
-    """Minimum over what is up to `cells` away in rows and columns, for a table that is one already."""
+def _grown(table: Shaped[Array, "R W"], cells: int) -> Shaped[Array, "R W"]:
+    """Maximum over what is up to `cells` further away in rows and columns than what the table's is over.
+
+    Nothing is left out if that was over no less than `cells` - 1 to all sides. Columns go around.
+    """
     down = jnp.pad(table, ((cells, cells), (0, 0)), mode="edge")
-    table = jnp.minimum(jnp.minimum(down[: -2 * cells], down[2 * cells :]), table)
-    return jnp.minimum(jnp.minimum(jnp.roll(table, cells, axis=1), jnp.roll(table, -cells, axis=1)), table)
+    table = jnp.maximum(jnp.maximum(down[: -2 * cells], down[2 * cells :]), table)
+    return jnp.maximum(jnp.maximum(jnp.roll(table, cells, axis=1), jnp.roll(table, -cells, axis=1)), table)

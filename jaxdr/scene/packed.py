@@ -52,7 +52,8 @@ class PackedScene(eqx.Module):
 
     Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
     `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
-    emitters, where there are several, is as `emitter_choice` says.
+    emitters, where there are several, is as `emitter_choice` says. With `environment_turns`, directions to the
+    environment turn with it; else they are fixed in the world, and what is seen in them changes.
     """
 
     vertices: Float[Array, "V 3"]
@@ -77,6 +78,7 @@ class PackedScene(eqx.Module):
     environment_sampler: DirectionSampler | None
     lights: tuple[LightGroup, ...]
     choice: Float[Array, " K"] | None
+    environment_turns: bool = eqx.field(static=True, default=False)
 
     @property
     def textured(self) -> bool:
@@ -118,6 +120,10 @@ class PackedScene(eqx.Module):
         """Cross product of two sides of every face: its length is twice the area."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return jnp.cross(b - a, c - a)
+
+    def turned(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Directions to the environment, fixed in value, as they turn with it where `environment_turns`."""
+        return direction @ self.environment.turn().T if self.environment_turns else direction
 
     @property
     def light_count(self) -> int:

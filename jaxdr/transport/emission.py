@@ -13,7 +13,7 @@ from jaxdr.transport.interaction import SurfacePoint, material_point
 
 
 class EmitterSample(NamedTuple):
-    """Points on emitters (or directions to the environment) with their densities.
+    """Points on emitters (or directions to the environment, see `PackedScene.turned`) with their densities.
 
     `pdf` is per area at `point`, or per solid angle where `infinite`; detached. `direction` is set where `infinite`.
     `light` is the number of the light without area that was chosen, -1 for other emitters, None where the scene has
@@ -94,7 +94,7 @@ def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample
         nowhere = jnp.zeros(n, jnp.int32)
         point = material_point(packed, nowhere, jnp.full((n, 3), 1 / 3, dtype), ~infinite)
     if packed.environment is not None:
-        direction = packed.environment_sampler.sample(u)
+        direction = packed.turned(packed.environment_sampler.sample(u))
         radiance = jnp.where(infinite[:, None], environment_radiance(packed, direction), radiance)
         pdf = jnp.where(infinite, shares.environment * packed.environment_sampler.pdf(direction), pdf)
     sample = EmitterSample(point, infinite, direction, radiance, stop_gradient(pdf))

@@ -367,10 +367,12 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     barycentric = detached_barycentric(packed, origin, sampled, face)
     following = material_point(packed, face, barycentric, hit)
     narrow, vertices, direction = _narrow(scatterer, settings), None, sampled
+    if packed.environment_turns:
+        direction = jnp.where(hit[:, None], sampled, packed.turned(sampled))
     if narrow is not None:
         # The direction turns with the lobe, in solid angle: no G, no J (that of a rotation is one).
         vertices = Vertices(point.position, point.shading_normal, narrow & point.valid)
-        direction = jnp.where(narrow[:, None], scatterer.turn(sampled), sampled)
+        direction = jnp.where(narrow[:, None], scatterer.turn(sampled), direction)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
         following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
     if delta is not None:
