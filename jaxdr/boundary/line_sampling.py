@@ -17,6 +17,7 @@ from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lobe_lines import LobeLines
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes
+from jaxdr.boundary.sky_lines import SkyLines, SkyShare
 from jaxdr.geometry import queries
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -40,7 +41,8 @@ class LineSampling(eqx.Module):
 
     Unbiased, and without a radius. Light of area emitters is found by chords on the emitters, all other light
     (environment, indirect) by geodesic chords around BSDF-sampled directions. Where the integrator's sampling is "mis"
-    and there are both kinds, both find the light of area emitters.
+    and there are both kinds, both find the light of area emitters; and chords around an environment map's samples find
+    its light as well.
 
     - `chords`: chords of each kind per path sample. They need not be as many as the paths: a pilot sends them to the
       pixels whose shadows they find, and to the path vertices that carry most.
@@ -105,7 +107,7 @@ class LineSampling(eqx.Module):
         paths = PathSegments(packed, primary, record.direct, record.vertices)
         key_emitters, key_lobes = jax.random.split(key)
         carries = luminance(paths.table.throughput)
-        emitters = lobes = attached = None
+        emitters = lobes = skies = attached = None
         emitter_lines = EmitterLines(packed, prepared, paths, settings)
         lobe_lines = LobeLines(packed, prepared, paths, settings, self.reach)
         if packed.has_area_emitters:
@@ -116,6 +118,14 @@ class LineSampling(eqx.Module):
             if paths.vertices is not None:
                 carries = jnp.where(paths.vertices.narrow, 0.0, carries)
             lobes = self._spread(lobe_lines, carries, key_lobes)
+        if settings.mis and packed.environment is not None and not packed.environment.uniform:
+            carries = luminance(paths.table.throughput)
+            if paths.vertices is not None:
+                carries = jnp.where(paths.vertices.narrow, 0.0, carries)
+            sky_lines = SkyLines(packed, prepared, paths, settings)
+            skies = self._spread(sky_lines, carries, jax.random.fold_in(key, 3))
+            numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
+            sky_lines.both = lobe_lines.skies = SkyShare(packed, paths, self.reach, *numbers)
         if paths.vertices is not None:
             lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
             carries = jnp.where(paths.vertices.narrow, luminance(paths.table.throughput), 0.0)
@@ -123,7 +133,7 @@ class LineSampling(eqx.Module):
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
             emitter_lines.both = lobe_lines.both = both
-        for spread in (emitters, lobes, attached):
+        for spread in (emitters, lobes, skies, attached):
             if spread is not None:
                 total = total + self._term(spread)
         return total

@@ -10,6 +10,7 @@ from jaxdr.boundary.chords import LobeChords, lobe_weight
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
 from jaxdr.boundary.emitter_lines import Centres
 from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.boundary.sky_lines import SkyShare
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
@@ -19,7 +20,8 @@ from jaxdr.transport.interaction import SurfacePoint
 class LobeLines:
     """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
 
-    With `both`, for their share of the light from area emitters as well.
+    With `both`, for their share of the light from area emitters as well, and with `skies` for no more than theirs of an
+    environment map's.
     """
 
     traces_paths = True
@@ -27,6 +29,7 @@ class LobeLines:
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
         self.both: Centres | None = None
+        self.skies: SkyShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
@@ -53,7 +56,8 @@ class LobeLines:
             """Emission of what is no surface, and that of surfaces as it counts beside chords on them."""
             radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
             surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, plane, background)
-            return radiance * jnp.where(background.valid, surfaces, 1.0)[:, None]
+            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, plane, towards)
+            return radiance * jnp.where(background.valid, surfaces, sky)[:, None]
 
         glows = self.packed.environment is not None or self.both is not None
         return background_term(

@@ -1,0 +1,127 @@
+"""Geodesic chords around directions from an environment map, for its light alone."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.chords import LobeChords, lobe_rate
+from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.geometry.vector import dot, orthonormal_basis
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import environment_radiance
+from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import lattice
+
+
+class SkyShare(NamedTuple):
+    """Chords around the environment's and around the BSDF's samples as two ways to find its light past silhouettes.
+
+    `skies` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both are geodesic, with
+    planes at even angles, so that their shares (balance heuristic, in the space of crossings) need nothing else.
+    """
+
+    packed: PackedScene
+    paths: PathSegments
+    reach: float
+    skies: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def of_skies(
+        self, found: Crossings, plane: Float[Array, "C 3"], towards: Float[Array, "C 3"]
+    ) -> Float[Array, " C"]:
+        """Share of the former at boundary points in unit directions `towards`, crossed in planes of normals `plane`."""
+        skies, lobes = (table.reshape(-1)[found.vertex] for table in (self.skies, self.lobes))
+        scatterer = self.paths.scatterer(found.vertex)
+        other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
+        sampler = self.packed.environment_sampler
+        rate = stop_gradient(sampler.pdf(towards)) * 2.0 * _extent(self.packed, towards) / math.pi * skies
+        either = rate + other > 0
+        return jnp.where(either, rate / jnp.where(either, rate + other, 1.0), 1.0)
+
+
+class SkyLines:
+    """Chords around directions from an environment map, for the light that comes from it past silhouettes.
+
+    What a crossing can come from is all within the map's `extent` of it, where the density of centres differs little.
+    """
+
+    traces_paths = True
+
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths = packed, prepared, paths
+        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
+        self.both: SkyShare | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        packed, paths = self.packed, self.paths
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
+        scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        centre = packed.environment_sampler.sample(u[:, :2])
+        s, t = orthonormal_basis(centre)
+        angle = math.pi * u[:, 2]
+        plane = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
+        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(angle)
+        drawn = LobeChords(centre, stop_gradient(packed.environment_sampler.pdf(centre)), plane, reach)
+
+        apex = leave(scatterer.point, scatterer.normal)
+        chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
+        rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
+        chords = chords._replace(useful=chords.useful & rises)
+        found = silhouette_crossings(
+            packed, self.prepared, paths, chosen, apex, chords, key_seed, room, self.settings.rays
+        )
+        return drawn, *found
+
+    def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""
+        seen, weight = self._boundary(drawn, found)
+        radiance = self._radiance(seen.towards) * self._share(drawn, found, seen.towards)[:, None]
+        weight = weight * self.paths.scatterer(found.vertex).eval(seen.towards) * radiance
+        return luminance(weight) / seen.distance
+
+    def value(self, drawn: LobeChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
+        """Contributions times `weight`: zero in value, right in derivative."""
+        seen, value = self._boundary(drawn, found)
+        value = value * (weight * self._share(drawn, found, seen.towards))[:, None]
+
+        def emission(background: SurfacePoint, towards):
+            return jnp.where(background.valid[:, None], 0.0, self._radiance(towards))
+
+        return background_term(self.packed, self.paths, seen, value, found.valid, number, key, self.settings, emission)
+
+    def _radiance(self, towards: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        return environment_radiance(jax.tree.map(stop_gradient, self.packed), towards)
+
+    def _share(self, drawn: LobeChords, found: Crossings, towards: Float[Array, "C 3"]) -> Float[Array, " C"]:
+        if self.both is None:
+            return jnp.ones(found.chord.shape, towards.dtype)
+        return self.both.of_skies(found, drawn.plane[found.chord], towards)
+
+    def _boundary(self, drawn: LobeChords, found: Crossings):
+        """(the crossed edges as seen, contributions without BSDF, radiance and normal velocity).
+
+        The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary.
+        """
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        centre, pdf = drawn.centre[found.chord], drawn.pdf[found.chord]
+        extent = _extent(self.packed, seen.towards)
+        near = dot(seen.towards, centre) > jnp.cos(extent)
+        counts = found.valid & near & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        weight = jnp.where(counts, 0.25 * math.pi / (extent * jnp.where(pdf > 0, pdf, 1.0)), 0.0)
+        return seen, self.paths.table.throughput[found.vertex] * weight[:, None]
+
+
+def _extent(packed: PackedScene, towards: Float[Array, "C 3"]) -> Float[Array, " C"]:
+    """Half-length of the arcs of centres from which boundary points are found (radians)."""
+    return jnp.minimum(packed.environment_sampler.extent(towards), WIDEST) * jnp.ones_like(towards[:, 0])
