@@ -44,6 +44,9 @@ class PathTracer(eqx.Module):
       with their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures).
     - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
       faster where emitters are small and always noisier where they are large or near.
+    - `antithetic`: pairs of BSDF samples on opposite sides of the lobe's axis at the first hit (Zhang et al. 2021,
+      "Antithetic sampling for Monte Carlo differentiable rendering"): most of the noise of a lobe that is narrow and
+      not attached cancels. Give `spp` as an even number.
     - `edge_samples`: points on silhouettes, and as many on creases, in the image per path sample. None: 1/8 for direct
       light, 1 with indirect light, whose noise does not cancel between the two sides of a silhouette.
     - `chunk_size`: paths traced at once; memory is proportional to it and independent of the samples per pixel.
@@ -54,6 +57,7 @@ class PathTracer(eqx.Module):
     boundary: BoundaryEstimator | None = eqx.field(static=True, default=KernelDensity())
     primary: Literal["fixed_ray", "material"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
+    antithetic: bool = eqx.field(static=True, default=False)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 16)
     rays: str = eqx.field(static=True, default="warp")
@@ -68,6 +72,8 @@ class PathTracer(eqx.Module):
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
+        if self.antithetic and self.primary == "material":
+            raise ValueError('PathTracer: antithetic pairs need primary="fixed_ray": "material" pairs film offsets')
         if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
         if self.settings.attached > 0 and self.sampling == "emitter":

@@ -256,7 +256,7 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
     settings, form = integrator.settings, _form(packed, integrator, moves)
     if prepared is None:
         settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
-    primary = primary_samples(packed, samples, key, settings.rays, form)
+    primary = primary_samples(packed, samples, key, settings.rays, form, integrator.antithetic)
     record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
     radiance = record.radiance * primary.weight[:, None]
 

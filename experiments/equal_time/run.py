@@ -16,13 +16,14 @@ from experiments.equal_time.cases import CASES, write_scene
 
 STUDY = "equal_time"
 SEEDS = 2  # calls at every offset: what they differ by is noise
+LONG = 1024  # samples per pixel from which calls take so long that half as many offsets must do
 BUDGET = (0.1, 1.0)  # seconds of an optimisation step
 
 METHODS = {
-    "Mitsuba, unguided": (mitsuba_peer.estimates, "none", (16, 64, 256, 1024), 8),
-    "Mitsuba, octree": (mitsuba_peer.estimates, "octree", (16, 64, 256, 1024), 4),
+    "Mitsuba, unguided": (mitsuba_peer.estimates, "none", (16, 64, 256, 1024, 4096), 8),
+    "Mitsuba, octree": (mitsuba_peer.estimates, "octree", (16, 64, 256, 1024, 4096), 4),
     "jaxdr, KernelDensity": (jaxdr_side.estimates, "KernelDensity", (4, 16, 64, 256), 8),
-    "jaxdr, LineSampling": (jaxdr_side.estimates, "LineSampling", (4, 16, 64, 256), 8),
+    "jaxdr, LineSampling": (jaxdr_side.estimates, "LineSampling", (1, 4, 16, 64, 256, 1024), 8),
 }
 COLUMNS = {
     "method": ("method", ""),
@@ -52,8 +53,9 @@ def measure(case, method, oracle, quick, samples=None):
     estimates, setting, counts, positions = METHODS[method]
     if quick:
         counts, positions = counts[:2], 2
-    offsets = [case.step * ((2 * k + 1) / positions - 1) for k in range(positions)]
     for spp in [n for n in counts if not samples or n in samples]:
+        count = positions // 2 if spp >= LONG else positions
+        offsets = [case.step * ((2 * k + 1) / count - 1) for k in range(count)]
         images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
         row = errors.statistics(images, truth["image"], truth["noise_variance"])
         row |= {"method": method, "spp": spp, "seconds": quantiles.median(seconds), "all_seconds": seconds}
