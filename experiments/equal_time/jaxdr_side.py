@@ -6,18 +6,22 @@ import numpy as np
 from tqdm import tqdm
 
 
-def estimates(path, case, boundary, spp, offsets, seeds):
-    """Derivative images [offsets, seeds, H, W, 3], seconds of each call, seconds to compile and run the first call."""
+def estimates(path, case, setting, spp, offsets, seeds):
+    """Derivative images [offsets, seeds, H, W, 3], seconds of each call, seconds to compile and run the first call.
+
+    `setting` names the boundary estimator; or (that, its options, those of the integrator).
+    """
     import jax
     import jax.numpy as jnp
 
     import jaxdr as jd
 
+    boundary, options, more = setting if isinstance(setting, tuple) else (setting, {}, {})
     scene = jd.load_mitsuba(str(path))
     name = f"{case.shape}.vertices"
     rest = scene.parameters()[name]
     direction = jnp.zeros_like(rest).at[:, 0].set(1)
-    integrator = jd.PathTracer(max_depth=case.max_depth, boundary=getattr(jd, boundary)())
+    integrator = jd.PathTracer(max_depth=case.max_depth, boundary=getattr(jd, boundary)(**options), **more)
 
     @jax.jit
     def derivative(offset, key):

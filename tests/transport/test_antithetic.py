@@ -7,7 +7,6 @@ import pytest
 
 import jaxdr as jd
 
-
 SPP = 2  # many samples are as even as a lattice, and nearly opposite without this
 
 
@@ -15,7 +14,7 @@ def scene():
     """A rough mirror under a smooth sky, that fills the view."""
     rows = np.linspace(0.0, np.pi, 9)[:, None, None]
     columns = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)[:, None]
-    sky = 1.0 + 0.5 * np.sin(rows) * np.sin(columns + [0.0, 1.0, 2.0])
+    sky = 1.0 + 0.5 * np.sin(rows) * np.sin(columns + np.array([0.0, 1.0, 2.0]))
     mirror = jd.Mesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
     eye = jd.look_at((0.0, -3.0, 2.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     shapes = {"mirror": jd.Shape(mirror, jd.RoughConductor(0.05))}
