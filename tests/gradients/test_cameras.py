@@ -34,7 +34,7 @@ def slide(kind):
 @pytest.mark.parametrize(
     ("kind", "boundary"),
     [
-        ("parallel", floor_point.SHEET),
+        pytest.param("parallel", floor_point.SHEET, marks=pytest.mark.slow),
         ("lens", floor_point.SHEET),
         pytest.param("parallel", jd.LineSampling(), marks=pytest.mark.slow),
         pytest.param("lens", jd.LineSampling(), marks=pytest.mark.slow),

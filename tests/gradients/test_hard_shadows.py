@@ -251,6 +251,7 @@ def wall_derivatives(of, key, boundary, spp):
     return jax.value_and_grad(mean)(at | {"height": jnp.zeros(())})
 
 
+@pytest.mark.slow
 def test_light_scattered_by_a_floor_with_a_shadow():
     light = {n[5:]: np.asarray(v, float) for n, v in scene(SPOT).parameters().items() if n.startswith("lamp.")}
     of = wall_scene()

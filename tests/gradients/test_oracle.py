@@ -21,6 +21,8 @@ CASES = {
     ("shadow_goathead", "translate_x"): (128, 0.03),
     ("cornell_indirect", "translate_x"): (512, 0.08),
     ("cube_constant", "translate_z"): (64, 0.03),
+    ("environment_penguin", "rotate_z"): (256, 0.03),
+    ("environment_penguin", "rotate_environment_z"): (256, 0.03),
 }
 
 pytestmark = pytest.mark.skipif(not (ORACLE / "check.py").exists(), reason=BESIDE)
@@ -42,15 +44,17 @@ def compare(check, case, name, spp, keys, boundary="KernelDensity"):
     return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
 
 
-def quick_cases():
-    """Every case with both estimators; what takes long only with -m slow."""
-    for case, name in CASES:
-        for boundary in ("KernelDensity", "LineSampling"):
-            slow = name == "rotate_z" or case == "cornell_indirect"
-            yield pytest.param(case, name, boundary, marks=[pytest.mark.slow] if slow else [])
+QUICK = (("direct_spot", "KernelDensity"), ("shadow_goathead", "LineSampling"), ("cube_constant", "LineSampling"))
 
 
-@pytest.mark.parametrize(("case", "name", "boundary"), quick_cases())
+def cases():
+    """Every case with both estimators; each case once by default, the rest and what takes long with -m slow."""
+    both = [(*case, boundary) for case in CASES for boundary in ("KernelDensity", "LineSampling")]
+    quick = [name != "rotate_z" and (case, boundary) in QUICK for case, name, boundary in both]
+    return [pytest.param(*row, marks=[] if q else [pytest.mark.slow]) for row, q in zip(both, quick, strict=True)]
+
+
+@pytest.mark.parametrize(("case", "name", "boundary"), cases())
 def test_quick(check, case, name, boundary):
     spp, deviation = CASES[case, name]
     row = compare(check, case, name, spp, keys=8, boundary=boundary)

@@ -147,7 +147,9 @@ def program(depth, sampling="mis", boundary=None, spp=4, chunk_size=1 << 16):
     )
 
 
-@pytest.mark.parametrize("sampling, boundary", [("emitter", None), ("mis", jd.KernelDensity())])
+@pytest.mark.parametrize(
+    "sampling, boundary", [("emitter", None), pytest.param("mis", jd.KernelDensity(), marks=pytest.mark.slow)]
+)
 def test_program_does_not_grow_with_depth(sampling, boundary):
     """Bounces run in a loop: once it turns more than once, the lowered gradient is not longer at a larger depth.
 
