@@ -200,8 +200,9 @@ def pack(scene: Scene) -> PackedScene:
     uvs, uv_faces = _uvs(shapes)
     glows = [shape.emitter.radiance if shape.emitter else None for shape in shapes]
     emitting = [i for i, glow in enumerate(glows) if glow is not None]
-    emitter_faces = None
+    radiance = emitter_faces = None
     if emitting:
+        radiance = _constant_radiance(glows, meshes[0].vertices.dtype)
         emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
     packed = PackedScene(
         vertices=jnp.concatenate([m.vertices for m in meshes]),
@@ -219,7 +220,7 @@ def pack(scene: Scene) -> PackedScene:
         normal_faces=normal_faces,
         uvs=uvs,
         uv_faces=uv_faces,
-        radiance=_constant_radiance(glows, meshes[0].vertices.dtype),
+        radiance=radiance,
         emitter_faces=emitter_faces,
         glow=_group_glow(glows),
         mean_luminance=None,
@@ -305,10 +306,10 @@ def _stacked(models: list) -> Iterator[tuple[Any, Int[Array, " S"], Bool[Array, 
 
 def _constant_radiance(glows: list, dtype) -> Float[Array, "S 3"] | None:
     """Radiance of shapes whose emitters have no texture, black for the others; None without any."""
-    black = jnp.zeros(3, dtype)
     constant = [None if isinstance(glow, Texture) else glow for glow in glows]
     if all(glow is None for glow in constant):
         return None
+    black = jnp.zeros(3, dtype)
     return jnp.stack([black if glow is None else glow for glow in constant])
 
 
