@@ -74,9 +74,9 @@ def motions(light, blocker, rows):
     return np.stack([*columns, rows["floor.height"]], 1)
 
 
-def check(kind, boundary, cells=1, tolerance=0.001, keys=6, spp=32):
+def check(kind, boundary, cells=1, tolerance=0.001, radius=0.5, keys=6, spp=32):
     texture, reference = TEXELS[kind]
-    values, blocker = np.asarray(getattr(texture, kind), float), sheet(BLOCKER, 0.1)
+    values, blocker = np.asarray(getattr(texture, kind), float), sheet(BLOCKER, radius)
     radiance, by_texel, by_motion = exact(reference, values)
     light, name = lamp(texture, cells), f"light.emitter.radiance.{kind}"
     of = scene(blocker)
@@ -111,4 +111,4 @@ def test_colours_of_vertices(boundary):
 )
 def test_many_triangles(boundary, tolerance):
     """Kernels go on over the plane of a small face, where the radiance is that of the face's border."""
-    check("pixels", boundary, 6, tolerance)
+    check("pixels", boundary, 6, tolerance, radius=0.1)
