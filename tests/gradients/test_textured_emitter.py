@@ -12,7 +12,7 @@ from tests.gradients.floor_point import (
     LIGHT,
     POINT,
     REFLECTANCE,
-    SHEET,
+    RELATIVE_RADIUS,
     estimates,
     mean_and_error,
     scene,
@@ -29,9 +29,10 @@ PIXELS = RNG.choice([0.0, 0.5, 6.0], (4, 5, 1)) * RNG.uniform(0.5, 1.0, (4, 5, 3
 COLORS = np.array([[0.0, 0.1, 0.2], [6.0, 5.0, 4.0], [0.3, 0.2, 0.1], [2.0, 3.0, 4.0]])
 STEP = 1e-4
 SLIDE = (CAMERA - POINT) / (CAMERA - POINT)[2]  # of the point, along the camera ray, when the floor is raised
+KERNEL = jd.KernelDensity(RELATIVE_RADIUS, capacity=1.0)
 TEXELS = {"pixels": (jd.Bitmap(PIXELS, wrap="clamp"), bilinear(*PIXELS.shape[:2])),
           "colors": (jd.VertexColors(COLORS), two_triangles())}  # fmt: skip
-LINES = jd.LineSampling()
+ESTIMATORS = [pytest.param(KERNEL, id="kernel"), pytest.param(jd.LineSampling(), id="lines")]
 
 
 def lamp(texture, cells=1):
@@ -93,13 +94,13 @@ def check(kind, boundary, cells=1, tolerance=0.001, radius=0.5, keys=6, spp=32):
         assert np.all(np.abs(mean - true / largest) < 4.5 * error + small), np.stack([mean, error, true / largest], 1)
 
 
-@pytest.mark.parametrize("boundary", [pytest.param(SHEET, id="kernel"), pytest.param(LINES, id="lines")])
+@pytest.mark.parametrize("boundary", ESTIMATORS)
 def test_every_derivative_is_that_of_quadrature(boundary):
     check("pixels", boundary)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("boundary", [pytest.param(SHEET, id="kernel"), pytest.param(LINES, id="lines")])
+@pytest.mark.parametrize("boundary", ESTIMATORS)
 def test_colours_of_vertices(boundary):
     """The colours of two triangles do not continue each other: boundary points have to find their face."""
     check("colors", boundary)
@@ -107,7 +108,8 @@ def test_colours_of_vertices(boundary):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("boundary", "tolerance"), [pytest.param(SHEET, 0.02, id="kernel"), pytest.param(LINES, 0.001, id="lines")]
+    ("boundary", "tolerance"),
+    [pytest.param(KERNEL, 0.02, id="kernel"), pytest.param(jd.LineSampling(), 0.001, id="lines")],
 )
 def test_many_triangles(boundary, tolerance):
     """Kernels go on over the plane of a small face, where the radiance is that of the face's border."""
