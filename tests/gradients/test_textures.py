@@ -170,7 +170,7 @@ def seam():
     [
         pytest.param(RIGHT, False, id="mesh"),
         pytest.param(LOOK_LEFT, False, id="camera", marks=pytest.mark.slow),
-        pytest.param(RIGHT, True, id="it glows"),
+        pytest.param(RIGHT, True, id="it glows", marks=pytest.mark.slow),
     ],
 )
 def test_a_seam_is_a_crease(change, glows):
