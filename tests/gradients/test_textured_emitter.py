@@ -69,13 +69,14 @@ def motions(light, blocker, rows):
         points, slopes = np.asarray(mesh.vertices), rows[f"{name}.vertices"]
         level_points = np.abs(points[:, 2] - level.z) < 1e-6
         for side in range(4):
-            moved = level_points & (np.abs(points[:, side % 2] - level[side]) < 1e-6)
-            columns.append(slopes[:, moved, side % 2].sum(1))
-        columns.append(slopes[:, level_points, 2].sum(1))
+            axis, other = side % 2, level[(side + 2) % 4]
+            moved = np.where(level_points, (points[:, axis] - other) / (level[side] - other), 0.0)
+            columns.append(slopes[..., axis] @ moved)
+        columns.append(slopes[..., 2] @ level_points)
     return np.stack([*columns, rows["floor.height"]], 1)
 
 
-def check(kind, boundary, cells=1, tolerance=0.001, radius=0.5, keys=6, spp=32):
+def check(kind, boundary, cells=1, tolerance=0.001, radius=0.5, keys=6, spp=32, noise=0.03):
     texture, reference = TEXELS[kind]
     values, blocker = np.asarray(getattr(texture, kind), float), sheet(BLOCKER, radius)
     radiance, by_texel, by_motion = exact(reference, values)
@@ -90,7 +91,7 @@ def check(kind, boundary, cells=1, tolerance=0.001, radius=0.5, keys=6, spp=32):
     for (estimate, true), small in ((by_texels, 1e-4), ((motions(light.mesh, blocker, rows), by_motion), tolerance)):
         largest = np.abs(true).max()
         mean, error = (x / largest for x in mean_and_error(estimate))
-        assert error.max() < 0.03, error
+        assert error.max() < noise, error
         assert np.all(np.abs(mean - true / largest) < 4.5 * error + small), np.stack([mean, error, true / largest], 1)
 
 
@@ -112,5 +113,5 @@ def test_colours_of_vertices(boundary):
     [pytest.param(KERNEL, 0.02, id="kernel"), pytest.param(jd.LineSampling(), 0.001, id="lines")],
 )
 def test_many_triangles(boundary, tolerance):
-    """Kernels go on over the plane of a small face, where the radiance is that of the face's border."""
-    check("pixels", boundary, 6, tolerance, radius=0.1)
+    """Kernels go on over the plane of a small face, with the radiance of its border; chords are short, and noisy."""
+    check("pixels", boundary, 6, tolerance, radius=0.1, spp=128, noise=0.12)
