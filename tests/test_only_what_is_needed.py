@@ -14,6 +14,7 @@ from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.mitsuba_bsdfs import BSDFS
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties
+from jaxdr.scene.packed import PackedScene
 
 KEY = jax.random.key(0)
 
@@ -94,6 +95,9 @@ def test_a_diffuse_scene_pays_for_nothing_else(monkeypatch):
         for name in ("eval", "pdf", "sample", "sample_delta", "lobe_width", "turn"):
             if name in vars(kind):
                 monkeypatch.setattr(kind, name, refuse)
+    for texture in (jd.Bitmap, jd.Checkerboard, jd.VertexColors):  # of BSDFs, and of the light
+        monkeypatch.setattr(texture, "lookup", refuse)
+    monkeypatch.setattr(PackedScene, "texture_point", refuse)
     assert program(scene(jd.Diffuse(0.5))) == plain
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.texture_jumps import seam_jumps
+from jaxdr.boundary.texture_jumps import glow_jumps, seam_jumps
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.camera import View
 from jaxdr.scene.color import luminance
@@ -137,6 +137,8 @@ def _importance(packed: PackedScene, moving, key):
     if packed.uvs is not None:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
         crease = crease + light * seam_jumps(packed, jnp.arange(face0.shape[0]))
+    if packed.glow:  # as irradiance that a white surface would send on
+        crease = crease + jnp.pi * glow_jumps(packed, jnp.arange(face0.shape[0]))
     bright = jnp.maximum(received[face0], received[face1])
     importance = jnp.where(silhouette, 0.5 * (typical + bright), crease)
     return silhouette, jnp.where(jnp.asarray(moving)[edges.shape], importance, 0.0)

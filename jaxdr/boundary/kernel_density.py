@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.emitter_planes import few_emitter_faces, part_inside
+from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
 from jaxdr.boundary.lobe_kernel import lobe_term
 from jaxdr.boundary.silhouettes import (
     PathSegments,
@@ -33,10 +33,14 @@ from jaxdr.transport.primary import PrimarySamples
 
 
 class Prepared(NamedTuple):
-    """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges."""
+    """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges.
+
+    `group` numbers the emitters' planes; None where the radiance of no emitter varies.
+    """
 
     radius: Float[Array, " E"]
     tree: EdgeTree
+    group: Int[Array, " F"] | None = None
 
 
 class KernelDensity(eqx.Module):
@@ -55,8 +59,8 @@ class KernelDensity(eqx.Module):
       met: ten times the variance on a mesh that shadows itself.
     - `concave_edges` (True): count concave edges of closed one-sided shapes, which never bound what is visible.
     - `visibility_ray` (False): drop silhouettes that are hidden, by one ray that passes just beside the edge.
-    - `at_boundary` (False): evaluate BSDF and geometric term on the boundary and not at the path's own vertex, which is
-      off to one side by r/2 on average: a bias of first order in r.
+    - `at_boundary` (False): evaluate BSDF, geometric term and radiance on the boundary and not at the path's own
+      vertex, which is off to one side by r/2 on average: a bias of first order in r.
     - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides of the
       boundary. Corners of the boundary then cause no bias and half the variance is gone.
     - `clip_to_face` (False): the strip ends at the outline of an emitter of few faces, and of any face larger than the
@@ -117,7 +121,7 @@ class KernelDensity(eqx.Module):
         tree = queries.edge_tree(
             packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts, settings.rays
         )
-        return Prepared(radius, tree)
+        return Prepared(radius, tree, emitter_groups(packed) if packed.glow else None)
 
     def estimate(
         self,
@@ -158,8 +162,15 @@ class KernelDensity(eqx.Module):
         """Boundary term of one kind of segments, summed over the bounces."""
         every = jnp.arange(paths.count)
         lit = (paths.table.weight != 0).any(-1)
-        if paths.table.unlit is not None:  # black where a path meets it, a map may glow at the boundary
-            lit = jnp.where(paths.table.infinite, (paths.table.unlit != 0).any(-1), lit)
+        # Black where a path meets them, a map or a textured emitter may glow at the boundary.
+        sky = paths.table.unlit is not None and packed.has_varying_sky
+        glow = prepared.group if paths.table.unlit is not None and self.at_boundary else None
+        if paths.table.unlit is not None:
+            may_glow = (paths.table.unlit != 0).any(-1)
+            if sky:
+                lit = jnp.where(paths.table.infinite, may_glow, lit)
+            if glow is not None:
+                lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
         scale = jnp.where(lit, jnp.tile(scale, segments.apex_face.shape[0]), 0.0)
         ends = jax.tree.map(stop_gradient, paths.ends(every))
@@ -177,7 +188,7 @@ class KernelDensity(eqx.Module):
         r = jnp.where(valid, r, 1.0)
 
         goal = projection.point if self.at_boundary else stop_gradient(ends.target)
-        if paths.table.unlit is not None and self.at_boundary:
+        if sky and self.at_boundary:
             # No wider than details of the map: its radiance at the boundary over the density at the sample is bounded.
             extent = packed.environment_sampler.extent(paths.direction(segment, goal)) * paths.distance_to_infinity
             r = jnp.where(ends.infinite, jnp.minimum(r, extent), r)
@@ -192,7 +203,12 @@ class KernelDensity(eqx.Module):
         else:
             disc = jnp.pi * r**2 if both_sides else 0.5 * jnp.pi * r**2
             share = density * projection.stretch / disc  # Eq. 16, 19
-        weight = paths.weight(segment, goal) * paths.transfer(segment, ends, goal) * (share * pairs.weight)[:, None]
+        radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
+        weight = (
+            paths.weight(segment, goal, radiance)
+            * paths.transfer(segment, ends, goal)
+            * (share * pairs.weight)[:, None]
+        )
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, settings)
         displacement = projection.displacement - stop_gradient(projection.displacement)
@@ -230,6 +246,15 @@ class KernelDensity(eqx.Module):
         before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
         fraction = jnp.clip((u - before) / jnp.where(length[edge] > 0, length[edge], 1.0), 0.0, 1.0)
         return edge, fraction, cdf[-1]
+
+
+def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:
+    """Radiance of the emitters at boundary points; beyond the small faces of a large emitter that of their borders."""
+    detached = jax.tree.map(stop_gradient, packed)
+    face, barycentric, _ = emitter_face_at(detached, group, ends.face, projection.point)
+    barycentric = jnp.maximum(barycentric, 0.0)
+    barycentric = barycentric / barycentric.sum(-1, keepdims=True)
+    return detached.surface_radiance(face, barycentric)
 
 
 def _inradius(corners) -> Float[Array, " C"]:

@@ -137,17 +137,22 @@ class PathSegments:
         apex = self.apex(index).position
         return _mixed(apex, *self._attached(index, apex), goal)
 
-    def weight(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    def weight(
+        self, index: Int[Array, " C"], goal: Float[Array, "C 3"], radiance: Float[Array, "C 3"] | None = None
+    ) -> Float[Array, "C 3"]:
         """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target.
 
-        From the environment comes what it sends from the direction of `goal`.
+        From the environment comes what it sends from the direction of `goal`, from surfaces `radiance` where it is
+        given: else what the target sends.
         """
         infinite = self.table.infinite[index]
         far = jnp.where(infinite, self.distance_to_infinity**2, 1.0)
-        weight = self.table.weight[index]
-        if self.table.unlit is not None:
-            radiance = stop_gradient(environment_radiance(self.packed, self.direction(index, goal)))
-            weight = jnp.where(infinite[:, None], self.table.unlit[index] * radiance, weight)
+        weight, unlit = self.table.weight[index], self.table.unlit
+        if unlit is not None and self.packed.has_varying_sky:
+            sky = stop_gradient(environment_radiance(self.packed, self.direction(index, goal)))
+            weight = jnp.where(infinite[:, None], unlit[index] * sky, weight)
+        if unlit is not None and radiance is not None:
+            weight = jnp.where(infinite[:, None], weight, unlit[index] * radiance)
         return weight * far[:, None]
 
     def direction(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:

@@ -7,9 +7,10 @@ from jaxtyping import Array, Float, Int
 
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.bsdf import BSDF
+from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.scene.textures import textures_in
+from jaxdr.scene.scene import Scene, textures_of, unwrap
+from jaxdr.transport.emission import surface_radiance
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.texturing import tangents_along_u, texture_difference
 
@@ -26,6 +27,31 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
     if packed.uvs is None:
         return jnp.zeros(edge.shape, packed.vertices.dtype)
     packed = jax.tree.map(stop_gradient, packed)
+    interior, points = _beside(packed, edge)
+    apart = jnp.zeros_like(interior)
+    for share in (0.0, 1.0):
+        one, two = (_uv(packed, point) for point in points(share))
+        apart |= (one != two).any(-1)
+    if packed.tangential:
+        (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
+        apart |= dot(one, two) < 1.0 - TURN
+    jump = sum(texture_difference(packed, *points((i + 0.5) / PROBES)) for i in range(PROBES)) / PROBES
+    return jnp.where(interior & apart, LEAST + jump, 0.0)
+
+
+def glow_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"]:
+    """How much the emission of the two faces at edges differs there, roughly: luminance. Detached."""
+    packed = jax.tree.map(stop_gradient, packed)
+    interior, points = _beside(packed, edge)
+    total = jnp.zeros(edge.shape, packed.vertices.dtype)
+    for i in range(PROBES):
+        one, two = (surface_radiance(packed, point) for point in points((i + 0.5) / PROBES))
+        total = total + luminance(jnp.abs(one - two)) / PROBES
+    return jnp.where(interior, total, 0.0)
+
+
+def _beside(packed: PackedScene, edge: Int[Array, " C"]):
+    """(which edges have two faces, function: share of the way along edges -> the points there on either face)."""
     interior, ends = packed.edges.interior[edge], packed.edges.vertices[edge]
     sides = []
     for k in (0, 1):
@@ -36,15 +62,7 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
         for face, (start, end) in sides:
             yield material_point(packed, face, (1.0 - share) * start + share * end, interior)
 
-    apart = jnp.zeros_like(interior)
-    for share in (0.0, 1.0):
-        one, two = (_uv(packed, point) for point in points(share))
-        apart |= (one != two).any(-1)
-    if packed.tangential:
-        (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
-        apart |= dot(one, two) < 1.0 - TURN
-    jump = sum(texture_difference(packed, *points((i + 0.5) / PROBES)) for i in range(PROBES)) / PROBES
-    return jnp.where(interior & apart, LEAST + jump, 0.0)
+    return interior, points
 
 
 def _uv(packed, point):
@@ -61,10 +79,10 @@ def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool, 
     in_lobes = ["attached=0"] if lobes and attached > 0 else []
     for (name, shape), moves in zip(scene.shapes.items(), moving, strict=True):
         remedies = (['primary="material"'] if fixed_rays and moves else []) + in_lobes
-        for field, texture in textures_in(unwrap(shape.bsdf)):
+        for field, texture in textures_of(shape):
             if remedies and not texture.continuous:
                 raise ValueError(
-                    f"render: {name}.bsdf.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
+                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
                     f"the image it has no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
                     "or boundary=None for the interior term alone"
                 )
@@ -76,10 +94,10 @@ def check_still_maps(active: Scene) -> None:
     Leaves of the scene say whether they are differentiated.
     """
     for name, shape in active.shapes.items():
-        for field, texture in textures_in(unwrap(shape.bsdf)):
+        for field, texture in textures_of(shape):
             moves = bool(shape.mesh.uvs) or bool(getattr(texture, "to_uv", False))
             if texture.uses_uv and moves and not texture.continuous:
                 raise ValueError(
-                    f"render: {name}.bsdf.{field} jumps inside faces ({type(texture).__name__}): it has no derivative "
+                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): it has no derivative "
                     "by to_uv or UVs; use a bilinear Bitmap, or boundary=None for the interior term alone"
                 )

@@ -9,17 +9,22 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 from jaxdr.scene.color import as_rgb, luminance
 from jaxdr.scene.sampling import uniform_sphere
 
 
 class AreaEmitter(eqx.Module):
-    """Emits RGB `radiance` (W / m^2 sr) from the side of the surface its normal points to."""
+    """Emits RGB `radiance` (W / m^2 sr) from the side of the surface its normal points to.
 
-    radiance: Float[Array, "3"]
+    A number, three numbers, or a texture: then the radiance varies over the surface and moves with it. Raises
+    ValueError for another shape, and for radiance that is negative or not finite.
+    """
 
-    def __init__(self, radiance: ArrayLike):
-        self.radiance = as_rgb(radiance, "AreaEmitter: radiance")
+    radiance: Color
+
+    def __init__(self, radiance: Value):
+        self.radiance = rgb(radiance, "AreaEmitter: radiance", 0.0, math.inf)
 
 
 class DirectionSampler(eqx.Module):

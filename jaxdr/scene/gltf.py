@@ -19,7 +19,7 @@ from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.film import Film
 from jaxdr.scene.gltf_textures import (
-    base_color,
+    color,
     metallic_roughness,
     normal_map,
     texture_infos,
@@ -43,13 +43,13 @@ def load_gltf(
 
     Shapes are named by their nodes, with a number where names repeat. Base colour, metallic and roughness become a
     `Principled` BSDF with their textures, two-sided where the material is, in a `NormalMap` where there is one;
-    emissive factors become area emitters; where nothing emits, a constant environment of radiance 1 does. Normals are
-    those of the file's smoothing groups (`load_mesh`, shading "file"). The first camera is taken, or one that shows the
-    whole scene from the front. The film is `width` pixels wide and, unless `height` is given, as high as the camera's
-    aspect ratio asks for (square without one).
+    emissive factors become area emitters, with their textures; where nothing emits, a constant environment of radiance
+    1 does. Normals are those of the file's smoothing groups (`load_mesh`, shading "file"). The first camera is taken,
+    or one that shows the whole scene from the front. The film is `width` pixels wide and, unless `height` is given, as
+    high as the camera's aspect ratio asks for (square without one).
 
-    Raises one ValueError that lists whatever else is not supported (emissive textures, vertex colours, transparency,
-    lights, animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded.
+    Raises one ValueError that lists whatever else is not supported (vertex colours, transparency, lights,
+    animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded.
     Raises ValueError for a missing or damaged file.
     """
     path = Path(path)
@@ -154,38 +154,42 @@ def _shapes(header: dict, nodes: list, primitives: list) -> Iterator[tuple[str, 
             material = header["materials"][primitive["material"]] if "material" in primitive else {}
             part = Part(geometry, to_world)
             textures = {} if part.uvs is None else texture_infos(material)
-            bsdf = _bsdf(header, material, textures, geometry.visual)
-            yield name, Shape(joined([part], "file"), bsdf, _emitter(material))
+            images = {texture: getattr(geometry.visual.material, texture) for texture in textures}
+            for texture, image in images.items():
+                if image is None:
+                    raise ValueError(f"the image of {texture} can't be read")
+            bsdf, emitter = _bsdf(header, material, textures, images), _emitter(header, material, textures, images)
+            yield name, Shape(joined([part], "file"), bsdf, emitter)
 
 
-def _bsdf(header: dict, material: dict, textures: dict[str, dict], visual) -> BSDF | TwoSided:
+def _bsdf(header: dict, material: dict, textures: dict[str, dict], images: dict) -> BSDF | TwoSided:
     """The BSDF of a glTF material: metallic and roughness as the principled model has them, of index 1.5.
 
-    `textures` are those that count, `visual` is what trimesh made of the material.
+    `textures` are those that count, `images` theirs.
     """
     factors = material.get("pbrMetallicRoughness", {})
-    color = factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
+    base = factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
     metallic, roughness = factors.get("metallicFactor", 1.0), factors.get("roughnessFactor", 1.0)
-    images = {name: getattr(visual.material, name) for name in textures}
-    for name, image in images.items():
-        if image is None:
-            raise ValueError(f"the image of {name} can't be read")
     if (info := textures.get("baseColorTexture")) is not None:
-        color = base_color(header, info, images["baseColorTexture"], color)
+        base = color(header, info, images["baseColorTexture"], base)
     if (info := textures.get("metallicRoughnessTexture")) is not None:
         image = images["metallicRoughnessTexture"]
         metallic, roughness = metallic_roughness(header, info, image, metallic, roughness)
-    bsdf: BSDF = Principled(color, metallic, roughness)
+    bsdf: BSDF = Principled(base, metallic, roughness)
     if (info := textures.get("normalTexture")) is not None:
         bsdf = NormalMap(normal_map(header, info, images["normalTexture"]), bsdf)
     return TwoSided(bsdf) if material.get("doubleSided", False) else bsdf
 
 
-def _emitter(material: dict) -> AreaEmitter | None:
-    """Emissive factor times strength, as radiance."""
+def _emitter(header: dict, material: dict, textures: dict[str, dict], images: dict) -> AreaEmitter | None:
+    """Emissive factor times strength, times the texture, as radiance."""
     strengths = material.get("extensions", {}).get("KHR_materials_emissive_strength", {})
     radiance = np.multiply(material.get("emissiveFactor", (0, 0, 0)), strengths.get("emissiveStrength", 1.0))
-    return AreaEmitter(radiance) if radiance.any() else None
+    if not radiance.any():
+        return None
+    if (info := textures.get("emissiveTexture")) is not None:
+        return AreaEmitter(color(header, info, images["emissiveTexture"], radiance))
+    return AreaEmitter(radiance)
 
 
 def _camera(header: dict, nodes: list, shapes: dict[str, Shape], width: int, height: int | None) -> Perspective:

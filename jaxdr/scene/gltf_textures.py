@@ -9,8 +9,7 @@ from PIL import Image
 from jaxdr.images import from_srgb
 from jaxdr.scene.textures import Bitmap
 
-READ = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture")
-NOT_READ = ("emissiveTexture",)  # of those that change a path-traced image
+READ = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "emissiveTexture")  # not occlusion: traced
 WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 NEAREST = 9728
 
@@ -23,9 +22,6 @@ def texture_infos(material: dict) -> dict[str, dict]:
 def unsupported_textures(header: dict, material: dict) -> Iterator[str]:
     """What is not supported about a material's textures, and what happens instead."""
     for name, info in _infos(material):
-        if name in NOT_READ:
-            yield f"{name} is not supported; it is left out"
-            continue
         if _obstacle(info):
             yield f"{name} {_obstacle(info)}, which is not supported; it is left out"
             continue
@@ -36,8 +32,8 @@ def unsupported_textures(header: dict, material: dict) -> Iterator[str]:
             yield f"{name} wraps differently along u and v, which is not supported; as along u it wraps along both"
 
 
-def base_color(header: dict, info: dict, image: Image.Image, factor) -> Bitmap:
-    """Colours, which are stored in sRGB, times a linear RGB factor."""
+def color(header: dict, info: dict, image: Image.Image, factor) -> Bitmap:
+    """Base or emitted colours, which are stored in sRGB, times a linear RGB factor."""
     return _bitmap(header, info, from_srgb(_pixels(image)) * np.asarray(factor, float))
 
 
@@ -53,7 +49,7 @@ def normal_map(header: dict, info: dict, image: Image.Image) -> Bitmap:
 
 
 def _infos(material: dict) -> Iterator[tuple[str, dict]]:
-    for name in (*READ, *NOT_READ):
+    for name in READ:
         for owner in (material, material.get("pbrMetallicRoughness", {})):
             if name in owner:
                 yield name, owner[name]

@@ -14,7 +14,7 @@ from jaxdr.scene.lights.projector import WRAPS
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_names import object_names, parameter_name
 from jaxdr.scene.mitsuba_sensors import field_of_view
-from jaxdr.scene.mitsuba_textures import color
+from jaxdr.scene.mitsuba_textures import color, textured_color
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 
 # Linear sRGB of the spectrum that is 1 everywhere, seen as a light (XYZ = 1, 1, 1). As a reflectance it is plain 1.
@@ -27,7 +27,10 @@ def _light_color(properties: Properties, name: str) -> ArrayLike:
 
 
 def _area(element: Element) -> AreaEmitter:
-    return AreaEmitter(_light_color(Properties(element), "radiance"))
+    properties = Properties(element)
+    if properties.tag("radiance") is not None:
+        return AreaEmitter(_light_color(properties, "radiance"))
+    return AreaEmitter(textured_color(properties, "radiance", 1.0))
 
 
 def _constant(element: Element) -> ConstantEnvironment:

@@ -7,6 +7,8 @@ with smooth shapes, texture coordinates only with textures that use them.
 
 import dataclasses
 import itertools
+from collections.abc import Iterator
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,9 +23,13 @@ from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
-from jaxdr.scene.packed_lights import LightGroup, emitter_choice, group_lights
-from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.scene.textures import textures_in
+from jaxdr.scene.packed_lights import EVENLY, LightGroup, emitter_choice, group_lights
+from jaxdr.scene.scene import Scene, textures_of, unwrap
+from jaxdr.scene.textures import Texture, TexturePoint, textures_in
+
+# At how many points the textures of emitters are looked up to choose among their faces: all in all, and the square root
+# of their number on one face.
+MEAN_POINTS, LEAST_SIDE, MOST_SIDE = 1 << 14, 2, 32
 
 
 class PackedEdges(eqx.Module):
@@ -47,13 +53,23 @@ class BSDFGroup(eqx.Module):
     member: Bool[Array, " S"]
 
 
+class GlowGroup(eqx.Module):
+    """Radiance of shapes by textures of one kind and size, fields stacked; `row` and `member` as of a `BSDFGroup`."""
+
+    texture: Texture
+    row: Int[Array, " S"]
+    member: Bool[Array, " S"]
+
+
 class PackedScene(eqx.Module):
     """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
 
     Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
     `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
-    emitters, where there are several, is as `emitter_choice` says. With `environment_turns`, directions to the
-    environment turn with it; else they are fixed in the world, and what is seen in them changes.
+    emitters, where there are several, is as `emitter_choice` says. `radiance` is that of emitters without a texture,
+    `glow` of those with one; `mean_luminance` of the emitting faces is there with the latter. With
+    `environment_turns`, directions to the environment turn with it; else they are fixed in the world, and what is seen
+    in them changes.
     """
 
     vertices: Float[Array, "V 3"]
@@ -73,6 +89,8 @@ class PackedScene(eqx.Module):
     uv_faces: Int[Array, "F 3"] | None
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
+    glow: tuple[GlowGroup, ...]
+    mean_luminance: Float[Array, " L"] | None
     camera: Camera
     environment: Environment | None
     environment_sampler: DirectionSampler | None
@@ -82,8 +100,8 @@ class PackedScene(eqx.Module):
 
     @property
     def textured(self) -> bool:
-        """Whether any BSDF has textures."""
-        return bool(textures_in(self.bsdfs))
+        """Whether any BSDF or emitter has textures."""
+        return bool(textures_in((self.bsdfs, self.glow)))
 
     @property
     def tangential(self) -> bool:
@@ -94,6 +112,11 @@ class PackedScene(eqx.Module):
     def has_area_emitters(self) -> bool:
         """Whether any shape glows."""
         return self.emitter_faces is not None
+
+    @property
+    def has_varying_sky(self) -> bool:
+        """Whether the radiance of the environment depends on the direction."""
+        return self.environment is not None and not self.environment.uniform
 
     @property
     def has_delta_lobes(self) -> bool:
@@ -130,18 +153,44 @@ class PackedScene(eqx.Module):
         """Number of lights without area."""
         return self.lights[0].row.shape[0] if self.lights else 0
 
+    def texture_point(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"]) -> TexturePoint:
+        """Where textures are looked up, from faces and barycentric coordinates."""
+        uv = None
+        if self.uvs is not None:
+            uv = (self.uvs[self.uv_faces[face]] * on_face[..., None]).sum(1)
+        first = jnp.asarray(self.first_vertex, jnp.int32)[self.face_shape[face]]
+        return TexturePoint(uv, on_face, self.faces[face] - first[:, None])
+
+    def surface_radiance(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"] | None) -> Float[Array, "N 3"]:
+        """Radiance of emitters at barycentric coordinates (only textures need them), zero on other surfaces."""
+        shape = self.face_shape[face]
+        radiance = jnp.zeros((*face.shape, 3), self.vertices.dtype) if self.radiance is None else self.radiance[shape]
+        if self.glow:
+            assert on_face is not None  # there wherever the scene has textures
+            at = self.texture_point(face, on_face)
+            for group in self.glow:
+                radiance = jnp.where(group.member[shape][:, None], group.texture.values(group.row[shape], at), radiance)
+        return radiance
+
     def emitter_powers(self) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
         """(area times luminance of the radiance, area) of every emitting face; detached."""
         area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
+        if self.mean_luminance is not None:
+            return area * self.mean_luminance, area
         radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
         return area * luminance(radiance), area
 
     def emitter_cdf(self) -> Float[Array, " L"]:
         """Cumulative probability of choosing each emitting face, proportional to its power; detached.
 
-        Proportional to area where all emitters are off, as an optimisation of their radiance may start.
+        Proportional to area where all emitters are off, as an optimisation of their radiance may start. With textures
+        some of it always is: the means that they are chosen by see neither every texel nor what a black one may become.
         """
         power, area = self.emitter_powers()
+        if self.mean_luminance is not None:
+            total = power.sum()
+            share = (1.0 - EVENLY) / jnp.where(total > 0, total, 1.0)
+            power = power * share + area * (EVENLY / area.sum())
         cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
         return cumulative / cumulative[-1]
 
@@ -155,12 +204,12 @@ def pack(scene: Scene) -> PackedScene:
     counts = [m.faces.shape[0] for m in meshes]
     bsdfs = [unwrap(shape.bsdf) for shape in shapes]
     normals, normal_faces = _normals(meshes)
-    uvs, uv_faces = _uvs(meshes, bsdfs)
-    emitting = [i for i, shape in enumerate(shapes) if shape.emitter is not None]
+    uvs, uv_faces = _uvs(shapes)
+    glows = [shape.emitter.radiance if shape.emitter else None for shape in shapes]
+    emitting = [i for i, glow in enumerate(glows) if glow is not None]
     radiance = emitter_faces = None
     if emitting:
-        black = jnp.zeros(3, meshes[0].vertices.dtype)
-        radiance = jnp.stack([shape.emitter.radiance if shape.emitter else black for shape in shapes])
+        radiance = _constant_radiance(glows, meshes[0].vertices.dtype)
         emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
     packed = PackedScene(
         vertices=jnp.concatenate([m.vertices for m in meshes]),
@@ -180,12 +229,16 @@ def pack(scene: Scene) -> PackedScene:
         uv_faces=uv_faces,
         radiance=radiance,
         emitter_faces=emitter_faces,
+        glow=_group_glow(glows),
+        mean_luminance=None,
         camera=scene.camera,
         environment=scene.environment,
         environment_sampler=scene.environment and scene.environment.sampler(),
         lights=group_lights(list(scene.lights.values())),
         choice=None,
     )
+    if packed.glow:
+        packed = dataclasses.replace(packed, mean_luminance=_mean_luminance(packed))
     if (scene.environment is not None) + packed.has_area_emitters + packed.light_count < 2:
         return packed
     surfaces = packed.emitter_powers()[0].sum() if packed.has_area_emitters else None
@@ -208,9 +261,10 @@ def _normals(meshes):
     return jnp.concatenate(normals), jnp.concatenate(indices)
 
 
-def _uvs(meshes, bsdfs):
-    """Texture coordinates of the meshes whose textures use them and corner indices into them; None without any."""
-    uses = [bsdf.tangential or any(texture.uses_uv for _, texture in textures_in(bsdf)) for bsdf in bsdfs]
+def _uvs(shapes):
+    """Texture coordinates of the shapes whose textures use them and corner indices into them; None without any."""
+    meshes = [shape.mesh for shape in shapes]
+    uses = [unwrap(s.bsdf).tangential or any(texture.uses_uv for _, texture in textures_of(s)) for s in shapes]
     if not any(uses):
         return None, None
     uvs, indices, first = [], [], 0
@@ -242,17 +296,54 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
 
 
 def _group(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
-    """BSDFs with the same static structure and sizes of textures are stacked into one group."""
-    structures = [(jax.tree.structure(b), tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(b))) for b in bsdfs]
-    groups = []
-    for structure in dict.fromkeys(structures):
+    return tuple(BSDFGroup(*group) for group in _stacked(bsdfs))
+
+
+def _stacked(models: list) -> Iterator[tuple[Any, Int[Array, " S"], Bool[Array, " S"]]]:
+    """(fields stacked, row, member) of models with the same static structure and sizes; None belongs to no group."""
+    structures = [m and (jax.tree.structure(m), tuple(map(jnp.shape, jax.tree.leaves(m)))) for m in models]
+    for structure in dict.fromkeys(s for s in structures if s is not None):
         members = [i for i, s in enumerate(structures) if s == structure]
-        stacked = jax.tree.map(lambda *fields: jnp.stack(fields), *(bsdfs[i] for i in members))
-        row = np.zeros(len(bsdfs), np.int32)
+        stacked = jax.tree.map(lambda *fields: jnp.stack(fields), *(models[i] for i in members))
+        row = np.zeros(len(models), np.int32)
         row[members] = np.arange(len(members))
-        member = np.isin(np.arange(len(bsdfs)), members)
-        groups.append(BSDFGroup(stacked, jnp.asarray(row), jnp.asarray(member)))
-    return tuple(groups)
+        member = np.isin(np.arange(len(models)), members)
+        yield stacked, jnp.asarray(row), jnp.asarray(member)
+
+
+def _constant_radiance(glows: list, dtype) -> Float[Array, "S 3"] | None:
+    """Radiance of shapes whose emitters have no texture, black for the others; None without any."""
+    constant = [None if isinstance(glow, Texture) else glow for glow in glows]
+    if all(glow is None for glow in constant):
+        return None
+    black = jnp.zeros(3, dtype)
+    return jnp.stack([black if glow is None else glow for glow in constant])
+
+
+def _group_glow(glows: list) -> tuple[GlowGroup, ...]:
+    return tuple(GlowGroup(*g) for g in _stacked([glow if isinstance(glow, Texture) else None for glow in glows]))
+
+
+def _mean_luminance(packed: PackedScene) -> Float[Array, " L"]:
+    """Of the radiance of emitting faces, from a grid of points on each; detached. Only the noise depends on it."""
+    packed = jax.tree.map(stop_gradient, packed)
+    faces = packed.emitter_faces
+    assert faces is not None
+    side = int(np.clip((MEAN_POINTS // faces.shape[0]) ** 0.5, LEAST_SIDE, MOST_SIDE))
+    points = jnp.asarray(_grid(side), packed.vertices.dtype)
+
+    def luminance_at(point):
+        return luminance(packed.surface_radiance(faces, jnp.broadcast_to(point, (faces.shape[0], 3))))
+
+    return jax.lax.map(luminance_at, points, batch_size=max(1, MEAN_POINTS // faces.shape[0])).mean(0)
+
+
+def _grid(side: int) -> Float[np.ndarray, "n 3"]:
+    """Barycentric coordinates of the centres of side² triangles that a triangle is cut into."""
+    upright = [(i + 1 / 3, j + 1 / 3) for i in range(side) for j in range(side - i)]
+    turned = [(i + 2 / 3, j + 2 / 3) for i in range(side) for j in range(side - i - 1)]
+    points = np.array(upright + turned) / side
+    return np.concatenate([points, 1.0 - points.sum(1, keepdims=True)], 1)
 
 
 def concave_edges(packed: PackedScene) -> Bool[Array, " E"]:

@@ -13,7 +13,7 @@ from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import AreaEmitter, Environment
 from jaxdr.scene.lights import DeltaLight
-from jaxdr.scene.textures import textures_in
+from jaxdr.scene.textures import Texture, textures_in
 
 RESERVED = ("camera", "environment")
 
@@ -129,13 +129,19 @@ def _float_fields(module: eqx.Module) -> list[str]:
     return names
 
 
+def textures_of(shape: Shape) -> list[tuple[str, Texture]]:
+    """All textures of a shape, with the names of their parameters after the shape's."""
+    bsdf = [(f"bsdf.{field}", texture) for field, texture in textures_in(unwrap(shape.bsdf))]
+    return bsdf + [(f"emitter.{field}", texture) for field, texture in textures_in(shape.emitter)]
+
+
 def _check_textures(name: str, shape: Shape) -> None:
     """Raise ValueError for a shape whose mesh has not what its textures need."""
     mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
     if bsdf.tangential and mesh.uvs is None:
         raise ValueError(f"Scene: {name}.bsdf has a normal map, and the mesh of {name!r} has no uvs that tell its axes")
-    for field, texture in textures_in(bsdf):
-        owner = f"Scene: {name}.bsdf.{field}, a {type(texture).__name__},"
+    for field, texture in textures_of(shape):
+        owner = f"Scene: {name}.{field}, a {type(texture).__name__},"
         if texture.uses_uv and mesh.uvs is None:
             raise ValueError(
                 f"{owner} needs texture coordinates, and the mesh of {name!r} has none (Mesh: uvs, uv_faces)"

@@ -68,7 +68,7 @@ def environment_radiance(packed: PackedScene, direction: Float[Array, "N 3"]) ->
 
 def surface_radiance(packed: PackedScene, point: SurfacePoint) -> Float[Array, "N 3"]:
     """Radiance of points on emitting surfaces, on the side of their normal; zero for other surfaces."""
-    return packed.radiance[packed.face_shape[point.face]]
+    return packed.surface_radiance(point.face, point.on_face)
 
 
 def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:

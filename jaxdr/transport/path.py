@@ -39,8 +39,9 @@ class Segments(NamedTuple):
     without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
     over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
     occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples, and `unlit`,
-    the weight without the radiance, where that of the environment depends on the direction; `lobe`, of BSDF-sampled
-    segments, is the throughput over the density of `direction` (solid angle), whatever lies there.
+    the weight without the radiance, where that of the environment depends on the direction or that of a surface on the
+    point; `lobe`, of BSDF-sampled segments, is the throughput over the density of `direction` (solid angle), whatever
+    lies there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -300,7 +301,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
     carries = reachable if delta is None else reachable & ~delta
     unlit = None
-    if packed.environment is not None and not packed.environment.uniform:
+    if packed.has_varying_sky or packed.glow:
         unlit = jnp.where(carries[:, None], throughput / sample.pdf[:, None], 0.0)
     segment = Segments(
         apex_face=point.face,

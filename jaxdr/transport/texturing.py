@@ -20,11 +20,7 @@ def bsdfs_at(packed: PackedScene, point: SurfacePoint, shape: Int[Array, " N"]) 
 def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
     """Where textures are looked up. It moves over the face where the point does."""
     assert point.on_face is not None  # there wherever the scene has textures
-    uv = None
-    if packed.uvs is not None:
-        uv = (packed.uvs[packed.uv_faces[point.face]] * point.on_face[..., None]).sum(1)
-    first = jnp.asarray(packed.first_vertex, jnp.int32)[packed.face_shape[point.face]]
-    return TexturePoint(uv, point.on_face, packed.faces[point.face] - first[:, None])
+    return packed.texture_point(point.face, point.on_face)
 
 
 def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:

@@ -111,13 +111,14 @@ def estimates(
     sampling: str = "emitter",
     rays: str = "warp",
     max_depth: int = 2,
+    more: tuple[str, ...] = (),
 ):
-    """Radiance [keys] and its reverse-mode derivatives {name: [keys, ...]} for independent keys."""
+    """Radiance [keys] and its reverse-mode derivatives {name: [keys, ...]}, of `more` as well, for independent keys."""
     parameters = of.parameters()
-    values = {name: parameters[name] for name in NAMES}
+    values = {name: parameters[name] for name in (*NAMES, *more)}
     run = partial(_estimate, of, values, boundary=boundary, spp=spp, sampling=sampling, rays=rays, max_depth=max_depth)
     rows = [jax.device_get(run(key)) for key in jax.random.split(jax.random.key(0), keys)]
-    derivatives = {name: np.stack([row[1][name] for row in rows]).astype(float) for name in NAMES}
+    derivatives = {name: np.stack([row[1][name] for row in rows]).astype(float) for name in values}
     floor = derivatives.pop("floor.vertices")
     return np.array([row[0] for row in rows], float), derivatives | {"floor.height": floor[..., 2].sum(-1)}
 

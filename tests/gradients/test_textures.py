@@ -1,7 +1,7 @@
 """Derivatives of images of textured surfaces: in pixels, and where texture coordinates slide under a fixed ray.
 
 Before a constant sky of radiance one, a single flat diffuse surface sends its reflectance: its image is that of the
-texture, and the pixel filter can be integrated over it without any paths.
+texture, and the pixel filter can be integrated over it without any paths. A surface that glows has the same image.
 """
 
 import jax
@@ -19,12 +19,14 @@ PIXELS = RNG.uniform(0.2, 0.9, (5, 6, 3))
 ASKEW = (1.0, -2.0, 3.0)
 
 
-def scene(bsdf, mesh=None, position=ASKEW, pixel_filter=None):
-    """A square, larger than the view: no outline in sight."""
+def scene(surface, mesh=None, position=ASKEW, pixel_filter=None):
+    """A square, larger than the view (no outline in sight), with a BSDF under a sky, or an emitter in the dark."""
     mesh = jd.shapes.rectangle(4.0, 4.0) if mesh is None else mesh
     film = jd.Film(SIZE, SIZE, pixel_filter or jd.Box())
     camera = jd.Perspective(jd.look_at(position, (0, 0, 0), (0, 1, 0)), 30.0, film)
-    return jd.Scene({"quad": jd.Shape(mesh, bsdf)}, camera, jd.ConstantEnvironment(1.0))
+    if isinstance(surface, jd.AreaEmitter):
+        return jd.Scene({"quad": jd.Shape(mesh, jd.Diffuse(0.0), surface)}, camera)
+    return jd.Scene({"quad": jd.Shape(mesh, surface)}, camera, jd.ConstantEnvironment(1.0))
 
 
 def along(name, change):
@@ -123,23 +125,28 @@ def means(of, change, integrator, weight, keys=12, spp=32):
 
 RIGHT = along("quad.vertices", (1.0, 0.0, 0.0))
 LOOK_LEFT = along("camera.to_world", np.outer((-1, 0, 0, 0), (0, 0, 0, 1)))
+BOARD = jd.Checkerboard((0.9, 0.5, 0.2), 0.1)
 WHOLE = {
-    "fixed rays, mesh": (jd.Bitmap(PIXELS), "fixed_ray", RIGHT),
-    "fixed rays, camera": (jd.Bitmap(PIXELS), "fixed_ray", LOOK_LEFT),
-    "material points": (jd.Bitmap(PIXELS), "material", RIGHT),
-    "a board as material points": (jd.Checkerboard((0.9, 0.5, 0.2), 0.1), "material", RIGHT),
+    "fixed rays, mesh": (jd.Diffuse(jd.Bitmap(PIXELS)), "fixed_ray", RIGHT),
+    "fixed rays, camera": (jd.Diffuse(jd.Bitmap(PIXELS)), "fixed_ray", LOOK_LEFT),
+    "material points": (jd.Diffuse(jd.Bitmap(PIXELS)), "material", RIGHT),
+    "a board as material points": (jd.Diffuse(BOARD), "material", RIGHT),
+    "it glows": (jd.AreaEmitter(jd.Bitmap(PIXELS)), "fixed_ray", RIGHT),
+    "it glows as material points": (jd.AreaEmitter(BOARD), "material", RIGHT),
 }
+FAST = ("a board as material points", "it glows")
 
 
 @pytest.mark.parametrize(
-    "name", [name if "board" in name else pytest.param(name, marks=pytest.mark.slow) for name in WHOLE]
+    "name", [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in WHOLE]
 )
 def test_a_square_that_moves_across_the_view(name):
     """All terms of the derivative, through a Gaussian filter, against quadrature."""
-    texture, primary, change = WHOLE[name]
+    surface, primary, change = WHOLE[name]
+    texture = surface.reflectance if isinstance(surface, jd.Diffuse) else surface.radiance
     step = 1e-3
     slope = (filtered(texture, step) - filtered(texture, -step)) / (2 * step) * FOCAL / 4
-    of = scene(jd.Diffuse(texture), position=FRONTAL, pixel_filter=jd.Gaussian())
+    of = scene(surface, position=FRONTAL, pixel_filter=jd.Gaussian())
     mean, error = means(of, change, jd.PathTracer(max_depth=2, primary=primary, sampling="emitter"), slope)
     exact = (slope**2).sum()
     assert error < 0.03 * exact and abs(mean - exact) < 4 * error + 2e-3 * exact, (mean / exact, error / exact)
@@ -159,11 +166,17 @@ def seam():
 
 
 @pytest.mark.parametrize(
-    "change", [pytest.param(RIGHT, id="mesh"), pytest.param(LOOK_LEFT, id="camera", marks=pytest.mark.slow)]
+    ("change", "glows"),
+    [
+        pytest.param(RIGHT, False, id="mesh"),
+        pytest.param(LOOK_LEFT, False, id="camera", marks=pytest.mark.slow),
+        pytest.param(RIGHT, True, id="it glows", marks=pytest.mark.slow),
+    ],
 )
-def test_a_seam_is_a_crease(change):
+def test_a_seam_is_a_crease(change, glows):
     """It moves over one column of pixels, which loses what jumps times the speed, in pixels."""
-    of = scene(*seam(), FRONTAL)
+    bsdf, mesh = seam()
+    of = scene(jd.AreaEmitter(bsdf.reflectance) if glows else bsdf, mesh, FRONTAL)
 
     @jax.jit
     def derivative(key):
@@ -280,6 +293,11 @@ def test_jumps_inside_faces_that_move_are_refused():
         differentiate(board, change, primary="material")
         differentiate(board, change, boundary=None)
     differentiate(board, along("quad.bsdf.reflectance.color0", (1.0,) * 3))
+    glowing = scene(jd.AreaEmitter(jd.Checkerboard(0.2, 0.8)), pixel_filter=jd.Gaussian())
+    with pytest.raises(ValueError, match=r"render: quad\.emitter\.radiance jumps inside faces \(Checkerboard\).*; use"):
+        differentiate(glowing, TRANSLATION)
+    differentiate(glowing, TRANSLATION, primary="material")
+    differentiate(glowing, along("quad.emitter.radiance.color0", (1.0,) * 3))
     for primary in ("fixed_ray", "material"):
         with pytest.raises(ValueError, match="it has no derivative by to_uv or UVs"):
             differentiate(board, along("quad.bsdf.reflectance.to_uv", np.ones((2, 3))), primary=primary)

@@ -162,7 +162,6 @@ def unsupported(header):
     material = header["materials"][0]
     material["name"] = "glass"
     material["alphaMode"] = "BLEND"
-    material["emissiveTexture"] = {"index": 0}
     material["extensions"] = {"KHR_materials_transmission": {}}
 
 
@@ -171,7 +170,6 @@ UNSUPPORTED = [
     "animations are not supported",
     "mesh 'a mesh': vertex colours are not supported",
     "node 'a': point, spot and directional lights are not supported",
-    "material 'glass': emissiveTexture is not supported; it is left out",
     "material 'glass': transparency is not supported",
     "material 'glass': extension KHR_materials_transmission is not supported",
 ]
@@ -249,6 +247,23 @@ def test_textures(write):
     corners = np.asarray(shape.mesh.vertices)[np.asarray(shape.mesh.faces)]
     uvs = np.asarray(shape.mesh.uvs)[np.asarray(shape.mesh.uv_faces)]
     np.testing.assert_allclose(uvs, (corners[..., :2] + 1) / 2, atol=1e-6)
+
+
+def test_emissive_textures(write):
+    """Colours in sRGB times factor and strength; without a factor nothing glows."""
+
+    def change(header):
+        header["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 20}}
+
+    share = COLOURS / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    image = Image.fromarray(COLOURS)
+    scene = load_gltf(write({"a": textured(emissiveTexture=image, emissiveFactor=[1.0, 0.5, 0.25])}, change))
+    pixels = scene.parameters()["a.emitter.radiance.pixels"]
+    np.testing.assert_allclose(pixels, 20 * linear * [1, 0.5, 0.25], rtol=1e-5, atol=1e-6)
+    assert scene.environment is None
+    dark = load_gltf(write({"a": textured(emissiveTexture=image, emissiveFactor=[0.0, 0.0, 0.0])}))
+    assert dark.shapes["a"].emitter is None and dark.environment is not None
 
 
 def test_normal_textures_and_samplers(write):

@@ -37,6 +37,9 @@ EMITTERS = {
     '<string name="filename" value="p.png"/><string name="wrap_mode" value="clamp"/></texture></emitter>',
     "envmap": f'<emitter type="envmap"><string name="filename" value="e.exr"/><float name="scale" value="0.5"/>{TURN}'
     "</emitter>",
+    "area, texture": '<shape type="rectangle"><emitter type="area"><texture type="bitmap" name="radiance">'
+    '<string name="filename" value="panel.exr"/></texture></emitter><transform name="to_world">'
+    '<rotate x="1" angle="100"/><translate y="2.2" z="1.5"/></transform></shape>',
     "envmap, hdr": '<emitter type="envmap"><string name="filename" value="e.hdr"/></emitter>',
 }
 
@@ -47,6 +50,7 @@ def write(scene_file, tmp_path):
     picture = rng.uniform(0, 1, (6, 9, 3)).astype(np.float32)
     jd.write_image(tmp_path / "p.exr", picture)
     jd.write_image(tmp_path / "p.png", picture)
+    jd.write_image(tmp_path / "panel.exr", 5 * picture**4)
     sky = rng.exponential(size=(8, 16, 3)).astype(np.float32)
     sky[3, 5] *= 20
     jd.write_image(tmp_path / "e.exr", sky)
@@ -70,7 +74,7 @@ def test_an_image_as_in_mitsuba(mitsuba, write, name):
     path = write(EMITTERS[name])
     integrator = mitsuba.load_dict({"type": "path", "max_depth": 2})
     theirs = mitsuba.load_file(str(path))
-    noisy = "envmap" in name
+    noisy = "envmap" in name or "area" in name
     spp, count = (64, 8) if noisy else (64, 4)
     expected = np.stack(
         [np.asarray(mitsuba.render(theirs, integrator=integrator, spp=spp, seed=i)) for i in range(count)]

@@ -131,6 +131,24 @@ def test_textures_by_reference(load, material, tmp_path):
     np.testing.assert_allclose(colours, [[1, 0, 0.5], [0, 1, 0.5]])
 
 
+def test_area_emitters_take_textures(load, material, tmp_path):
+    glow = ('<texture type="checkerboard" name="radiance"><rgb name="color0" value="5, 0, 1"/></texture>',
+            bitmap("radiance", inside='<string name="wrap_mode" value="mirror"/>'),
+            '<texture type="uniform" name="radiance"><float name="value" value="3"/></texture>',
+            (VERTEX_COLOR % ("vertex_color", "")).replace("reflectance", "radiance"))  # fmt: skip
+    assert material("") is not None  # writes the files
+    found = []
+    for inside, shape in zip(glow, (CUBE, CUBE, CUBE, SHAPE % "coloured.ply"), strict=True):
+        of = load(f'{SENSOR}{shape}<emitter type="area">{inside}</emitter></shape>')
+        found.append(of.shapes["s"].emitter.radiance)
+    board, image, constant, colours = found
+    np.testing.assert_allclose(board.color0, [5, 0, 1])
+    np.testing.assert_allclose(board.color1, 0.2)
+    np.testing.assert_allclose(image.pixels, linear(RGB), rtol=1e-5)
+    assert image.wrap == "mirror" and constant.tolist() == [3, 3, 3]
+    assert isinstance(colours, jd.VertexColors) and colours.colors.shape == (4, 3)
+
+
 def test_mask_and_normal_map(material):
     inner = f'<bsdf type="roughconductor">{bitmap("alpha", "grey.png", RAW)}</bsdf>'
     mask = material(f'<bsdf type="mask">{bitmap("opacity", "grey.png", RAW)}{inner}</bsdf>')
@@ -165,11 +183,9 @@ WRONG = [
     (f'<bsdf type="normalmap">{diffuse("")}</bsdf>', CUBE, "needs a <texture> named 'normalmap'"),
     (f'<bsdf type="normalmap">{FLIP}{diffuse("")}</bsdf>', CUBE, "flip_invalid_normals other than true"),
     (f'<bsdf type="roughplastic">{bitmap("int_ior")}</bsdf>', CUBE, "a texture can't give 'int_ior' here"),
-    (
-        f'<emitter type="area">{bitmap("radiance")}</emitter>',
-        CUBE,
-        "a texture can't give 'radiance' here; give a constant; with ignore_unsupported the default is used",
-    ),
+    (f'<emitter type="area">{bitmap("radiance", "no.png")}</emitter>', CUBE, "there is no file .*no.png"),
+    ('<emitter type="area"><rgb name="radiance" value="1, -1, 1"/></emitter>', CUBE, "radiance must be at least 0"),
+    (f'<emitter type="area">{bitmap("radiance")}</emitter>', SHAPE % "a.ply", r"s\.emitter\.radiance, a Bitmap, needs"),
 ]
 
 

@@ -12,6 +12,9 @@ from jaxdr.scene.packed import concave_edges, pack
 CAMERA = jd.Perspective(jd.look_at([0, -4, 1], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(4, 4))
 
 
+QUAD = rectangle(1.0, 1.0)
+
+
 class Mirrorless(BSDF):
     """Another kind of BSDF, with another number of parameters."""
 
@@ -105,6 +108,22 @@ def test_emitters():
 def test_emitters_that_are_off_are_chosen_by_area():
     off = scene().replace({"c.emitter.radiance": jnp.zeros(3), "d.emitter.radiance": jnp.zeros(3)})
     np.testing.assert_allclose(pack(off).emitter_cdf(), np.cumsum([3, 3, 0.5, 0.5]) / 7, rtol=1e-5)
+
+
+def test_textured_emitters_are_chosen_by_their_mean():
+    """Faces by area times mean luminance, and a tenth by area alone: black ones have a share."""
+    colors = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    of = scene()
+    glowing = jd.Shape(rectangle(2.0, 3.0), jd.Diffuse(0.3), jd.AreaEmitter(jd.VertexColors(colors)))
+    packed = pack(jd.Scene(dict(of.shapes) | {"c": glowing}, CAMERA))
+    first = np.asarray(of.shapes["c"].mesh.faces)
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    power = np.concatenate([3.0 * (colors[first] @ weights).mean(1), [0.5 * 0.5] * 2])
+    area = np.array([3.0, 3.0, 0.5, 0.5])
+    share = 0.9 * power / power.sum() + 0.1 * area / area.sum()
+    np.testing.assert_allclose(np.diff(packed.emitter_cdf(), prepend=0), share, rtol=1e-5)
+    off = pack(jd.Scene({"c": jd.Shape(QUAD, emitter=jd.AreaEmitter(jd.VertexColors(np.zeros(4))))}, CAMERA))
+    np.testing.assert_allclose(off.emitter_cdf(), [0.5, 1.0])
 
 
 def test_choice_of_emitters_is_detached():

@@ -1,7 +1,7 @@
-"""Parameters of BSDFs: their shapes and ranges, checked when a model is made. Traced values have no range to check.
+"""Parameters of BSDFs and area emitters: their shapes and ranges, checked when a model is made.
 
-Each may be a texture instead. The points' own values take its place before a BSDF is evaluated: `Color` and `Number`
-are fields that models compute with, `Value` what such a field is made of.
+Traced values have no range to check. Each may be a texture instead. The points' own values take its place before a BSDF
+is evaluated: `Color` and `Number` are fields that models compute with, `Value` what such a field is made of.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""The interface of a texture: values that vary over a surface, in the place of a constant field of a BSDF.
+"""The interface of a texture: values that vary over a surface, in the place of a constant of a BSDF or an emitter.
 
 The path tracer looks the values up where it meets a surface; BSDFs are evaluated with them and never see a texture.
 """
@@ -70,7 +70,7 @@ class Texture(eqx.Module):
                 raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
 
     def values(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N *C"]:
-        """What takes the texture's place in the BSDF of every point: numbers [N] or RGB [N, 3]."""
+        """What takes the texture's place at every point: numbers [N] or RGB [N, 3]."""
         found = self.lookup(row, point)
         return found[:, 0] if found.shape[-1] == 1 else found
 

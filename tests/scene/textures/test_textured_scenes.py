@@ -67,6 +67,32 @@ def test_only_the_uvs_that_are_used_are_packed():
     np.testing.assert_array_equal(packed.uv_faces, [[0] * 3] * 3 + np.asarray(QUAD.uv_faces).tolist())
 
 
+def test_emitters():
+    """Tables for constants and for textures, each only where there are such; UVs for an emitter's image alone."""
+    shapes = {"a": jd.Shape(QUAD, jd.Diffuse(0.5)), "b": jd.Shape(QUAD, emitter=jd.AreaEmitter(jd.Bitmap(GREY)))}
+    of = jd.Scene(shapes, CAMERA)
+    assert {n for n in of.parameters() if "emitter" in n} == {"b.emitter.radiance.pixels"}
+    packed = pack(of)
+    assert packed.radiance is None and packed.textured and len(packed.glow) == 1
+    np.testing.assert_array_equal(packed.uvs, QUAD.uvs)
+    both = pack(jd.Scene(shapes | {"c": jd.Shape(QUAD, emitter=jd.AreaEmitter((1, 2, 3)))}, CAMERA))
+    np.testing.assert_array_equal(both.radiance, [[0] * 3] * 2 + [[1, 2, 3]])
+    middle = jnp.full((3, 3), 1 / 3)
+    found = both.surface_radiance(jnp.asarray([0, 2, 4]), middle)
+    image = jd.Bitmap(np.repeat(GREY[..., None], 3, -1))
+    at = both.texture_point(jnp.asarray([2]), middle[:1])
+    lit = jax.tree.map(lambda leaf: leaf[None], image).values(jnp.zeros(1, jnp.int32), at)[0]
+    np.testing.assert_allclose(found, [[0, 0, 0], lit, [1, 2, 3]], rtol=1e-6)
+    constant = pack(jd.Scene({"c": jd.Shape(QUAD, emitter=jd.AreaEmitter(2.0))}, CAMERA))
+    assert constant.glow == () and constant.mean_luminance is None and not constant.textured
+    with pytest.raises(
+        ValueError, match="AreaEmitter: radiance must be at least 0, and the texture has values from -1"
+    ):
+        jd.AreaEmitter(jd.VertexColors([-1.0, 2.0]))
+    with pytest.raises(ValueError, match=r"Scene: bare\.emitter\.radiance, a Bitmap, needs texture coordinates"):
+        jd.Scene({"bare": jd.Shape(BARE, emitter=jd.AreaEmitter(jd.Bitmap(PIXELS)))}, CAMERA)
+
+
 def test_textures_that_do_not_fit():
     with pytest.raises(
         ValueError, match=r"Scene: bare\.bsdf\.reflectance, a Bitmap, needs texture coordinates, and the"
