@@ -118,7 +118,7 @@ class LineSampling(eqx.Module):
             if paths.vertices is not None:
                 carries = jnp.where(paths.vertices.narrow, 0.0, carries)
             lobes = self._spread(lobe_lines, carries, key_lobes)
-        if settings.mis and packed.environment is not None and not packed.environment.uniform:
+        if settings.mis and packed.has_varying_sky:
             carries = luminance(paths.table.throughput)
             if paths.vertices is not None:
                 carries = jnp.where(paths.vertices.narrow, 0.0, carries)
