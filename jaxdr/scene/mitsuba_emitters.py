@@ -14,16 +14,15 @@ from jaxdr.scene.lights.projector import WRAPS
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_names import object_names, parameter_name
 from jaxdr.scene.mitsuba_sensors import field_of_view
+from jaxdr.scene.mitsuba_spectra import light_color
 from jaxdr.scene.mitsuba_textures import color
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 
-# Linear sRGB of the spectrum that is 1 everywhere, seen as a light (XYZ = 1, 1, 1). As a reflectance it is plain 1.
-EQUAL_ENERGY_LIGHT = np.array([1.204794, 0.948292, 0.908916])
-
 
 def _light_color(properties: Properties, name: str) -> ArrayLike:
-    tint = EQUAL_ENERGY_LIGHT if properties.tag(name) == "spectrum" else 1.0
-    return tint * color(properties, name, 1.0)
+    if properties.tag(name) == "spectrum":
+        return properties.value(name, "spectrum", read=light_color)
+    return color(properties, name, 1.0)
 
 
 def _area(element: Element) -> AreaEmitter:
@@ -102,6 +101,7 @@ def _projector(element: Element) -> Projector:
 def _bitmap(element: Element) -> tuple[Float[np.ndarray, "H W 3"], Literal["clamp", "repeat"]]:
     """(image, wrap mode) of a texture that is projected."""
     properties = Properties(element)
+    properties.ignore("format", "accel")  # matters of precision
     wrap = properties.value("wrap_mode", "string", "repeat")
     if wrap not in WRAPS:
         raise ValueError(f"wrap_mode of a projected image must be {' or '.join(WRAPS)}, got {wrap!r}")
