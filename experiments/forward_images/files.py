@@ -10,9 +10,10 @@ from jaxdr.images import write_image
 
 def write_files(folder):
     """Every file of every scene."""
-    write_obj(folder / "bumpy.obj", displaced_sphere(3, amplitude=0.2, frequency=4.0), normals=True)
-    write_obj(folder / "stone.obj", displaced_sphere(2, amplitude=0.3, frequency=3.0), normals=False)
-    write_ply(folder / "ball.ply", sphere(3).smooth())
+    write_obj(folder / "bumpy.obj", displaced_sphere(5, amplitude=0.2, frequency=4.0), normals=True)
+    write_obj(folder / "stone.obj", displaced_sphere(5, amplitude=0.3, frequency=3.0), normals=False)
+    write_obj(folder / "coarse.obj", displaced_sphere(2, amplitude=0.3, frequency=3.0), normals=False)
+    write_ply(folder / "ball.ply", sphere(4).smooth())
     write_ply(folder / "coloured.ply", sphere(2), colors=True)
     random = np.random.default_rng(0)
     Image.fromarray(random.integers(0, 256, (6, 8, 3), np.uint8)).save(folder / "colours.png")

@@ -2,106 +2,47 @@
 
 import dataclasses
 
+from experiments.forward_images.markup import (
+    area,
+    at,
+    bitmap,
+    board,
+    bsdf,
+    diffuse,
+    emitter,
+    film,
+    lamp,
+    mesh,
+    number,
+    rgb,
+    row,
+    sensor,
+    shape,
+    spectrum,
+    text,
+    to_world,
+    yes,
+)
+
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A scene: what is inside <scene>, how long its paths may be, paths a pixel in each of the independent images."""
+    """A scene: what is inside <scene>, how long its paths may be, paths a pixel in each of the independent images.
+
+    `differs` on purpose, as `note` says.
+    """
 
     content: str
     max_depth: int = 3
     spp: int = 128
     note: str = ""
+    differs: bool = False
 
     @property
     def xml(self):
         """The scene file. Mitsuba's roulette is off: its noise would be another."""
         integrator = f'<integer name="max_depth" value="{self.max_depth}"/><integer name="rr_depth" value="1000"/>'
         return f'<scene version="3.0.0">\n<integrator type="path">{integrator}</integrator>\n{self.content}\n</scene>\n'
-
-
-SIZE = (24, 18)
-BOX = '<rfilter type="box"/>'
-
-
-def number(name, value):
-    return f'<float name="{name}" value="{value}"/>'
-
-
-def text(name, value):
-    return f'<string name="{name}" value="{value}"/>'
-
-
-def yes(name, value="true"):
-    return f'<boolean name="{name}" value="{value}"/>'
-
-
-def rgb(name, value):
-    return f'<rgb name="{name}" value="{value}"/>'
-
-
-def film(rfilter=BOX, size=SIZE, inside=""):
-    width, height = size
-    size = f'<integer name="width" value="{width}"/><integer name="height" value="{height}"/>'
-    border = yes("sample_border") + text("pixel_format", "rgb")
-    return f'<film type="hdrfilm">{size}{border}{inside}{rfilter}</film>'
-
-
-def sensor(kind="perspective", origin="0, -6, 3", target="0, 0, 0.6", inside=number("fov", 42), film=film(), first=""):
-    place = to_world(f'{first}<lookat origin="{origin}" target="{target}" up="0, 0, 1"/>')
-    return f'<sensor type="{kind}">{inside}{place}{film}</sensor>\n'
-
-
-def to_world(steps, name="to_world"):
-    return f'<transform name="{name}">{steps}</transform>'
-
-
-def at(x, y, z, scale=1.0, turn=""):
-    return to_world(f'<scale value="{scale}"/>{turn}<translate x="{x}" y="{y}" z="{z}"/>')
-
-
-def shape(kind, name, *inside):
-    return f'<shape type="{kind}" id="{name}">{"".join(inside)}</shape>\n'
-
-
-def mesh(file, name, *inside):
-    return shape(file.rsplit(".", 1)[1], name, text("filename", file), *inside)
-
-
-def bsdf(kind, *inside):
-    return f'<bsdf type="{kind}">{"".join(inside)}</bsdf>'
-
-
-def diffuse(color="0.5"):
-    return bsdf("diffuse", rgb("reflectance", color))
-
-
-def bitmap(field, file="colours.png", *inside, raw=False):
-    settings = text("filename", file) + text("format", "variant") + (yes("raw") if raw else "")
-    return f'<texture type="bitmap" name="{field}">{settings}{"".join(inside)}</texture>'
-
-
-def board(field, first="0.8, 0.7, 0.2", second="0.1, 0.2, 0.4", steps='<scale x="5" y="4"/>'):
-    colors = rgb("color0", first) + rgb("color1", second)
-    return f'<texture type="checkerboard" name="{field}">{colors}{to_world(steps, "to_uv")}</texture>'
-
-
-def area(radiance):
-    return f'<emitter type="area">{rgb("radiance", radiance)}</emitter>'
-
-
-def emitter(kind, *inside):
-    return f'<emitter type="{kind}">{"".join(inside)}</emitter>\n'
-
-
-def lamp(radiance="9, 8, 7", steps='<rotate x="1" angle="180"/><translate x="0.5" y="-1" z="4"/>', name="lamp"):
-    return shape("rectangle", name, to_world(steps), area(radiance))
-
-
-def row(*bsdfs, kind="ball.ply"):
-    """The same body of several materials, side by side."""
-    step = 4.4 / len(bsdfs)
-    place = [at(step * (i - (len(bsdfs) - 1) / 2), 0.0, 0.9, 0.45 * step) for i in range(len(bsdfs))]
-    return "".join(mesh(kind, f"body{i}", to, b) for i, (to, b) in enumerate(zip(place, bsdfs, strict=True)))
 
 
 GGX = text("distribution", "ggx")
@@ -232,6 +173,11 @@ CASES = {
         + mesh("bumpy.obj", "flat", yes("face_normals"), at(0, 0.6, 0.9, 0.8), diffuse("0.3, 0.7, 0.2"))
         + mesh("stone.obj", "computed", at(1.5, 0, 0.9, 0.7), diffuse("0.2, 0.3, 0.7"))
     ),
+    "coarse_normals": Case(
+        VIEW + STAGE + mesh("coarse.obj", "coarse", at(0, 0, 0.9, 0.8), diffuse("0.6, 0.6, 0.6")),
+        note="interpolated normals that face away from the viewer: black in Mitsuba, turned here",
+        differs=True,
+    ),
     "curved": Case(VIEW + STAGE + CURVED, note="Mitsuba is given the same tessellation"),
     "instances": Case(VIEW + STAGE + _instances()),
     "mirrors": Case(
@@ -251,9 +197,10 @@ CASES = {
         VIEW + STAGE + shape("cube", "block", at(0, -0.3, 0.9, 0.8, TURN), bsdf("dielectric")), max_depth=6, spp=512
     ),
     "panes": Case(
-        VIEW + STAGE + _stand("pane", bsdf("thindielectric"), '<boolean name="flip_normals" value="true"/>') + mesh(
-            "ball.ply", "behind", at(0.2, 1.4, 0.7, 0.7), diffuse("0.7, 0.2, 0.1")
-        ),
+        VIEW
+        + STAGE
+        + _stand("pane", bsdf("thindielectric"), '<boolean name="flip_normals" value="true"/>')
+        + mesh("ball.ply", "behind", at(0.2, 1.4, 0.7, 0.7), diffuse("0.7, 0.2, 0.1")),
         max_depth=4,
         spp=256,
     ),
@@ -276,7 +223,9 @@ CASES = {
         + STAGE
         + row(
             bsdf("roughplastic", GGX, rgb("diffuse_reflectance", "0.6, 0.2, 0.1"), number("alpha", 0.2)),
-            bsdf("roughplastic", GGX, rgb("diffuse_reflectance", "0.1, 0.2, 0.6"), number("alpha", 0.4), yes("nonlinear")),
+            bsdf(
+                "roughplastic", GGX, rgb("diffuse_reflectance", "0.1, 0.2, 0.6"), number("alpha", 0.4), yes("nonlinear")
+            ),
         ),
         spp=256,
         note="Mitsuba's quadrature of the internal reflectance is up to 2 % off",
@@ -285,48 +234,196 @@ CASES = {
     "mask": Case(
         VIEW
         + STAGE
-        + _stand("holes", bsdf("mask", bitmap("opacity", "holes.png", text("filter_type", "nearest"), raw=True), bsdf("twosided", diffuse("0.8, 0.3, 0.1"))))
-        + mesh("ball.ply", "veil", at(1.6, -0.8, 0.6, 0.6), bsdf("mask", number("opacity", 0.6), bsdf("twosided", diffuse("0.1, 0.3, 0.8")))),
+        + _stand(
+            "holes",
+            bsdf(
+                "mask",
+                bitmap("opacity", "holes.png", text("filter_type", "nearest"), raw=True),
+                bsdf("twosided", diffuse("0.8, 0.3, 0.1")),
+            ),
+        )
+        + mesh(
+            "ball.ply",
+            "veil",
+            at(1.6, -0.8, 0.6, 0.6),
+            bsdf("mask", number("opacity", 0.6), bsdf("twosided", diffuse("0.1, 0.3, 0.8"))),
+        ),
         max_depth=4,
     ),
     "normal_map": Case(
-        VIEW + lamp() + SKY
-        + shape("rectangle", "floor", to_world('<scale value="4"/>'), bsdf("normalmap", bitmap("normalmap", "normal.png", raw=True), diffuse("0.6, 0.5, 0.4")))
-        + shape("cube", "block", at(0, 0, 0.8, 0.8, TURN), bsdf("twosided", bsdf("normalmap", bitmap("normalmap", "normal.png", raw=True), bsdf("roughconductor", GGX, number("alpha", 0.3))))),
+        VIEW
+        + lamp()
+        + SKY
+        + shape(
+            "rectangle",
+            "floor",
+            to_world('<scale value="4"/>'),
+            bsdf("normalmap", bitmap("normalmap", "normal.png", raw=True), diffuse("0.6, 0.5, 0.4")),
+        )
+        + shape(
+            "cube",
+            "block",
+            at(0, 0, 0.8, 0.8, TURN),
+            bsdf(
+                "twosided",
+                bsdf(
+                    "normalmap",
+                    bitmap("normalmap", "normal.png", raw=True),
+                    bsdf("roughconductor", GGX, number("alpha", 0.3)),
+                ),
+            ),
+        ),
         spp=256,
     ),
     "textures": Case(sensor(origin="0, -6, 1.6", target="0, 0, 1.5") + SKY + _textures() + FLOOR),
     "textured_lobes": Case(
-        VIEW + SKY + lamp()
-        + shape("rectangle", "floor", to_world('<scale value="4"/>'), bsdf("principled", bitmap("base_color"), bitmap("roughness", "grey.png", raw=True), bitmap("metallic", "grey.png", raw=True)))
-        + mesh("coloured.ply", "vertices", at(-1.2, 0, 0.8, 0.8), bsdf("diffuse", '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_color"/></texture>'))
-        + shape("cube", "brushed", at(1.2, 0, 0.7, 0.7, TURN), bsdf("roughconductor", GGX, bitmap("alpha", "grey.png", raw=True))),
+        VIEW
+        + SKY
+        + lamp()
+        + shape(
+            "rectangle",
+            "floor",
+            to_world('<scale value="4"/>'),
+            bsdf(
+                "principled",
+                bitmap("base_color"),
+                bitmap("roughness", "grey.png", raw=True),
+                bitmap("metallic", "grey.png", raw=True),
+            ),
+        )
+        + mesh(
+            "coloured.ply",
+            "vertices",
+            at(-1.2, 0, 0.8, 0.8),
+            bsdf(
+                "diffuse",
+                f'<texture type="mesh_attribute" name="reflectance">{text("name", "vertex_color")}</texture>',
+            ),
+        )
+        + shape(
+            "cube",
+            "brushed",
+            at(1.2, 0, 0.7, 0.7, TURN),
+            bsdf("roughconductor", GGX, bitmap("alpha", "grey.png", raw=True)),
+        ),
         spp=256,
     ),
     "environment": Case(
-        VIEW + BOARD
-        + emitter("envmap", text("filename", "sky.pfm"), number("scale", 1.3), to_world('<rotate x="1" angle="90"/><rotate z="1" angle="130"/>'))
-        + row(bsdf("roughconductor", GGX, text("material", "Al"), number("alpha", 0.15)), diffuse("0.7, 0.7, 0.7"), bsdf("conductor")),
+        VIEW
+        + BOARD
+        + emitter(
+            "envmap",
+            text("filename", "sky.pfm"),
+            number("scale", 1.3),
+            to_world('<rotate x="1" angle="90"/><rotate z="1" angle="130"/>'),
+        )
+        + row(
+            bsdf("roughconductor", GGX, text("material", "Al"), number("alpha", 0.15)),
+            diffuse("0.7, 0.7, 0.7"),
+            bsdf("conductor"),
+        ),
         spp=256,
     ),
+    "studio": Case(
+        VIEW
+        + BOARD
+        + ENVIRONMENT
+        + shape(
+            "cube",
+            "gold",
+            at(-1.5, 0, 0.6, 0.5, TURN),
+            bsdf("roughconductor", GGX, text("material", "Au"), number("alpha", 0.2)),
+        )
+        + shape(
+            "cube", "lacquer", at(0, 0.4, 0.6, 0.5, TURN), bsdf("plastic", rgb("diffuse_reflectance", "0.5, 0.1, 0.1"))
+        )
+        + shape(
+            "cube",
+            "mixed",
+            at(1.5, 0, 0.6, 0.5, TURN),
+            bsdf("principled", rgb("base_color", "0.2, 0.5, 0.7"), number("metallic", 0.4)),
+        ),
+        max_depth=4,
+        spp=256,
+    ),
+    "spectra": Case(
+        VIEW
+        + SKY.replace('<rgb name="radiance" value="0.4, 0.5, 0.6"/>', spectrum("radiance", "0.4"))
+        + shape(
+            "rectangle",
+            "lamp",
+            to_world('<rotate x="1" angle="180"/><translate x="0.5" y="-1" z="4"/>'),
+            emitter("area", spectrum("radiance", "400:0, 500:8, 600:15.6, 700:18.4")),
+        )
+        + shape(
+            "rectangle",
+            "floor",
+            to_world('<scale value="4"/>'),
+            bsdf(
+                "diffuse",
+                spectrum("reflectance", "400:0.34, 420:0.63, 460:0.71, 540:0.74, 620:0.76, 700:0.74"),
+            ),
+        )
+        + shape(
+            "cube",
+            "green",
+            at(-1, 0, 0.6, 0.5, TURN),
+            bsdf(
+                "diffuse",
+                spectrum("reflectance", "400:0.09, 500:0.25, 532:0.48, 560:0.37, 600:0.17, 700:0.2"),
+            ),
+        )
+        + shape(
+            "cube",
+            "metal",
+            at(1, 0, 0.6, 0.5, TURN),
+            bsdf(
+                "roughconductor",
+                GGX,
+                number("alpha", 0.2),
+                spectrum("eta", "400:1.6, 500:1.2, 600:0.9, 700:0.4"),
+                spectrum("k", "400:4, 500:5, 600:6, 700:7"),
+            ),
+        ),
+    ),
     "sun": Case(
-        VIEW + BOARD + SKY
+        VIEW
+        + BOARD
+        + SKY
         + emitter("directional", '<vector name="direction" value="0.4, 0.5, -1"/>', rgb("irradiance", "2, 1.8, 1.5"))
         + mesh("stone.obj", "stone", at(0, 0, 0.9, 0.8), diffuse("0.6, 0.6, 0.6"))
     ),
     "spots": Case(
-        VIEW + FLOOR
+        VIEW
+        + FLOOR
         + emitter("point", '<point name="position" value="-1.5, -1, 2.5"/>', rgb("intensity", "4, 3, 2"))
-        + emitter("spot", to_world('<lookat origin="2, -2, 3" target="0.3, 0, 0.4" up="0, 0, 1"/>'), rgb("intensity", "20, 25, 30"), number("cutoff_angle", 22), number("beam_width", 12))
+        + emitter(
+            "spot",
+            to_world('<lookat origin="2, -2, 3" target="0.3, 0, 0.4" up="0, 0, 1"/>'),
+            rgb("intensity", "20, 25, 30"),
+            number("cutoff_angle", 22),
+            number("beam_width", 12),
+        )
         + row(diffuse("0.6, 0.6, 0.6"), bsdf("roughconductor", GGX, number("alpha", 0.3)))
     ),
     "projector": Case(
-        VIEW + FLOOR + SKY
-        + emitter("projector", to_world('<lookat origin="1, -4, 3" target="0, 0, 0.4" up="0, 0, 1"/>'), number("fov", 35), number("scale", 20), bitmap("irradiance"))
+        VIEW
+        + FLOOR
+        + SKY
+        + emitter(
+            "projector",
+            to_world('<lookat origin="1, -4, 3" target="0, 0, 0.4" up="0, 0, 1"/>'),
+            number("fov", 35),
+            number("scale", 20),
+            bitmap("irradiance"),
+        )
         + mesh("bumpy.obj", "bumpy", at(0, 0, 0.9, 0.8), diffuse("0.8, 0.8, 0.8"))
     ),
     "many_lights": Case(
-        VIEW + FLOOR + SKY + lamp("2, 8, 3", name="green")
+        VIEW
+        + FLOOR
+        + SKY
+        + lamp("2, 8, 3", name="green")
         + lamp("20, 4, 3", '<scale value="0.3"/><rotate x="1" angle="150"/><translate x="-2" y="1" z="2"/>', "red")
         + shape("cube", "glowing", at(1.5, 0.8, 0.3, 0.3, TURN), diffuse(), area("1, 2, 4"))
         + emitter("point", '<point name="position" value="0, -2, 3"/>', rgb("intensity", "3, 3, 3"))
@@ -335,28 +432,49 @@ CASES = {
     ),
     "lens": Case(
         sensor("thinlens", inside=number("fov", 42) + number("aperture_radius", 0.3) + number("focus_distance", 5.5))
-        + BOARD + SKY + lamp() + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7"))
+        + BOARD
+        + SKY
+        + lamp()
+        + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7"))
     ),
     "parallel": Case(
-        sensor("orthographic", inside=number("near_clip", 5.2) + number("far_clip", 8), first='<scale x="2.4" y="2.4"/>')
-        + STAGE + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7"))
+        sensor(
+            "orthographic", inside=number("near_clip", 5.2) + number("far_clip", 8), first='<scale x="2.4" y="2.4"/>'
+        )
+        + STAGE
+        + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7"))
     ),
     "crop": Case(
         sensor(
-            inside=number("fov", 42) + number("principal_point_offset_x", 0.1) + number("principal_point_offset_y", -0.07)
-            + number("near_clip", 5.4) + number("far_clip", 9),
-            film=film('<rfilter type="tent"/>', (40, 30), "".join(f'<integer name="crop_{n}" value="{v}"/>' for n, v in (("offset_x", 8), ("offset_y", 6), ("width", 24), ("height", 18)))),
+            inside=number("fov", 42)
+            + number("principal_point_offset_x", 0.1)
+            + number("principal_point_offset_y", -0.07)
+            + number("near_clip", 5.4)
+            + number("far_clip", 9),
+            film=film(
+                '<rfilter type="tent"/>',
+                (40, 30),
+                "".join(
+                    f'<integer name="crop_{n}" value="{v}"/>'
+                    for n, v in (("offset_x", 8), ("offset_y", 6), ("width", 24), ("height", 18))
+                ),
+            ),
         )
-        + STAGE + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7")),
+        + STAGE
+        + row(diffuse("0.7, 0.2, 0.1"), diffuse("0.1, 0.2, 0.7")),
         spp=512,
         note="Mitsuba divides by the weights of a pixel's own samples",
     ),
     "gaussian": Case(
-        sensor(inside=text("focal_length", "50mm"), film=film('<rfilter type="gaussian"><float name="stddev" value="0.6"/></rfilter>'))
-        + STAGE + mesh("stone.obj", "stone", at(0, 0, 0.9, 0.8), diffuse("0.6, 0.6, 0.6")),
+        sensor(
+            inside=text("focal_length", "50mm"),
+            film=film('<rfilter type="gaussian"><float name="stddev" value="0.6"/></rfilter>'),
+        )
+        + STAGE
+        + mesh("stone.obj", "stone", at(0, 0, 0.9, 0.8), diffuse("0.6, 0.6, 0.6")),
         spp=512,
         note="Mitsuba divides by the weights of a pixel's own samples",
     ),
-}  # fmt: skip
+}
 
-STORED = ("cornell", "rough_metal", "environment", "glass_cube")
+STORED = ("cornell", "glass_cube", "studio")  # without large files
