@@ -20,6 +20,7 @@ from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 
 
 def _light_color(properties: Properties, name: str) -> ArrayLike:
+    properties.ignore("sampling_weight")  # how often it is chosen: a matter of noise
     if properties.tag(name) == "spectrum":
         return properties.value(name, "spectrum", read=light_color)
     return color(properties, name, 1.0)
@@ -37,7 +38,7 @@ def _environment_map(element: Element) -> EnvironmentMap:
     properties = Properties(element)
     scale = properties.value("scale", NUMBER, 1.0)
     to_world = properties.value("to_world", "transform", np.eye(4))
-    properties.ignore("mis_compensation")  # how it is sampled
+    properties.ignore("mis_compensation", "sampling_weight")  # how it is sampled
     return EnvironmentMap(_image(properties), to_world, scale)
 
 
@@ -86,6 +87,7 @@ def _spot(element: Element) -> SpotLight:
 
 def _projector(element: Element) -> Projector:
     properties = Properties(element)
+    properties.ignore("sampling_weight")
     matrix = properties.value("to_world", "transform", np.eye(4))
     if not np.allclose(matrix[:3, :3].T @ matrix[:3, :3], np.eye(3), atol=1e-3):
         raise ValueError("to_world must not scale or shear")

@@ -56,6 +56,36 @@ def test_it_renders_from_the_command_line(gallery, tmp_path, capsys):
     assert image.shape == (12, 12, 3) and np.isfinite(image).all() and (image.max(-1) > 0).mean() > 0.8
 
 
+WITHOUT_EFFECT = {
+    "banner": '<film type="hdrfilm"><boolean name="banner" value="true"/></film>',
+    "capitals": '<film type="hdrfilm"><string name="pixel_format" value="RGB"/></film>',
+    "focus": '<float name="focus_distance" value="3"/>',
+    "strength": '<sampler type="orthogonal"><integer name="strength" value="2"/></sampler>',
+}
+
+
+@pytest.mark.parametrize("setting", WITHOUT_EFFECT.values(), ids=WITHOUT_EFFECT)
+def test_settings_of_sensors_that_change_nothing(load, setting):
+    scene = load(f'<sensor type="perspective">{setting}</sensor><shape type="cube"/>')
+    assert scene.camera.film == load('<sensor type="perspective"/><shape type="cube"/>').camera.film
+
+
+def test_integrators_that_show_the_same_image(load):
+    """`volpath` without media; what an `aov` integrator adds to the one inside. What is inside is checked."""
+    outer = '<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="{}"/></integrator>'
+    for text in ('<integrator type="volpath"/>', '<integrator type="ptracer"/>', outer.format("path")):
+        load(f'<sensor type="perspective"/><shape type="cube"/>{text}')
+    with pytest.raises(ValueError, match="line 2, <integrator>: unknown type 'stokes'"):
+        load(f'<sensor type="perspective"/><shape type="cube"/>{outer.format("stokes")}')
+
+
+def test_sampling_weights_of_emitters_are_a_matter_of_noise(load):
+    weight = '<float name="sampling_weight" value="3"/>'
+    lamp = f'<shape type="rectangle" id="a"><emitter type="area">{weight}</emitter></shape>'
+    scene = load(f'<sensor type="perspective"/>{lamp}<emitter type="point">{weight}</emitter>')
+    assert scene.parameters()["a.emitter.radiance"].tolist() == [1.0] * 3 and list(scene.lights) == ["point"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
 def test_images_as_in_mitsuba(gallery, name):
