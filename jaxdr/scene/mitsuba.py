@@ -75,10 +75,11 @@ def _several_images(element: Element) -> None:
         read_plugin(inner, INTEGRATORS, "it has no effect")
 
 
-INTEGRATORS: dict[str, Callable[[Element], None]] = dict.fromkeys(
-    (
-        *("path", "direct", "volpath", "volpathmis", "ptracer"),  # without media they are all the same image
-        *("prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"),
-    ),
-    _integrator,
-) | dict.fromkeys(("aov", "moment"), _several_images)
+SAME_IMAGE = (  # without media
+    *("path", "direct", "volpath", "volpathmis", "ptracer"),
+    *("prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"),
+)
+INTEGRATORS: dict[str, Callable[[Element], None]] = {
+    **dict.fromkeys(SAME_IMAGE, _integrator),
+    **dict.fromkeys(("aov", "moment"), _several_images),
+}
