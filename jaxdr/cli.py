@@ -61,7 +61,8 @@ def _render(options) -> int:
         check_image_path(path)
     scene = _load_scene(options)
     tracer = PathTracer(max_depth=options.max_depth, boundary=None)
-    image = _finite(jax.jit(lambda key: render(scene, key, spp=options.spp, integrator=tracer))(key))
+    # The scene is an argument: as a constant of the program XLA would spend its time on folding it.
+    image = _finite(jax.jit(lambda scene, key: render(scene, key, spp=options.spp, integrator=tracer))(scene, key))
     found = render_aovs(scene, key, spp=options.spp, names=aovs) if aovs else {}
     found = {name: _finite(values.reshape(*values.shape[:2], -1)) for name, values in found.items()}
     for path, values in ((output, image), *((aovs[name], values) for name, values in found.items())):

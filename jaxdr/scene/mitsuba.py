@@ -67,6 +67,19 @@ def _integrator(element: Element) -> None:
     properties.ignore(*INTEGRATOR_SETTINGS)
 
 
-INTEGRATORS: dict[str, Callable[[Element], None]] = dict.fromkeys(
-    ("path", "direct", "prb", "prb_basic", "prb_projective", "direct_projective"), _integrator
+def _several_images(element: Element) -> None:
+    """What is added to the image of the integrator inside; `jaxdr.render_aovs` has its own names for that."""
+    properties = Properties(element)
+    properties.ignore("aovs")
+    for inner in properties.objects("integrator"):
+        read_plugin(inner, INTEGRATORS, "it has no effect")
+
+
+SAME_IMAGE = (  # without media
+    *("path", "direct", "volpath", "volpathmis", "ptracer"),
+    *("prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"),
 )
+INTEGRATORS: dict[str, Callable[[Element], None]] = {
+    **dict.fromkeys(SAME_IMAGE, _integrator),
+    **dict.fromkeys(("aov", "moment"), _several_images),
+}

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from jaxdr.scene.mitsuba_element import Element, Problems, SceneFileError
+from jaxdr.scene.mitsuba_upgrade import upgrade
 
 
 class Variables:
@@ -128,8 +129,10 @@ def read_xml(
     if "version" not in content.attributes:
         raise content.error("attribute 'version' is missing; the files of Mitsuba 3 say version=\"3.0.0\"")
     version = content.attributes.pop("version")
-    if not re.fullmatch(r"[23]\.\d+\.\d+", version):
-        raise content.error(f"version {version!r} is not one of Mitsuba 2 or 3 (such as 3.0.0)")
+    if not re.fullmatch(r"[0-3]\.\d+\.\d+", version):
+        raise content.error(f"version {version!r} is not one of Mitsuba (such as 3.0.0)")
+    if version[0] in "01":
+        upgrade(content)
     return content
 
 

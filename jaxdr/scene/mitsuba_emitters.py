@@ -14,22 +14,23 @@ from jaxdr.scene.lights.projector import WRAPS
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_names import object_names, parameter_name
 from jaxdr.scene.mitsuba_sensors import field_of_view
+from jaxdr.scene.mitsuba_spectra import light_color
 from jaxdr.scene.mitsuba_textures import color, textured_color
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 
-# Linear sRGB of the spectrum that is 1 everywhere, seen as a light (XYZ = 1, 1, 1). As a reflectance it is plain 1.
-EQUAL_ENERGY_LIGHT = np.array([1.204794, 0.948292, 0.908916])
-
 
 def _light_color(properties: Properties, name: str) -> ArrayLike:
-    tint = EQUAL_ENERGY_LIGHT if properties.tag(name) == "spectrum" else 1.0
-    return tint * color(properties, name, 1.0)
+    properties.ignore("sampling_weight")  # how often it is chosen: a matter of noise
+    if properties.tag(name) == "spectrum":
+        return properties.value(name, "spectrum", read=light_color)
+    return color(properties, name, 1.0)
 
 
 def _area(element: Element) -> AreaEmitter:
     properties = Properties(element)
     if properties.tag("radiance") is not None:
         return AreaEmitter(_light_color(properties, "radiance"))
+    properties.ignore("sampling_weight")
     return AreaEmitter(textured_color(properties, "radiance", 1.0))
 
 
@@ -41,7 +42,7 @@ def _environment_map(element: Element) -> EnvironmentMap:
     properties = Properties(element)
     scale = properties.value("scale", NUMBER, 1.0)
     to_world = properties.value("to_world", "transform", np.eye(4))
-    properties.ignore("mis_compensation")  # how it is sampled
+    properties.ignore("mis_compensation", "sampling_weight")  # how it is sampled
     return EnvironmentMap(_image(properties), to_world, scale)
 
 
@@ -105,6 +106,7 @@ def _projector(element: Element) -> Projector:
 def _bitmap(element: Element) -> tuple[Float[np.ndarray, "H W 3"], Literal["clamp", "repeat"]]:
     """(image, wrap mode) of a texture that is projected."""
     properties = Properties(element)
+    properties.ignore("format", "accel")  # matters of precision
     wrap = properties.value("wrap_mode", "string", "repeat")
     if wrap not in WRAPS:
         raise ValueError(f"wrap_mode of a projected image must be {' or '.join(WRAPS)}, got {wrap!r}")

@@ -12,9 +12,9 @@ from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_values import floats
 from jaxdr.scene.mitsuba_xml import NUMBER, Properties, read_plugin
 
-SAMPLER_SETTINGS = ("sample_count", "seed", "jitter")
+SAMPLER_SETTINGS = ("sample_count", "seed", "jitter", "strength")
 # How Mitsuba stores the image. Our pixels at the border always see beyond the film, as with its sample_border.
-FILM_SETTINGS = ("file_format", "component_format", "sample_border", "compensate")
+FILM_SETTINGS = ("file_format", "component_format", "sample_border", "compensate", "banner")
 PIXEL_FORMATS = ("rgb", "rgba")  # there is no alpha channel here; the colours are the same
 SENSOR_SETTINGS = ("shutter_open", "shutter_close")  # nothing moves in time
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for this film format
@@ -23,6 +23,7 @@ FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for 
 def _perspective(element: Element) -> Perspective:
     properties = Properties(element)
     offset = [properties.value(f"principal_point_offset_{axis}", NUMBER, 0.0) for axis in "xy"]
+    properties.ignore("focus_distance")  # of a lens, which is not there
     return Perspective(**_common(properties, scales=False), **field_of_view(properties), principal_point=offset)
 
 
@@ -37,7 +38,9 @@ def _thin_lens(element: Element) -> ThinLens:
 
 
 def _orthographic(element: Element) -> Orthographic:
-    return Orthographic(**_common(Properties(element), scales=True))
+    properties = Properties(element)
+    properties.ignore("focus_distance")
+    return Orthographic(**_common(properties, scales=True))
 
 
 def _common(properties: Properties, scales: bool) -> dict[str, Any]:
@@ -76,7 +79,7 @@ def _hdr_film(element: Element) -> Film:
     names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
     defaults = (0, 0, width, height)
     crop = tuple(properties.value(n, "integer", d) for n, d in zip(names, defaults, strict=True))
-    pixel_format = properties.value("pixel_format", "string", "rgb")
+    pixel_format = properties.value("pixel_format", "string", "rgb").lower()
     if pixel_format not in PIXEL_FORMATS:
         element.unsupported(f"pixel_format must be {' or '.join(PIXEL_FORMATS)}, got {pixel_format!r}", "it is rgb")
     rfilter = properties.at_most_one("rfilter")

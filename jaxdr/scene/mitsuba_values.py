@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxdr.scene.camera import look_at
 from jaxdr.scene.mitsuba_element import Element
+from jaxdr.scene.mitsuba_spectra import surface_color
 
 
 def floats(text: str, *counts: int) -> list[float]:
@@ -135,6 +136,6 @@ VALUES: dict[str, Callable[[Element], Any]] = {
     "point": lambda element: _triple(element, extra=("name",)),
     "vector": lambda element: _triple(element, extra=("name",)),
     "rgb": _rgb,
-    "spectrum": lambda element: np.ones(3) * floats(element.attributes["value"], 1)[0],
+    "spectrum": surface_color,
     "transform": _transform,
 }

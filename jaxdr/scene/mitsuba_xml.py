@@ -70,8 +70,11 @@ class Properties:
                 child.check_attributes(("name",), tuple(child.attributes))
                 self._values[child.attributes["name"]] = child
 
-    def value(self, name: str, tags: str, default: Any = None) -> Any:
-        """Take a value whose element is one of the space-separated `tags`; `default` when it is absent."""
+    def value(self, name: str, tags: str, default: Any = None, read: Callable[[Element], Any] | None = None) -> Any:
+        """Take a value whose element is one of the space-separated `tags`; `default` when it is absent.
+
+        `read` makes something else of its element than `VALUES` does.
+        """
         self._asked.add(name)
         texture = self.texture(name)
         if texture is not None:
@@ -81,12 +84,14 @@ class Properties:
         element = self._values.pop(name)
         if element.tag not in tags.split():
             raise element.error(f"parameter {name!r} must be given by <{'> or <'.join(tags.split())}>")
-        if element.tag not in ("point", "vector"):
+        if element.tag == "spectrum" and "filename" in element.attributes:
+            element.check_attributes(("name", "filename"))
+        elif element.tag not in ("point", "vector"):
             element.check_attributes(("name",) if element.tag == "transform" else ("name", "value"))
         if element.tag != "transform" and element.children:
             raise element.children[0].error(f"unexpected inside <{element.tag}>")
         with element.located():
-            return VALUES[element.tag](element)
+            return (read or VALUES[element.tag])(element)
 
     def tag(self, name: str) -> str | None:
         """The tag that gives a value which is not taken yet."""

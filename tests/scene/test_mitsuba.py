@@ -215,7 +215,7 @@ ERRORS = {
     "unused unknown bsdf": ('<bsdf type="hair" id="p"/>', "2, <bsdf>: unknown type 'hair'"),
     "unknown emitter": ('<emitter type="sunsky"/>', "2, <emitter>: unknown type 'sunsky'; known: constant"),
     "unknown sensor": ('<sensor type="fisheye"/>', "2, <sensor>: unknown type 'fisheye'; known: perspective, thinlens"),
-    "unknown integrator": ('<integrator type="volpath"/>', "2, <integrator>: unknown type 'volpath'; known: path, "),
+    "unknown integrator": ('<integrator type="stokes"/>', "2, <integrator>: unknown type 'stokes'; known: path, "),
     "hidden emitters": (
         '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>',
         "2, <integrator>: hide_emitters is not supported",

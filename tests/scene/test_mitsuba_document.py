@@ -50,7 +50,7 @@ ERRORS = {
     "undefined variable": ('<shape type="$kind"/>', r"line 2, <shape>: variable \$kind has no value; give it"),
     "lonely dollar": ('<shape type="a$"/>', r"line 2, <shape>: variable \$ has no value"),
     "no version": ("<scene>\n</scene>", r"line 1, <scene>: attribute 'version' is missing"),
-    "old version": ('<scene version="0.6.0"/>', r"line 1, <scene>: version '0.6.0' is not one of Mitsuba 2 or 3"),
+    "strange version": ('<scene version="3.0"/>', r"line 1, <scene>: version '3.0' is not one of Mitsuba \(such as"),
     "default without value": ('<default name="a"/>', r"line 2, <default>: attribute 'value' is missing"),
     "include of nothing": ('<include filename="no.xml"/>', r"line 2, <include>: there is no file .*no.xml"),
     "include of itself": ('<include filename="scene.xml"/>', r"line 2, <include>: .*scene.xml includes itself"),

@@ -16,7 +16,7 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
     <film type="hdrfilm"><integer name="widht" value="9"/><rfilter type="lanczos"/></film></sensor>
 <sensor type="fisheye"/>
 <emitter type="sunsky"/>
-<integrator type="volpath"/>
+<integrator type="depth"/>
 <medium type="homogeneous"/>
 <shape type="cube" id="b"><emitter type="beam"/>
     <bsdf type="diffuse"><texture type="noise" name="reflectance"/></bsdf></shape>"""
@@ -30,7 +30,7 @@ MESSAGES = [
     "line 5, <integer>: unknown parameter 'widht' of film 'hdrfilm'; did you mean 'width'?; with ignore_unsupported it",
     "line 6, <sensor>: a second one in one <scene>; with ignore_unsupported the first one counts",
     "line 7, <emitter>: unknown type 'sunsky'; known: constant, envmap, point, spot, directional, projector; with",
-    "line 8, <integrator>: unknown type 'volpath'",
+    "line 8, <integrator>: unknown type 'depth'",
     "line 9, <medium>: not supported inside scene 'scene'; with ignore_unsupported it is left out",
     "line 10, <emitter>: unknown type 'beam'; known: area; with ignore_unsupported the shape does not glow",
     "line 11, <texture>: unknown type 'noise'; known: uniform, d65, bitmap, checkerboard, mesh_attribute; with "
