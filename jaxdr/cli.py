@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import warp
+from tqdm import tqdm
 
 from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
@@ -27,11 +28,14 @@ from jaxdr.optimize.strict_toml import split_assignment
 from jaxdr.render import render
 from jaxdr.scene import gltf
 from jaxdr.scene.mitsuba import load_mitsuba
+from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
+DEEPEST = 16  # segments of paths that a file wants to be longer, or without an end: there is no Russian roulette
+PASS = 1 << 24  # paths of an image between two steps of the progress bar
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,15 +64,45 @@ def _render(options) -> int:
     for path in (output, *aovs.values()):
         check_image_path(path)
     scene = _load_scene(options)
-    tracer = PathTracer(max_depth=options.max_depth, boundary=None)
-    # The scene is an argument: as a constant of the program XLA would spend its time on folding it.
-    image = _finite(jax.jit(lambda scene, key: render(scene, key, spp=options.spp, integrator=tracer))(scene, key))
-    found = render_aovs(scene, key, spp=options.spp, names=aovs) if aovs else {}
+    spp, depth = _settings(options)
+    image = _finite(_in_passes(scene, key, spp, PathTracer(max_depth=depth, boundary=None)))
+    found = render_aovs(scene, key, spp=spp, names=aovs) if aovs else {}
     found = {name: _finite(values.reshape(*values.shape[:2], -1)) for name, values in found.items()}
     for path, values in ((output, image), *((aovs[name], values) for name, values in found.items())):
         write_image(path, values)
         print(path)
     return 0
+
+
+def _settings(options) -> tuple[int, int]:
+    """(samples per pixel, longest path in segments): the options', or the file's, or the defaults."""
+    path, variables = Path(options.scene), _variables(options)
+    asked = (
+        RenderSettings(None, None) if path.suffix.lower() in gltf.EXTENSIONS else mitsuba_settings(path, **variables)
+    )
+    depth = options.max_depth or asked.max_depth or MAX_DEPTH
+    if not options.max_depth and not 0 < depth <= DEEPEST:
+        wanted = "without an end" if depth < 0 else f"of {depth} segments"
+        print(f"jaxdr: {path} asks for paths {wanted}; {DEEPEST} are traced (see --max-depth)", file=sys.stderr)
+        depth = DEEPEST
+    return options.spp or asked.spp or SAMPLES, depth
+
+
+def _in_passes(scene: Scene, key, spp: int, tracer: PathTracer) -> np.ndarray:
+    """The image; one of many paths as the mean of several, with a progress bar."""
+    film = scene.camera.film
+    each = min(spp, max(1, PASS // (film.width * film.height)))
+    counts = [each] * (spp // each) + ([spp % each] if spp % each else [])
+    # The scene is an argument: as a constant of the program XLA would spend its time on folding it.
+    image = jax.jit(lambda scene, key, spp: render(scene, key, spp=spp, integrator=tracer), static_argnums=2)
+    if len(counts) == 1:
+        return np.asarray(image(scene, key, spp))
+    total = 0.0
+    with tqdm(total=spp, unit="spp") as bar:
+        for i, count in enumerate(counts):
+            total = total + np.asarray(image(scene, jax.random.fold_in(key, i), count), np.float64) * (count / spp)
+            bar.update(count)
+    return np.asarray(total, np.float32)
 
 
 def _aov_path(output: Path, name: str) -> Path:
@@ -94,12 +128,13 @@ def _gradient(options) -> int:
             raise ValueError(f"{output}: derivatives have negative values, which .hdr can't hold; .pfm and .exr can")
     scene = _load_scene(options)
     name, value, tangent = motion(scene, options.wrt)
-    tracer = PathTracer(max_depth=options.max_depth, boundary=ESTIMATORS[options.boundary]())
+    spp, depth = _settings(options)
+    tracer = PathTracer(max_depth=depth, boundary=ESTIMATORS[options.boundary]())
 
     @jax.jit
     def derivative(key):
         def image(v):
-            return render(scene.replace({name: v}), key, spp=options.spp, integrator=tracer)
+            return render(scene.replace({name: v}), key, spp=spp, integrator=tracer)
 
         return jax.jvp(image, (value,), (tangent,))[1]
 
@@ -160,9 +195,8 @@ def _load_scene(options) -> Scene:
     Those are the $variables of a Mitsuba file; width and height for a glTF file.
     """
     assignments = [split_assignment(text) for text in options.set]
-    variables = {name: value for name, value in assignments if "." not in name}
     with _warning_lines():
-        scene = _read_scene(Path(options.scene), options.ignore_unsupported, variables)
+        scene = _read_scene(Path(options.scene), options.ignore_unsupported, _variables(options))
     parameters = scene.parameters()
     values = {}
     for name, value in assignments:
@@ -178,6 +212,11 @@ def _load_scene(options) -> Scene:
                 f"--set {name}: expected numbers of shape {list(shape)} or one number, got {value!r}"
             ) from None
     return scene.replace(values)
+
+
+def _variables(options) -> dict:
+    """The assignments of `--set` that go to the loader."""
+    return {name: value for name, value in map(split_assignment, options.set) if "." not in name}
 
 
 @contextlib.contextmanager
@@ -234,13 +273,12 @@ def _parser() -> argparse.ArgumentParser:
             "--ignore-unsupported", action="store_true", help="warn of what a scene file has and jaxdr has not"
         )
         command.add_argument(
-            "--spp", type=_positive(int), default=SAMPLES, help=f"samples per pixel (default {SAMPLES})"
+            "--spp", type=_positive(int), help=f"samples per pixel (default: the file's sample_count, or {SAMPLES})"
         )
         command.add_argument(
             "--max-depth",
             type=_positive(int),
-            default=MAX_DEPTH,
-            help=f"longest path in segments (default {MAX_DEPTH})",
+            help=f"longest path in segments (default: the file's max_depth up to {DEEPEST}, or {MAX_DEPTH})",
         )
         command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
         if name == "render":

@@ -3,7 +3,9 @@
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,7 +87,8 @@ def test_render_a_constant_sky_on_a_grey_cube(workplace):
 def test_render_formats_and_options(workplace, scenes, capsys):
     arguments = ["--spp", "3", "--max-depth", "5", "--set", "width=10", "--set", "camera.fov=20"]
     arguments += ["--set", "spot.bsdf.reflectance=[0.1, 0.2, 0.3]", "--set", "environment.radiance=2"]
-    assert cli.main(["render", "scene.xml", "-o", "out.png", *arguments]) == 0
+    with jax.disable_jit():  # so that the scene has values
+        assert cli.main(["render", "scene.xml", "-o", "out.png", *arguments]) == 0
     assert capsys.readouterr().out == "out.png\n"
     assert np.asarray(Image.open("out.png")).shape == (6, 10, 3)
     scene, spp, integrator = scenes[-1]
@@ -93,6 +96,31 @@ def test_render_formats_and_options(workplace, scenes, capsys):
     assert float(scene.camera.fov) == 20.0
     np.testing.assert_allclose(scene.shapes["spot"].bsdf.reflectance, [0.1, 0.2, 0.3], rtol=1e-6)
     np.testing.assert_allclose(scene.environment.radiance, 2.0)
+
+
+INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="{}"/></integrator>'
+
+
+@pytest.mark.parametrize("asked, depth", [(5, 5), (-1, cli.DEEPEST), (65, cli.DEEPEST)])
+def test_settings_of_the_file(workplace, scenes, capsys, asked, depth):
+    """Depth and samples are the file's, up to what is practical; options come first."""
+    text = Path("scene.xml").read_text()
+    text = text.replace('<scene version="3.0.0">', '<scene version="3.0.0">' + INTEGRATOR.format(asked), 1)
+    sampler = '<sampler type="independent"><integer name="sample_count" value="7"/></sampler></sensor>'
+    Path("deep.xml").write_text(text.replace("</sensor>", sampler, 1))
+    assert cli.main(["render", "deep.xml", "-o", "out.npy"]) == 0
+    _, spp, integrator = scenes[-1]
+    assert (spp, integrator.max_depth) == (7, depth)
+    assert ("--max-depth" in capsys.readouterr().err) == (asked != depth)
+    assert cli.main(["render", "deep.xml", "-o", "out.npy", "--max-depth", "4", "--spp", "2"]) == 0
+    assert (scenes[-1][1], scenes[-1][2].max_depth) == (2, 4)
+
+
+def test_many_samples_in_passes(workplace, scenes, monkeypatch):
+    monkeypatch.setattr(cli, "PASS", 100)
+    assert cli.main(["render", "scene.xml", "-o", "out.npy", "--spp", "5"]) == 0
+    assert [spp for _, spp, _ in scenes] == [2, 1]  # 8 x 6 pixels; both programs are compiled once
+    np.testing.assert_allclose(np.load("out.npy")[0, -1], np.load("out.npy")[-1, -1])
 
 
 @pytest.mark.parametrize("suffix, beside", [(".png", ".npy"), (".pfm", ".pfm")])
