@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.recovery.config import LevenbergMarquardt, RecoveryConfig
@@ -28,6 +28,7 @@ class Arguments(NamedTuple):
     """
 
     scene: Scene
+    keys: PRNGKeyArray
     targets: Float[Array, "N H W 3"]
     scales: Float[Array, " n"]
     rows: Float[Array, "H H"]
@@ -129,12 +130,12 @@ class LeastSquaresSteps:
     def _arguments(self, targets, scales, stage: int) -> Arguments:
         dtype, (height, width) = self.start.dtype, targets.shape[1:3]
         rows, columns = (jnp.asarray(gaussian_filter(n, self.options.blur[stage]), dtype) for n in (height, width))
-        return Arguments(self.problem.scene, jnp.asarray(targets, dtype), scales, rows, columns)
+        return Arguments(self.problem.scene, self.keys, jnp.asarray(targets, dtype), scales, rows, columns)
 
     def _functions(self) -> tuple[Callable, Callable, Callable]:
         """Residuals of scaled numbers, jitted Jacobian by the numbers themselves, jitted step of the solver."""
         samples, image = self.samples, self.problem.image
-        views, keys = jnp.asarray(self.problem.views, float), self.keys
+        views = jnp.asarray(self.problem.views, float)
 
         def filtered(image, arguments):
             norm = jnp.sqrt((arguments.targets**2).sum())
@@ -146,16 +147,26 @@ class LeastSquaresSteps:
                 seen = image(arguments.scene, self.unravel(numbers), pose, jax.random.split(key)[0], samples.image)
                 return filtered(seen - target, arguments)
 
-            return jax.lax.map(view, (views, keys, arguments.targets)).ravel()
+            return jax.lax.map(view, (views, arguments.keys, arguments.targets)).ravel()
 
         def jacobian(numbers, arguments):
-            def view(inputs):
-                pose, key = inputs
+            def column(inputs):
+                (pose, key), direction = inputs
                 key = jax.random.split(key)[1]
-                seen = lambda x: image(arguments.scene, self.unravel(x), pose, key, samples.gradient)  # noqa: E731
-                return filtered(jax.jacfwd(seen)(numbers), arguments)
 
-            return jax.lax.map(view, (views, keys)).reshape(-1, len(numbers))
+                def seen(x):
+                    return image(arguments.scene, self.unravel(x), pose, key, samples.gradient)
+
+                return filtered(jax.jvp(seen, (numbers,), (direction,))[1], arguments)
+
+            # One after another: memory does not grow with the numbers.
+            basis = jnp.eye(len(numbers), dtype=numbers.dtype)
+
+            def view(inputs):
+                return jax.lax.map(lambda direction: column((inputs, direction)), basis)
+
+            found = jax.lax.map(view, (views, arguments.keys))
+            return jnp.moveaxis(found, 1, -1).reshape(-1, len(numbers))
 
         @jax.custom_jvp
         def residuals(scaled, arguments):
