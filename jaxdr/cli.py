@@ -24,7 +24,7 @@ from jaxdr.integrator import PathTracer
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, NotFinite
-from jaxdr.optimize.recovery.config import is_recovery, recovery_config
+from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
 from jaxdr.render import render
@@ -145,15 +145,17 @@ def _color_limit(options, result: np.ndarray) -> float:
 def _optimize(options) -> int:
     path = Path(options.config)
     table = read_toml(path, options.set)
-    recovery = is_recovery(table)
-    config = (recovery_config if recovery else optimize_config)(table, path)
-    run = recover if recovery else optimize
     try:
-        summary = run(config, resume=options.resume, overwrite=options.overwrite)
+        if is_recovery(table):
+            config = recovery_config(table, path)
+            summary = recover(config, resume=options.resume, overwrite=options.overwrite)
+        else:
+            config = optimize_config(table, path)
+            summary = optimize(config, resume=options.resume, overwrite=options.overwrite)
     except Interrupted as interruption:
         overrides = "".join(f" --set {assignment}" for assignment in options.set)
         raise Interrupted(f"{interruption}; go on with: jaxdr optimize {options.config}{overrides} --resume") from None
-    if recovery:
+    if isinstance(config, RecoveryConfig):
         pairs = {"loss": (summary["loss_initial"], summary["loss_final"]), **summary["errors"]}
         changes = ", ".join(f"{name} {before:.3g} -> {after:.3g}" for name, (before, after) in pairs.items())
         print(f"{config.output}: {changes} in {summary['iterations']} iterations, {summary['seconds']:.0f} s")
