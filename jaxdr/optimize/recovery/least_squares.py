@@ -17,6 +17,7 @@ from jaxdr.optimize.recovery.problem import Latents, Problem, finite
 from jaxdr.scene.scene import Scene
 
 MOST = 256  # numbers: a derivative image of every view is held for each
+REJECTED = 3  # steps in a row, each a quarter as bold: nothing that the noise of the Jacobian lets pass is left to gain
 GOOD = 0.75  # share of the predicted reduction from which on the damping falls (optimistix: 0.99, noise rarely allows)
 
 
@@ -95,8 +96,11 @@ class LeastSquaresSteps:
         return self.unravel(state.scaled / state.scales)
 
     def done(self, state: LeastSquaresState) -> bool:
-        """Whether the solver has converged with the last blur."""
-        return bool(state.solver.terminate) and int(state.stage) == len(self.options.blur) - 1
+        """Whether the solver is through with the last blur."""
+        return self._through(state) and int(state.stage) == len(self.options.blur) - 1
+
+    def _through(self, state: LeastSquaresState) -> bool:
+        return bool(state.solver.terminate) or int(state.solver.num_steps_since_acceptance) >= REJECTED
 
     def step(
         self, state: LeastSquaresState, targets: Float[np.ndarray, "N H W 3"], iteration: int
@@ -108,7 +112,7 @@ class LeastSquaresSteps:
         """
         stage, stages = int(state.stage), len(self.options.blur)
         share = (self.options.iterations - int(state.since)) // (stages - stage)
-        if stage < stages - 1 and (bool(state.solver.terminate) or iteration - int(state.since) >= share):
+        if stage < stages - 1 and (self._through(state) or iteration - int(state.since) >= share):
             state = self._begin(targets, state.scaled, state.scales, stage + 1, iteration)
         arguments = self._arguments(targets, state.scales, int(state.stage))
         scaled, solver = self.advance(state.scaled, state.solver, arguments)
