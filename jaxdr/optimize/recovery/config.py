@@ -132,7 +132,8 @@ class LevenbergMarquardt:
 
     An iteration renders the images and one derivative image for every number optimised. The run ends after
     `iterations`, when an accepted step changes the images by less than `tolerance`, relative to the norm of the
-    targets, or when three steps in a row were rejected. `damping` at the start is relative to the squared norms of the Jacobian's columns there.
+    targets, or when three steps in a row were rejected. `damping` at the start is relative to the squared norms of the
+    Jacobian's columns there.
 
     Images are compared with a Gaussian filter of `blur` pixels (standard deviation), one after another: from coarse to
     fine they are matched from further away. Each has its equal share of the iterations, and what others leave over.

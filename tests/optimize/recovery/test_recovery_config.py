@@ -46,7 +46,10 @@ def test_defaults_and_values(read):
             'output = "x"\n[scene]\nname = "still_life"\noptions = { size = 1 }\n' + LIGHT,
             r"scene\.options\.size: still_life has no such option \(known: resolution, light\)",
         ),
-        ('output = "x"\n[scene]\nfile = "a.xml"\n' + LIGHT, r"scene\.file: expected a file, found none at .*a\.xml"),
+        (
+            'output = "x"\n[scene]\nfile = "a.xml"\n' + LIGHT + LEAST_SQUARES,
+            r"scene\.file: expected a file, found none at .*a\.xml",
+        ),
         (HEAD + LIGHT, r"parameters\[0\]\.learning_rate: Adam needs a number"),
         (HEAD + LIGHT + "learning_rate = 0\n", r"parameters\[0\]\.learning_rate: must be positive, got 0"),
         (HEAD + LIGHT + "learnin_rate = 1\n", r"parameters\[0\]\.learnin_rate: unknown key; did you mean"),

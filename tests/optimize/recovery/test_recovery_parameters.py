@@ -34,6 +34,7 @@ def test_a_rigid_motion_of_a_camera_turns_it_on_the_spot():
     np.testing.assert_allclose(moved[:3, 3], (1.1, 2.2, 3.3), rtol=1e-6)
     turn = Rotation.from_euler("z", 0.5).as_matrix()
     np.testing.assert_allclose(moved[:3, :3], turn @ np.asarray(rest)[:3, :3], atol=1e-6)
+    moved, rest = np.asarray(moved), np.asarray(rest)
     assert angle_between(moved, rest) == pytest.approx(np.rad2deg(0.5), rel=1e-5)
     assert angle_between(3 * moved, rest) == pytest.approx(np.rad2deg(0.5), rel=1e-5)
 
