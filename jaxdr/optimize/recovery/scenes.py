@@ -188,7 +188,7 @@ def procedural_sky(height: int, sun: float) -> Float[np.ndarray, "H W 3"]:
         math.sin(elevation),
         -math.cos(elevation) * math.cos(2.0),
     )
-    up = direction[..., 1:]
+    up = direction[..., 1:2]
     sky = (
         np.array([0.25, 0.45, 0.9]) + 0.5 * np.exp(-4 * np.maximum(up, 0)) + 0.6 * np.exp(3 * (towards[..., None] - 1))
     )
