@@ -22,9 +22,12 @@ from jaxdr.boundary import ESTIMATORS
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrator import PathTracer
-from jaxdr.optimize.config import read_config
-from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
-from jaxdr.optimize.strict_toml import split_assignment
+from jaxdr.optimize.config import optimize_config
+from jaxdr.optimize.loop import optimize
+from jaxdr.optimize.progress import Interrupted, NotFinite
+from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
+from jaxdr.optimize.recovery.loop import recover
+from jaxdr.optimize.strict_toml import read_toml, split_assignment
 from jaxdr.render import render
 from jaxdr.scene import gltf
 from jaxdr.scene.mitsuba import load_mitsuba
@@ -176,12 +179,23 @@ def _color_limit(options, result: np.ndarray) -> float:
 
 
 def _optimize(options) -> int:
-    config = read_config(Path(options.config), options.set)
+    path = Path(options.config)
+    table = read_toml(path, options.set)
     try:
-        summary = optimize(config, resume=options.resume, overwrite=options.overwrite)
+        if is_recovery(table):
+            config = recovery_config(table, path)
+            summary = recover(config, resume=options.resume, overwrite=options.overwrite)
+        else:
+            config = optimize_config(table, path)
+            summary = optimize(config, resume=options.resume, overwrite=options.overwrite)
     except Interrupted as interruption:
         overrides = "".join(f" --set {assignment}" for assignment in options.set)
         raise Interrupted(f"{interruption}; go on with: jaxdr optimize {options.config}{overrides} --resume") from None
+    if isinstance(config, RecoveryConfig):
+        pairs = {"loss": (summary["loss_initial"], summary["loss_final"]), **summary["errors"]}
+        changes = ", ".join(f"{name} {before:.3g} -> {after:.3g}" for name, (before, after) in pairs.items())
+        print(f"{config.output}: {changes} in {summary['iterations']} iterations, {summary['seconds']:.0f} s")
+        return 0
     print(
         f"{config.output}: Chamfer distance {summary['chamfer_initial']:.5f} -> {summary['chamfer_final']:.5f} "
         f"({summary['chamfer_ratio']:.1f} times smaller) in {summary['seconds']:.0f} s"
@@ -293,7 +307,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("-o", "--output", required=True, metavar="FILE", help=files)
 
     command = add(
-        "optimize", _optimize, "Turn a sphere into a target shape from rendered views, as a TOML file describes."
+        "optimize", _optimize, "Recover a shape or other parameters of a scene from images, as a TOML file describes."
     )
     command.add_argument("config", metavar="CONFIG.toml")
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")

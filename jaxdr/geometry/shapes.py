@@ -170,6 +170,24 @@ def pawn(segments: int = 64) -> Mesh:
     return revolved(np.vstack([foot, waist, collar, head, [[0.0, 1.0]]]), segments)
 
 
+def duck(subdivisions: int = 4, *, vertex_count: int | None = None) -> Mesh:
+    """Bath duck that swims towards +x: a geodesic sphere stretched to a body with head, beak and tail, about 2 long.
+
+    Every ray from the origin meets it once. Raises `ValueError` as `sphere` does.
+    """
+    points, faces = _geodesic("duck", subdivisions, vertex_count)
+    distance = 1.0 / np.linalg.norm(points / (1.0, 0.75, 0.6), axis=1)
+    # Bumps: direction, height, sharpness (the inverse of the variance of the angle).
+    for direction, height, sharpness in (
+        ((0.7, 0.0, 0.9), 0.6, 14.0),
+        ((1.0, 0.0, 0.72), 0.28, 80.0),
+        ((-0.9, 0.0, 0.45), 0.35, 30.0),
+    ):
+        cosine = points @ (np.asarray(direction) / np.linalg.norm(direction))
+        distance = distance + height * np.exp(sharpness * (cosine - 1.0))
+    return Mesh(distance[:, None] * points, faces)
+
+
 def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) -> Mesh:
     """Flat star in the plane z = 0, facing +z, one tip towards +y: an emitter whose shadows have corners.
 

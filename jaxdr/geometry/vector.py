@@ -5,8 +5,13 @@ from jaxtyping import Array, Float
 
 
 def dot(a: Float[Array, "*#n d"], b: Float[Array, "*#n d"]) -> Float[Array, "*#n"]:
-    """Inner product over the last axis."""
-    return (a * b).sum(-1)
+    """Inner product over the last axis.
+
+    Written out: XLA's CPU compiler (jaxlib 0.10.2) gets rows from 32768 on wrong where it fuses a sum over an axis of a
+    product with one vector for all rows, as in the derivative by a camera's position.
+    """
+    product = a * b
+    return sum((product[..., i] for i in range(1, product.shape[-1])), start=product[..., 0])
 
 
 def norm(a: Float[Array, "*n d"]) -> Float[Array, "*n"]:

@@ -4,11 +4,12 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from jaxdr.images import atomic_path
 
@@ -46,13 +47,7 @@ def load_checkpoint(path: Path, optimizer: optax.GradientTransformation) -> Chec
 
     Raises ValueError when the file is missing, damaged or was written by another optimiser.
     """
-    try:
-        with np.load(path) as file:
-            arrays = dict(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: there is no checkpoint to resume from") from None
-    except (OSError, ValueError, zipfile.BadZipFile) as problem:
-        raise ValueError(f"{path}: is not a readable checkpoint ({problem})") from None
+    arrays = _arrays(path)
     expected = {*Checkpoint._fields} - {"optimizer"}
     if missing := expected - arrays.keys():
         raise ValueError(f"{path}: is not a checkpoint of this version; it lacks {', '.join(sorted(missing))}")
@@ -70,3 +65,37 @@ def load_checkpoint(path: Path, optimizer: optax.GradientTransformation) -> Chec
         optimizer=jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in leaves]),
         seconds=float(arrays["seconds"]),
     )
+
+
+def save_state(path: Path, state: PyTree, iteration: int, seconds: float) -> None:
+    """Write the arrays of any state, as `save_checkpoint` does."""
+    leaves = {f"state_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(eqx.filter(state, eqx.is_array)))}
+    with atomic_path(path) as temporary:
+        np.savez(temporary, allow_pickle=False, iteration=iteration, seconds=seconds, **leaves)
+
+
+def load_state(path: Path, template: PyTree) -> tuple[PyTree, int, float]:
+    """(state, iteration, seconds) that `save_state` wrote; `template` is a state of the same structure.
+
+    Raises ValueError when the file is missing, damaged or holds another kind of state.
+    """
+    arrays = _arrays(path)
+    dynamic, static = eqx.partition(template, eqx.is_array)
+    old, structure = jax.tree.flatten(dynamic)
+    leaves = [arrays.get(f"state_{i}") for i in range(len(old))]
+    if any(a is None or (a.shape, a.dtype) != (b.shape, b.dtype) for a, b in zip(leaves, old, strict=True)):
+        raise ValueError(f"{path}: holds the state of another optimiser")
+    if len(arrays) != len(old) + 2 or not {"iteration", "seconds"} <= arrays.keys():
+        raise ValueError(f"{path}: is not a checkpoint of this version")
+    state = eqx.combine(jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in leaves]), static)
+    return state, int(arrays["iteration"]), float(arrays["seconds"])
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as file:
+            return dict(file)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: there is no checkpoint to resume from") from None
+    except (OSError, ValueError, zipfile.BadZipFile) as problem:
+        raise ValueError(f"{path}: is not a readable checkpoint ({problem})") from None

@@ -23,10 +23,12 @@ TARGET_SHAPES: dict[str, Callable[..., Mesh]] = {
     "torus": shapes.torus,
     "trefoil_tube": shapes.trefoil_tube,
     "pawn": shapes.pawn,
+    "duck": shapes.duck,
 }
 
 
-def _require(condition: bool, key: str, rule: str, value) -> None:
+def require(condition: bool, key: str, rule: str, value) -> None:
+    """Raise ValueError that starts with the key unless the condition holds."""
     if not condition:
         raise ValueError(f"{key}: {rule}, got {value!r}")
 
@@ -62,8 +64,8 @@ class Target:
     reflectance: Color = 0.5
 
     def __post_init__(self):
-        _require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
-        _require(self.size > 0, "size", "must be positive", self.size)
+        require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
+        require(self.size > 0, "size", "must be positive", self.size)
         if self.shape:
             _check_call("shape", TARGET_SHAPES, self.shape, self.parameters)
         elif self.parameters:
@@ -79,8 +81,8 @@ class Initial:
     shading: Literal["flat", "smooth"] = "flat"
 
     def __post_init__(self):
-        _require(0 <= self.subdivisions <= 8, "subdivisions", "must be between 0 and 8", self.subdivisions)
-        _require(self.radius > 0, "radius", "must be positive", self.radius)
+        require(0 <= self.subdivisions <= 8, "subdivisions", "must be between 0 and 8", self.subdivisions)
+        require(self.radius > 0, "radius", "must be positive", self.radius)
 
 
 @dataclass(frozen=True)
@@ -98,11 +100,11 @@ class Cameras:
 
     def __post_init__(self):
         low, high = self.elevation
-        _require(self.views >= 1, "views", "must be at least 1", self.views)
-        _require(self.distance > 0, "distance", "must be positive", self.distance)
-        _require(0 < self.fov < 180, "fov", "must be between 0 and 180 degrees", self.fov)
-        _require(self.resolution >= 1, "resolution", "must be at least 1 pixel", self.resolution)
-        _require(-90 < low <= high < 90, "elevation", "must be two increasing angles between -90 and 90", (low, high))
+        require(self.views >= 1, "views", "must be at least 1", self.views)
+        require(self.distance > 0, "distance", "must be positive", self.distance)
+        require(0 < self.fov < 180, "fov", "must be between 0 and 180 degrees", self.fov)
+        require(self.resolution >= 1, "resolution", "must be at least 1 pixel", self.resolution)
+        require(-90 < low <= high < 90, "elevation", "must be two increasing angles between -90 and 90", (low, high))
 
 
 @dataclass(frozen=True)
@@ -116,9 +118,9 @@ class Light:
     radiance: Color = 10.0
 
     def __post_init__(self):
-        _require(self.width > 0, "width", "must be positive", self.width)
-        _require(self.height > 0, "height", "must be positive", self.height)
-        _require(self.position != self.target, "position", "must differ from target", self.position)
+        require(self.width > 0, "width", "must be positive", self.width)
+        require(self.height > 0, "height", "must be positive", self.height)
+        require(self.position != self.target, "position", "must differ from target", self.position)
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class Floor:
     reflectance: Color = 0.5
 
     def __post_init__(self):
-        _require(self.size > 0, "size", "must be positive", self.size)
+        require(self.size > 0, "size", "must be positive", self.size)
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ class Integrator:
             boundary = ESTIMATORS[self.boundary](**self.boundary_options)
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
-        _require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
+        require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
         return PathTracer(max_depth=self.max_depth, boundary=boundary, primary=self.primary)
 
 
@@ -168,7 +170,7 @@ class Samples:
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
-            _require(value >= 1, name, "must be at least 1", value)
+            require(value >= 1, name, "must be at least 1", value)
 
 
 @dataclass(frozen=True)
@@ -179,8 +181,8 @@ class Remesh:
     edge_length: float
 
     def __post_init__(self):
-        _require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
-        _require(self.edge_length > 0, "edge_length", "must be positive", self.edge_length)
+        require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
+        require(self.edge_length > 0, "edge_length", "must be positive", self.edge_length)
 
 
 @dataclass(frozen=True)
@@ -200,13 +202,13 @@ class Optimizer:
     remesh: tuple[Remesh, ...] = ()
 
     def __post_init__(self):
-        _require(self.iterations >= 1, "iterations", "must be at least 1", self.iterations)
+        require(self.iterations >= 1, "iterations", "must be at least 1", self.iterations)
         for name in ("learning_rate", "final_learning_rate"):
-            _require(getattr(self, name) > 0, name, "must be positive", getattr(self, name))
-        _require(self.lam >= 0, "lam", "must not be negative", self.lam)
-        _require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
+            require(getattr(self, name) > 0, name, "must be positive", getattr(self, name))
+        require(self.lam >= 0, "lam", "must not be negative", self.lam)
+        require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
         at = [step.iteration for step in self.remesh]
-        _require(at == sorted(set(at)), "remesh", "iterations must increase", at)
+        require(at == sorted(set(at)), "remesh", "iterations must increase", at)
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,7 @@ class Report:
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
-            _require(value >= 1, name, "must be at least 1", value)
+            require(value >= 1, name, "must be at least 1", value)
 
 
 @dataclass(frozen=True)
@@ -245,12 +247,12 @@ class OptimizeConfig:
     report: Report = Report()
 
     def __post_init__(self):
-        _require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        _require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
+        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
         views, per_step = self.cameras.views, self.optimizer.views_per_step
-        _require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
+        require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
         dark = not self.lights and not any(_as_tuple(self.environment))
-        _require(not dark, "lights", "the scene is dark: give a light or an environment", [])
+        require(not dark, "lights", "the scene is dark: give a light or an environment", [])
 
 
 def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:
@@ -259,12 +261,26 @@ def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:
 
     Raises ValueError that names the file, the key and what was expected.
     """
-    config = build(OptimizeConfig, read_toml(path, overrides), str(path))
+    return optimize_config(read_toml(path, overrides), path)
+
+
+def optimize_config(table: dict, path: Path) -> OptimizeConfig:
+    """The config in a TOML table, which was read from `path`."""
+    config = build(OptimizeConfig, table, str(path))
     if not config.target.path:
         return config
-    candidates = [path.parent / config.target.path, Path(config.target.path)]
+    file = found_file(path, "target.path", config.target.path, "a mesh file")
+    return dataclasses.replace(config, target=dataclasses.replace(config.target, path=file))
+
+
+def found_file(config: Path, key: str, name: str, kind: str = "a file") -> str:
+    """Where a file is that a config names: beside the config, or relative to the current folder.
+
+    Raises ValueError that names config, key and the places tried.
+    """
+    candidates = [config.parent / name, Path(name)]
     found = [candidate for candidate in candidates if candidate.is_file()]
     if not found:
         tried = " or ".join(dict.fromkeys(str(candidate) for candidate in candidates))
-        raise ValueError(f"{path}: target.path: expected a mesh file, found none at {tried}")
-    return dataclasses.replace(config, target=dataclasses.replace(config.target, path=str(found[0])))
+        raise ValueError(f"{config}: {key}: expected {kind}, found none at {tried}")
+    return str(found[0])

@@ -13,20 +13,12 @@ from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoi
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
-from jaxdr.optimize.problem import OBJECT, build_problem
-from jaxdr.optimize.progress import Interruption, Progress, deferred_interrupt
+from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
+from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
 
 # Streams of random numbers under the run's seed.
 TARGETS, STEPS, PICTURES = 0, 1, 2
-
-
-class Interrupted(Exception):
-    """Ctrl-C stopped a run; the message says where its checkpoint is."""
-
-
-class NotFinite(ArithmeticError):
-    """An image, loss or gradient was NaN or infinite; the message names step, view and checkpoint."""
 
 
 def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -191,7 +183,7 @@ class _Run:
         return chamfer(phase.current_mesh(state), self.problem.target, self.config.report.chamfer_samples)
 
     def save_pictures(self, phase: Phase, state: State, targets, iteration: int) -> None:
-        shown = views_to_show(self.config)
+        shown = views_to_show(self.config.report.views, self.config.cameras.views)
         mesh, key = phase.current_mesh(state), jax.random.fold_in(self.key, PICTURES)
         poses, spp = self.poses(), self.config.samples.pictures
         images = np.stack([phase.image(mesh.vertices, poses[view], key, spp) for view in shown])
@@ -211,12 +203,3 @@ class _Run:
                 seconds=self.seconds(),
             ),
         )
-
-
-def views_of_step(count: int, size: int, iteration: int, seed: int) -> list[int]:
-    """Numbers of the `size` views of a step: a stream of shuffled rounds over all `count` views, cut into pieces."""
-    chosen = []
-    for place in range(iteration * size, (iteration + 1) * size):
-        order = np.random.default_rng((seed, place // count)).permutation(count)
-        chosen.append(int(order[place % count]))
-    return chosen

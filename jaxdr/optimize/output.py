@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxdr.geometry.load import save_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import atomic_path, diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.config import OptimizeConfig
+from jaxdr.optimize.recovery.config import RecoveryConfig
 
 COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer")
 
@@ -24,9 +26,10 @@ class RunFolder:
     steps, `checkpoint.npz` what `resume` needs, `metrics.json` the summary of a finished run.
     """
 
-    def __init__(self, config: OptimizeConfig):
+    def __init__(self, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
         self.path = Path(config.output)
         self.config = config
+        self.columns = tuple(columns)
 
     @property
     def checkpoint(self) -> Path:
@@ -89,7 +92,7 @@ class RunFolder:
     def start_metrics(self, iteration: int) -> None:
         """Begin `metrics.csv`, or drop the lines of steps from `iteration` on, which will be done again."""
         path = self.path / "metrics.csv"
-        lines = [",".join(COLUMNS)]
+        lines = [",".join(self.columns)]
         if iteration > 0 and path.exists():
             lines += [line for line in path.read_text().splitlines()[1:] if int(line.partition(",")[0]) <= iteration]
         self._write_text("metrics.csv", "\n".join(lines) + "\n")
@@ -97,7 +100,7 @@ class RunFolder:
     def add_metrics(self, row: dict) -> None:
         """Append a line to `metrics.csv`; columns without a value stay empty."""
         with open(self.path / "metrics.csv", "a", newline="") as file:
-            csv.DictWriter(file, COLUMNS, lineterminator="\n").writerow(row)
+            csv.DictWriter(file, self.columns, lineterminator="\n").writerow(row)
 
     def save_targets(self, targets: Float[np.ndarray, "N H W 3"]) -> None:
         """Keep the target views: a resumed run needs the very same."""
@@ -137,6 +140,17 @@ class RunFolder:
         with atomic_path(path) as temporary:
             save_mesh(temporary, mesh)
 
+    def save_texture(self, name: str, pixels: Float[np.ndarray, "H W C"]) -> None:
+        """Write `pictures/<name>.png`, enlarged texels of linear colours."""
+        colors = to_srgb(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+        factor = max(1, 256 // len(colors))
+        save_png(self.path / "pictures" / f"{name}.png", colors.repeat(factor, 0).repeat(factor, 1))
+
+    def save_values(self, values: dict[str, np.ndarray]) -> None:
+        """Write `result.npz`: parameters of the scene by name."""
+        with atomic_path(self.path / "result.npz") as temporary:
+            np.savez(temporary, allow_pickle=False, **values)
+
     def save_summary(self, summary: dict) -> None:
         """Write `metrics.json`."""
         self._write_text("metrics.json", json.dumps(summary, indent=2) + "\n")
@@ -146,10 +160,9 @@ class RunFolder:
             temporary.write_text(text)
 
 
-def views_to_show(config: OptimizeConfig) -> list[int]:
+def views_to_show(shown: int, views: int) -> list[int]:
     """Numbers of the views in the picture grids, spread over all views."""
-    count = min(config.report.views, config.cameras.views)
-    return [int(i) for i in np.linspace(0, config.cameras.views - 1, count).round()]
+    return [int(i) for i in np.linspace(0, views - 1, min(shown, views)).round()]
 
 
 def _differences(old, new, key: str = "") -> list[str]:

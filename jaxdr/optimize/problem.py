@@ -90,3 +90,12 @@ def _light(light: Light) -> Shape:
     placed = look_at(light.position, light.target, (0, 1, 0) if straight else (0, 0, 1))
     mesh = transformed(rectangle(light.width, light.height), placed)
     return Shape(mesh, Diffuse(0.0), AreaEmitter(light.radiance))
+
+
+def views_of_step(count: int, size: int, iteration: int, seed: int) -> list[int]:
+    """Numbers of the `size` views of a step: a stream of shuffled rounds over all `count` views, cut into pieces."""
+    chosen = []
+    for place in range(iteration * size, (iteration + 1) * size):
+        order = np.random.default_rng((seed, place // count)).permutation(count)
+        chosen.append(int(order[place % count]))
+    return chosen

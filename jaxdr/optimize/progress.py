@@ -57,6 +57,14 @@ class Progress:
             print(text, file=sys.stderr, flush=True)
 
 
+class Interrupted(Exception):
+    """Ctrl-C stopped a run; the message says where its checkpoint is."""
+
+
+class NotFinite(ArithmeticError):
+    """An image, loss or gradient was NaN or infinite; the message names step, view and checkpoint."""
+
+
 class Interruption:
     """Whether Ctrl-C was pressed."""
 

@@ -53,7 +53,8 @@ def split_assignment(text: str) -> tuple[str, Any]:
 
 def build(kind: type[Config], table: dict, source: str) -> Config:
     """A dataclass from a table. Fields may be numbers, strings, booleans, `Literal`s, tuples, dicts with free keys,
-    other dataclasses, and unions of these; a ValueError from `__post_init__` is placed.
+    other dataclasses, and unions of these, which of dataclasses the `Literal` field `kind` tells apart; a ValueError
+    from `__post_init__` is placed.
 
     Raises ValueError that names `source`, the key, and what was expected there.
     """
@@ -67,6 +68,12 @@ def _convert(kind: Any, value, source: str, key: str) -> Any:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         matching = [a for a in arguments if _looks_like(a, value)]
+        kinds = [choice for a in arguments for choice in _kinds(a)]
+        if isinstance(value, dict) and kinds and not matching:
+            raise ValueError(
+                f"{place}.kind: expected one of {', '.join(map(repr, kinds))}, got {value['kind']!r}"
+                f"{_hint(value['kind'], kinds)}"
+            )
         if not matching:
             raise ValueError(f"{place}: expected {_describe(kind)}, got {value!r}")
         return _convert(matching[0], value, source, key)
@@ -104,7 +111,7 @@ def _looks_like(kind, value) -> bool:
     """Whether a TOML value has the outer form of a type; the parts are checked when they are converted."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) or kind is dict or origin is dict:
-        return isinstance(value, dict)
+        return isinstance(value, dict) and ("kind" not in value or not _kinds(kind) or value["kind"] in _kinds(kind))
     if origin is typing.Literal:
         return value in arguments
     if origin is tuple:
@@ -114,6 +121,11 @@ def _looks_like(kind, value) -> bool:
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
     return isinstance(value, kind)
+
+
+def _kinds(kind) -> tuple:
+    """What a dataclass allows as its `kind`: tells the tables of a union apart, the first is the default."""
+    return _choices(typing.get_type_hints(kind).get("kind")) if dataclasses.is_dataclass(kind) else ()
 
 
 def _describe(kind) -> str:

@@ -7,6 +7,7 @@ from jaxdr.geometry.edges import BOUNDARY, dihedral
 from jaxdr.geometry.shapes import (
     box,
     displaced_sphere,
+    duck,
     pawn,
     plane,
     rectangle,
@@ -46,6 +47,7 @@ def euler_characteristic(mesh):
 CLOSED = {
     "sphere": (sphere(2), 0),
     "displaced sphere": (displaced_sphere(3), 0),
+    "duck": (duck(3), 0),
     "box": (box((1, 2, 3)), 0),
     "torus": (torus(), 1),
     "cylinder": (revolved([[1, 0], [1, 2]]), 0),

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from jaxdr.optimize.config import OptimizeConfig, Remesh, read_config
+from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery
 from jaxdr.optimize.strict_toml import build, split_assignment
 
 MINIMAL = 'output = "runs/x"\n[target]\nshape = "pawn"\n'
@@ -164,4 +165,6 @@ def test_mesh_paths_are_relative_to_the_file_or_the_folder(write, tmp_path, monk
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.name)
 def test_shipped_configs_are_valid(path):
     # Built without looking the target's mesh file up, which is not part of the repository.
-    assert build(OptimizeConfig, tomllib.loads(path.read_text()), path.name).output.startswith("runs/")
+    table = tomllib.loads(path.read_text())
+    kind = RecoveryConfig if is_recovery(table) else OptimizeConfig
+    assert build(kind, table, path.name).output.startswith("runs/")

@@ -1,0 +1,1 @@
+"""Recovery of named scene parameters from images: the config, its scenes, two optimisers, and the loop."""

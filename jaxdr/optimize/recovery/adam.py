@@ -1,0 +1,92 @@
+"""Recovery with Adam: a few views a step, new random numbers every step, a learning rate for every parameter."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from jaxdr.optimize.phase import view_gradient
+from jaxdr.optimize.problem import views_of_step
+from jaxdr.optimize.progress import NotFinite
+from jaxdr.optimize.recovery.config import Adam, Parameter, RecoveryConfig
+from jaxdr.optimize.recovery.problem import Latents, Problem, finite
+
+
+class AdamState(NamedTuple):
+    """Latent numbers and the moments of their optimisers, by name."""
+
+    latents: Latents
+    moments: dict[str, optax.OptState]
+
+
+class AdamSteps:
+    """The method of a run; its targets are given at every step."""
+
+    columns = ("loss", "gradient_norm")
+
+    def __init__(self, config: RecoveryConfig, options: Adam, problem: Problem, key: Array):
+        self.seed, self.options, self.problem, self.key = config.seed, options, problem, key
+        samples = config.samples
+        self.optimizers = {
+            parameter.name: problem.parameters[parameter.name].adam(learning_rate(parameter, options.iterations))
+            for parameter in config.parameters
+        }
+
+        def gradient(scene, *arguments):
+            image = partial(problem.image, scene)
+            return view_gradient(image, options.loss, samples.image, samples.gradient)(*arguments)
+
+        self.view_gradient, self.update = jax.jit(gradient), jax.jit(self._update)
+
+    def fresh(self, targets: Float[np.ndarray, "N H W 3"]) -> AdamState:
+        """The state at the start."""
+        del targets
+        latents = self.problem.start()
+        return AdamState(latents, {name: made.init(latents[name]) for name, made in self.optimizers.items()})
+
+    template = fresh
+
+    def latents(self, state: AdamState) -> Latents:
+        """Latent numbers of a state."""
+        return state.latents
+
+    def done(self, state: AdamState) -> bool:
+        """Whether another step would change nothing."""
+        del state
+        return False
+
+    def step(self, state: AdamState, targets: Float[np.ndarray, "N H W 3"], iteration: int) -> tuple[AdamState, dict]:
+        """The state after a step, and its row of the metrics. Raises `NotFinite`."""
+        key, views = jax.random.fold_in(self.key, iteration), self.problem.views
+        chosen = views_of_step(len(views), self.options.views_per_step, iteration, self.seed)
+        losses, parts = [], []
+        for slot, view in enumerate(chosen):
+            subkey = jax.random.fold_in(key, slot)
+            pose, target = jnp.asarray(views[view], float), jnp.asarray(targets[view])
+            loss, part = self.view_gradient(self.problem.scene, state.latents, pose, target, subkey)
+            wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not finite(v)]
+            if wrong:
+                raise NotFinite(f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}")
+            losses.append(float(loss))
+            parts.append(part)
+        gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(chosen), *parts)
+        row = {"loss": sum(losses) / len(losses), "gradient_norm": float(optax.tree.norm(gradient))}
+        return self.update(state, gradient), row
+
+    def _update(self, state: AdamState, gradient: Latents) -> AdamState:
+        latents, moments = {}, {}
+        for name, optimizer in self.optimizers.items():
+            updates, moments[name] = optimizer.update(gradient[name], state.moments[name], state.latents[name])
+            latents[name] = optax.apply_updates(state.latents[name], updates)
+        return AdamState(latents, moments)
+
+
+def learning_rate(parameter: Parameter, iterations: int) -> float | optax.Schedule:
+    """Constant, or exponential decay over all iterations."""
+    first, last = parameter.learning_rate, parameter.final_learning_rate
+    assert first is not None  # the config has checked it
+    return first if last is None else optax.exponential_decay(first, iterations, last / first)

@@ -1,0 +1,157 @@
+"""The loop of a recovery: targets, steps of a method, metrics, pictures, checkpoints."""
+
+import time
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxdr.optimize.checkpoint import load_state, save_state
+from jaxdr.optimize.output import RunFolder, views_to_show
+from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
+from jaxdr.optimize.recovery.adam import AdamSteps
+from jaxdr.optimize.recovery.config import RecoveryConfig
+from jaxdr.optimize.recovery.errors import Errors
+from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps
+from jaxdr.optimize.recovery.problem import build_problem
+
+METHODS = {"adam": AdamSteps, "levenberg_marquardt": LeastSquaresSteps}
+# Streams of random numbers under the run's seed.
+TARGETS, STEPS, PICTURES, LOSS = 0, 1, 2, 3
+
+
+def recover(config: RecoveryConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+    """Run a config to its end and return the summary that `metrics.json` holds.
+
+    `errors` there has start and end of every measure that `Errors` knows, `loss_initial` and `loss_final` are mean
+    squared differences of all views. Every random number derives from the seed and the iteration, so a run that was
+    interrupted and is resumed ends with the same bits. Raises ValueError for a config that can't be run or an output
+    folder in use, `Interrupted` after Ctrl-C, and `NotFinite` rather than go on with NaN.
+    """
+    run = _Run(config)
+    run.folder.open(resume, overwrite)
+    with deferred_interrupt() as run.interruption:
+        return run.run(resume)
+
+
+class _Run:
+    """One call of `recover`."""
+
+    def __init__(self, config: RecoveryConfig):
+        self.config = config
+        self.problem = build_problem(config)
+        self.key = jax.random.key(config.seed)
+        key = jax.random.fold_in(self.key, STEPS)
+        self.method: Any = METHODS[config.optimizer.kind](config, config.optimizer, self.problem, key)
+        self.errors = Errors(self.problem, config)
+        self.folder = RunFolder(config, ("iteration", *self.method.columns, "seconds", *self.errors.names))
+        self.image = jax.jit(self.problem.image, static_argnums=4)
+        self.interruption = Interruption()
+        self.clock = time.monotonic()
+
+    def run(self, resume: bool) -> dict:
+        total = self.config.optimizer.iterations
+        targets = self.targets(resume)
+        if resume and self.folder.checkpoint.exists():
+            state, iteration, seconds = load_state(self.folder.checkpoint, self.method.template(targets))
+            if self.folder.finished:
+                raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
+            self.clock -= seconds
+        else:
+            state, iteration = self.method.fresh(targets), 0
+        self.folder.start_metrics(iteration)
+        if iteration == 0:
+            self.save_pictures(state, targets, 0)
+
+        with Progress("optimise", total, iteration) as progress:
+            while iteration < total and not self.method.done(state):
+                try:
+                    after, row = self.method.step(state, targets, iteration)
+                except NotFinite as problem:
+                    self.stop(state, iteration, problem)
+                state, iteration = after, iteration + 1
+                last = iteration == total or self.method.done(state)
+                if last or iteration % self.config.report.errors == 0:
+                    row |= self.errors(self.method.latents(state))
+                self.folder.add_metrics({**row, "iteration": iteration, "seconds": round(self.seconds(), 2)})
+                progress.step(**{name: row[name] for name in self.method.columns})
+                if last or iteration % self.config.report.pictures == 0:
+                    self.save_pictures(state, targets, iteration)
+                if last or iteration % self.config.report.checkpoint == 0 or self.interruption.requested:
+                    save_state(self.folder.checkpoint, state, iteration, self.seconds())
+                if self.interruption.requested and not last:
+                    raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
+        return self.finish(state, targets, iteration)
+
+    def stop(self, state: Any, iteration: int, problem: NotFinite) -> NoReturn:
+        """Keep the state before a step that failed, and say so."""
+        save_state(self.folder.checkpoint, state, iteration, self.seconds())
+        raise NotFinite(f"{problem}; the state before that step is in {self.folder.checkpoint}") from None
+
+    def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+        """Target views: read, rendered, or read back when a run is resumed."""
+        if resume and self.folder.has_targets:
+            return self.folder.load_targets()
+        if self.problem.images is not None:
+            targets = list(self.problem.images)
+        else:
+            targets, image = [], jax.jit(self.problem.target_image, static_argnums=3)
+            key, spp = jax.random.fold_in(self.key, TARGETS), self.config.samples.target
+            with Progress("render targets", len(self.problem.views)) as progress:
+                for i, pose in enumerate(self.poses()):
+                    targets.append(np.asarray(image(self.problem.target, pose, jax.random.fold_in(key, i), spp)))
+                    progress.step()
+                    if self.interruption.requested:
+                        raise Interrupted("stopped while rendering the target views, which will be rendered again")
+        for i, target in enumerate(targets):
+            if not np.isfinite(target).all():
+                raise NotFinite(f"the target image of view {i} is not finite")
+        self.folder.save_targets(np.stack(targets))
+        return np.stack(targets)
+
+    def finish(self, state: Any, targets, iteration: int) -> dict:
+        """Write result and summary."""
+        before, after = self.problem.start(), self.method.latents(state)
+        errors = [self.errors(latents) for latents in (before, after)]
+        values = {name: np.asarray(value) for name, value in self.problem.values(after).items()}
+        summary = {
+            "iterations": iteration,
+            "seconds": round(self.seconds(), 2),
+            "loss_initial": self.loss(before, targets),
+            "loss_final": self.loss(after, targets),
+            "errors": {name: [errors[0][name], errors[1][name]] for name in self.errors.names},
+            "values": {name: value.tolist() for name, value in values.items() if value.size <= 16},
+            "device": jax.devices()[0].device_kind,
+        }
+        self.folder.save_values(values)
+        self.folder.save_summary(summary)
+        return summary
+
+    def seconds(self) -> float:
+        return time.monotonic() - self.clock
+
+    def poses(self) -> Float[Array, "N 4 4"]:
+        return jnp.asarray(self.problem.views, float)
+
+    def loss(self, latents, targets) -> float:
+        """Mean squared difference of all views."""
+        key, spp = jax.random.fold_in(self.key, LOSS), self.config.samples.pictures
+        images = [self.image(self.problem.scene, latents, pose, key, spp) for pose in self.poses()]
+        return float(((np.stack(images) - targets) ** 2).mean())
+
+    def save_pictures(self, state: Any, targets, iteration: int) -> None:
+        latents = self.method.latents(state)
+        shown = views_to_show(self.config.report.views, len(self.problem.views))
+        poses, key = self.poses(), jax.random.fold_in(self.key, PICTURES)
+        images = np.stack(
+            [self.image(self.problem.scene, latents, poses[view], key, self.config.samples.pictures) for view in shown]
+        )
+        self.folder.save_grid(iteration, targets[shown], images)
+        for name, value in self.problem.values(latents).items():
+            if name.endswith(".vertices"):
+                mesh = self.problem.scene.shapes[name.removesuffix(".vertices")].mesh
+                self.folder.save_mesh(f"{iteration:05d}.{name.removesuffix('.vertices')}", mesh.with_vertices(value))
+            elif name.endswith(".pixels"):
+                self.folder.save_texture(f"{iteration:05d}.{name.removesuffix('.pixels')}", np.asarray(value))
