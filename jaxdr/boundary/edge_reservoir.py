@@ -100,17 +100,18 @@ def volume(origin, direction, start, side) -> Float[Array, "*n"]:
 
 def may_cross(
     bundle: Bundles, start: Float[Array, "*n 3"], side: Float[Array, "*n 3"], reach: float
-) -> tuple[Bool[Array, "*n"], Float[Array, "*n"]]:
-    """(whether a bundle crosses an edge within |t| <= `reach`, about; where, to first order)."""
+) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
+    """(t at which bundles cross the lines of edges, to first order; whether that is on the edge, |t| <= `reach`, about).
+    """
     o, d, do, dd = bundle.origin, bundle.direction, bundle.origin_rate, bundle.direction_rate
     rate = dot(jnp.cross(dd, side), start - o) - dot(jnp.cross(d, side), do)
-    t = -volume(o, d, start, side) / jnp.where(rate == 0, 1.0, rate)
-    near = (rate != 0) & (jnp.abs(t) <= MARGIN * reach)
-    t = jnp.where(near, t, 0.0)
+    step = -volume(o, d, start, side) / jnp.where(rate == 0, 1.0, rate)
+    near = (rate != 0) & (jnp.abs(step) <= MARGIN * reach)
+    t = jnp.where(near, step, 0.0)
     at = passes(o + t[..., None] * do, d + t[..., None] * dd, start, side)
     point = start + at.along[..., None] * side
     inside = (at.along >= 0) & (at.along <= 1) & _within(bundle, point, 0.0, reach)
-    return near & inside, t
+    return step, near & inside
 
 
 def _within(bundle: Bundles, point, radius, reach):
@@ -154,7 +155,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
         exists = here[:, None] & (edge >= 0)
         edge = jnp.maximum(edge, 0)
         start, end = table.ends[edge, 0], table.ends[edge, 1]
-        crosses, _ = may_cross(each, start, end - start, reach)
+        _, crosses = may_cross(each, start, end - start, reach)
         facing = (table.normals[edge] * each.direction[:, :, None]).sum(-1) > 0
         silhouette = ~table.interior[edge] | (facing[..., 0] != facing[..., 1])
         base = table.importance[edge]

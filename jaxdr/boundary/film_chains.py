@@ -20,10 +20,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
-from jaxdr.geometry.vector import dot, norm
-from jaxdr.scene.camera import View
+from jaxdr.geometry.vector import norm
+from jaxdr.scene.camera import Camera, View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.delta_chain import ChainSegments, delta_chain
@@ -31,7 +32,9 @@ from jaxdr.transport.interaction import intersect, on_fixed_ray
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
 
-REACH = 1.0  # half-length of the chords, pixels
+REACH = 2.0  # half-length of the chords, pixels
+PILOTS = 0.25  # chords that tell where the others should go, for each of them
+FLOOR = 0.2  # importance that every pixel keeps, relative to the mean
 STEPS = 5  # of Newton's method
 CONVERGED = 1e-3  # pixels: last step of Newton's method, and how far apart two solutions are
 TRIALS = 256  # at most; what is lost beyond is reported
@@ -40,16 +43,24 @@ CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mir
 BESIDE = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
 
 
-class Crossings(NamedTuple):
-    """C crossings to be: chords from `centre` along the unit `towards`, segment `number` of the chain, the edge.
+class Chords(NamedTuple):
+    """C chords from `centre` along the unit `towards`; detached.
 
-    `u` are the random numbers of the paths, `lens` those of the camera's aperture; `weight` all but 1 / P.
+    `u` are the random numbers of the paths, `lens` those of the camera's aperture; `inverse` is one over the density of
+    centres (per square pixel).
     """
 
     centre: Float[Array, "C 2"]
     towards: Float[Array, "C 2"]
     u: Float[Array, "C B 4"]
     lens: Float[Array, "C 2"] | None
+    inverse: Float[Array, " C"]
+
+
+class Crossings(NamedTuple):
+    """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
+
+    chords: Chords
     number: Int[Array, " C"]
     edge: Int[Array, " C"]
     weight: Float[Array, " C"]
@@ -74,13 +85,29 @@ def chain_edges(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> Edg
 def film_chain_term(
     packed: PackedScene, table: EdgeTable, count: int, key: PRNGKeyArray, settings: PathSettings
 ) -> Float[Array, "H W 3"]:
-    """Image of the edges seen over delta lobes, zero in value and right in derivative, from `count` chords."""
+    """Image of the edges seen over delta lobes, zero in value and right in derivative, from `count` chords.
+
+    Pilots, a share of them more, are spread evenly over the film and tell where they go.
+    """
     settings = settings._replace(attached=0.0)  # of values alone all forms are one
-    crossings, valid = _crossings(packed, table, count, key, settings)
-    order = jnp.argsort(~valid, stable=True)
+    detached = jax.tree.map(stop_gradient, packed)
+    key_pilot, key_cells, key_chords, key_trials, key_path = jax.random.split(key, 5)
+    _, _, width, height = packed.camera.film.window
+    margin = _margin(packed)
+    shape = (height + 2 * margin, width + 2 * margin)
+    cells = shape[0] * shape[1]
+    pilots = max(1, round(PILOTS * count / cells))
+    cell = jnp.repeat(jnp.arange(cells), pilots)
+    even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
+    _, score = _candidates(detached, table, _chords(packed, cell, even, key_pilot, settings), key_pilot, settings)
+    importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
+    expected = shares(importance[None, :, None], count)
+    cell, inverse = allocate(expected, capacity(count, cells), key_cells)
+    chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, settings)
+    crossings, score = _candidates(detached, table, chords, key_chords, settings)
+    valid = (score > 0) & (cell >= 0)
+    order, used = jnp.argsort(~valid, stable=True), valid.sum()
     slots = jax.tree.map(lambda x: x[order], (crossings, valid))
-    key_trials, key_path = jax.random.split(jax.random.fold_in(key, 1))
-    used = valid.sum()
 
     def image(slots, number):
         crossings, valid = slots
@@ -90,44 +117,54 @@ def film_chain_term(
     return sum_over_blocks(image, slots, used)
 
 
-def _crossings(packed: PackedScene, table: EdgeTable, count, key, settings) -> tuple[Crossings, Bool[Array, " N"]]:
-    """(one candidate of each chord, whether there is one); detached."""
-    detached = jax.tree.map(stop_gradient, packed)
-    camera, film, dtype = packed.camera, packed.camera.film, packed.vertices.dtype
-    key_film, key_path, key_seed = jax.random.split(key, 3)
-    x0, y0, width, height = film.window
-    margin = film.filter.radius + REACH
-    size = jnp.asarray([width + 2 * margin, height + 2 * margin], dtype)
-    aperture = LENS_DIMENSIONS if camera.aperture else 0
-    drawn = lattice(key_film, 1, jnp.arange(count), 3 + aperture, dtype)[0]
-    centre = jnp.asarray([x0 - margin, y0 - margin], dtype) + drawn[:, :2] * size
+def _margin(packed: PackedScene) -> int:
+    """How many pixels around the film's window chords begin."""
+    return math.ceil(packed.camera.film.filter.radius + REACH)
+
+
+def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, settings) -> Chords:
+    """Chords from random points of cells, the pixels of the window with a margin around it."""
+    x0, y0, width, _ = packed.camera.film.window
+    margin, dtype = _margin(packed), inverse.dtype
+    aperture = LENS_DIMENSIONS if packed.camera.aperture else 0
+    drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)[0]
+    row, column = jnp.divmod(cell, width + 2 * margin)
+    corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
     angle = math.pi * drawn[:, 2]
-    towards = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    u = uniform(key_path, (count, settings.max_depth, 4), dtype)
-    lens = drawn[:, 3:] if aperture else None
-    weight = jnp.full(count, 0.5 * math.pi / (2 * REACH) / count, dtype) * size.prod()
-    nowhere = jnp.zeros(count, jnp.int32)
-    chords = Crossings(centre, towards, u, lens, nowhere, nowhere, weight)
+    return Chords(
+        centre=corner + drawn[:, :2],
+        towards=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
+        u=uniform(jax.random.fold_in(key, 1), (cell.shape[0], settings.max_depth, 4), dtype),
+        lens=drawn[:, 3:] if aperture else None,
+        inverse=inverse,
+    )
 
+
+def _candidates(
+    detached: PackedScene, table: EdgeTable, chords: Chords, key, settings
+) -> tuple[Crossings, Float[Array, " C"]]:
+    """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
+    count, dtype = chords.inverse.shape[0], chords.inverse.dtype
+    key_seed, key_choice = jax.random.split(jax.random.fold_in(key, 2))
     chain, rate = _moved(detached, chords, jnp.zeros(count, dtype), settings)
-    seeds = jax.random.bits(key_seed, (settings.max_depth, count), jnp.uint32)
-    total = jnp.zeros(count, dtype)
-    importance, edge, number = jnp.ones(count, dtype), nowhere, nowhere
-    for i in range(1, settings.max_depth):
-        bundles = _bundles(detached, *jax.tree.map(lambda x, i=i: x[i], (chain, rate)))
-        found = draw_edges(table, bundles, chain.reached[i], seeds[i], REACH)
-        total = total + found.total
-        chance = found.total / jnp.where(total > 0, total, 1.0)
-        taken = uniform(jax.random.fold_in(key_seed, i), (count,), dtype) < chance
-        importance = jnp.where(taken, found.importance, importance)
-        edge, number = jnp.where(taken, found.edge, edge), jnp.where(taken, i, number)
-    valid = total > 0
-    weight = jnp.where(valid, weight * total / jnp.where(importance > 0, importance, 1.0), 0.0)
-    return chords._replace(number=number, edge=edge, weight=weight), valid
+    bundles = _bundles(detached, chain, rate)
+    segments = settings.max_depth - 1
+    seeds = jax.random.bits(key_seed, (segments, count), jnp.uint32)
+    later = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
+    found = draw_edges(table, *later, seeds.reshape(-1), REACH)
+    found = jax.tree.map(lambda x: x.reshape(segments, count), found)
+    # One of the segments, in proportion to what was found there.
+    cumulative = jnp.cumsum(found.total, 0)
+    total = cumulative[-1]
+    target = uniform(key_choice, (count,), dtype) * total
+    number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
+    edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
+    weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
+    return Crossings(chords, number + 1, edge, weight), total
 
 
-def _view(camera, crossings: Crossings) -> View:
-    return camera.view(crossings.lens)
+def _view(camera: Camera, chords: Chords) -> View:
+    return camera.view(chords.lens)
 
 
 class _Rate(NamedTuple):
@@ -137,12 +174,12 @@ class _Rate(NamedTuple):
     direction: Float[Array, "*B C 3"]
 
 
-def _moved(detached, crossings: Crossings, t, settings) -> tuple[ChainSegments, _Rate]:
+def _moved(detached, chords: Chords, t, settings) -> tuple[ChainSegments, _Rate]:
     """Chains from the points at t of chords, and their derivatives along the chords."""
-    view, u = _view(detached.camera, crossings), crossings.u.swapaxes(0, 1)
+    view, u = _view(detached.camera, chords), chords.u.swapaxes(0, 1)
 
     def rays(t):
-        chain = delta_chain(detached, view, crossings.centre + t[:, None] * crossings.towards, u, settings.rays)
+        chain = delta_chain(detached, view, chords.centre + t[:, None] * chords.towards, u, settings.rays)
         return (chain.origin, chain.direction), chain
 
     _, rates, chain = jax.jvp(rays, (t,), (jnp.ones_like(t),), has_aux=True)
@@ -164,29 +201,29 @@ def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
 
     A function of the arguments alone, and false unless the edge is among the centre's candidates: trials rely on it.
     """
-    start, end = table.ends[crossings.edge, 0], table.ends[crossings.edge, 1]
-    chain, rate = _segment(crossings, *_moved(detached, crossings, jnp.zeros_like(crossings.weight), settings))
-    candidate, t = may_cross(_bundles(detached, chain, rate), start, end - start, REACH)
+    chords = crossings.chords
+    start = table.ends[crossings.edge, 0]
+    side = table.ends[crossings.edge, 1] - start
 
-    def step(state, _):
+    def step(state, number):
         t, _, valid = state
-        chain, rate = _segment(crossings, *_moved(detached, crossings, t, settings))
-        o, d = chain.origin, chain.direction
-        side = end - start
-        slope = dot(jnp.cross(rate.direction, side), start - o) - dot(jnp.cross(d, side), rate.origin)
-        change = -volume(o, d, start, side) / jnp.where(slope == 0, 1.0, slope)
-        change = jnp.clip(jnp.where(slope == 0, 0.0, change), -REACH, REACH)
-        valid = valid & chain.reached & (slope != 0)
-        return (jnp.where(valid, t + change, t), jnp.abs(change), valid), None
+        chain, rate = _segment(crossings, *_moved(detached, chords, t, settings))
+        bundles = _bundles(detached, chain, rate)
+        change, candidate = may_cross(bundles, start, side, REACH)
+        valid = valid & chain.reached & ((number > 0) | candidate)
+        change = jnp.where(valid, jnp.clip(change, -2.0 * REACH, 2.0 * REACH), 0.0)
+        return (t + change, jnp.abs(change), valid), None
 
-    state = (t, jnp.zeros_like(t), candidate & chain.reached)
-    (t, change, valid), _ = jax.lax.scan(step, state, None, length=STEPS)
+    nothing = jnp.zeros_like(crossings.weight)
+    state = (nothing, nothing, jnp.ones_like(nothing, bool))
+    (t, change, valid), _ = jax.lax.scan(step, state, jnp.arange(STEPS))
     valid = valid & (change < CONVERGED) & (jnp.abs(t) <= REACH)
-    return Found(crossings.centre + t[:, None] * crossings.towards, valid)
+    return Found(chords.centre + t[:, None] * chords.towards, valid)
 
 
 def _trials(detached, table, crossings: Crossings, target: Found, key, settings) -> Float[Array, " C"]:
     """Numbers of centres on the chords until one finds `target`: 1 / P on average."""
+    chords = crossings.chords
 
     def unfinished(state):
         number, done, _ = state
@@ -195,8 +232,8 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
     def trial(state):
         number, done, count = state
         u = uniform(jax.random.fold_in(key, number), done.shape, target.film_point.dtype)
-        centre = target.film_point + (REACH * (2 * u - 1))[:, None] * crossings.towards
-        again = _find(detached, table, crossings._replace(centre=centre), settings)
+        centre = target.film_point + (REACH * (2 * u - 1))[:, None] * chords.towards
+        again = _find(detached, table, crossings._replace(chords=chords._replace(centre=centre)), settings)
         same = again.valid & (norm(again.film_point - target.film_point) < CONVERGED)
         return number + 1, done | same, count + ~done
 
@@ -216,24 +253,24 @@ def _report(lost, total):
 
 
 def _image(packed, table: EdgeTable, crossings: Crossings, valid, key, key_path, settings) -> Float[Array, "H W 3"]:
-    detached = jax.tree.map(stop_gradient, packed)
+    detached, chords = jax.tree.map(stop_gradient, packed), crossings.chords
     found = _find(detached, table, crossings, settings)
     valid = valid & found.valid
-    x, u = found.film_point, crossings.u.swapaxes(0, 1)
-    view = _view(detached.camera, crossings)
-    chain = delta_chain(detached, view, x, u, settings.rays)
+    x, u = found.film_point, chords.u.swapaxes(0, 1)
+    view = _view(detached.camera, chords)
+    faces = delta_chain(detached, view, x, u, settings.rays).face
 
     def at(packed, x):
         """g for the scene and film points, along the faces of these chains."""
-        moving = delta_chain(packed, _view(packed.camera, crossings), x, u, settings.rays, chain.face)
+        moving = delta_chain(packed, _view(packed.camera, chords), x, u, settings.rays, faces)
         (origin, direction) = _segment(crossings, moving.origin, moving.direction)
         ends = packed.vertices[packed.edges.vertices[crossings.edge]]
         return volume(origin, direction, ends[:, 0], ends[:, 1] - ends[:, 0])
 
-    axes = jnp.eye(2, dtype=x.dtype)
-    gradient = jnp.stack(
-        [jax.jvp(lambda x: at(detached, x), (x,), (jnp.broadcast_to(axis, x.shape),))[1] for axis in axes], -1
-    )
+    def slope(axis):
+        return jax.jvp(lambda x: at(detached, x), (x,), (jnp.broadcast_to(axis, x.shape),))[1]
+
+    gradient = jax.vmap(slope)(jnp.eye(2, dtype=x.dtype)).T
     steepness = norm(gradient)
     valid = valid & (steepness > 0)
     steepness = jnp.where(valid, steepness, 1.0)
@@ -241,34 +278,40 @@ def _image(packed, table: EdgeTable, crossings: Crossings, valid, key, key_path,
 
     film = packed.camera.film
     step = BESIDE * max(film.width, film.height)
-    sides = jnp.stack([x - step * normal, x + step * normal])
-    valid = valid & _in_sight(detached, table, crossings, view, sides, u, settings)
-    radiance = [_radiance(detached, view, side, u, key_path, settings) for side in sides]
+    beside = jnp.stack([x - step * normal, x + step * normal])
+    sides = jax.vmap(lambda x: _side(detached, table, crossings, view, x, u, key_path, settings))(beside)
+    valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
     trials = _trials(detached, table, crossings, Found(x, valid), key, settings)
-    weight = stop_gradient(jnp.where(valid, crossings.weight * trials / steepness, 0.0))
+    # (pi / 2) k / p, with k = 1 / (2 r P).
+    weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight * trials
+    weight = stop_gradient(jnp.where(valid, weight / steepness, 0.0))
     moved = at(packed, x)
     displacement = stop_gradient(moved) - moved
-    return splat(film, x, stop_gradient(radiance[0] - radiance[1]) * (weight * displacement)[:, None])
+    return splat(film, x, stop_gradient(sides.radiance[0] - sides.radiance[1]) * (weight * displacement)[:, None])
 
 
-def _in_sight(detached, table, crossings: Crossings, view, sides, u, settings) -> Bool[Array, " C"]:
-    """Whether the chains beside crossings pass the edge on either side, and nothing is in front of it."""
+class _Side(NamedTuple):
+    """Radiance beside a crossing, on which side of the edge the chain passes, and whether it does with clear sight."""
+
+    radiance: Float[Array, "C 3"]
+    volume: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+
+
+def _side(detached, table: EdgeTable, crossings: Crossings, view, film_points, u, key, settings) -> _Side:
+    """What chains from film points beside crossings find."""
     start = table.ends[crossings.edge, 0]
     side = table.ends[crossings.edge, 1] - start
-    volumes, clear = [], []
-    for points in sides:
-        chain = delta_chain(detached, view, points, u, settings.rays)
-        (chain,) = _segment(crossings, chain)
-        at = passes(chain.origin, chain.direction, start, side)
-        # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
-        tolerance = NEAR * at.distance
-        neighbours = detached.edges.faces[crossings.edge]
-        own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
-        ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
-        there = (at.along >= 0) & (at.along <= 1)
-        clear.append(chain.reached & ahead & there & (own | (chain.distance >= at.distance - tolerance)))
-        volumes.append(volume(chain.origin, chain.direction, start, side))
-    return clear[0] & clear[1] & (volumes[0] < 0) & (volumes[1] > 0)
+    (chain,) = _segment(crossings, delta_chain(detached, view, film_points, u, settings.rays))
+    at = passes(chain.origin, chain.direction, start, side)
+    neighbours = detached.edges.faces[crossings.edge]
+    own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
+    # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
+    clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
+    ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
+    meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached
+    radiance = _radiance(detached, view, film_points, u, key, settings)
+    return _Side(radiance, volume(chain.origin, chain.direction, start, side), meets)
 
 
 def _radiance(detached, view: View, film_points, u, key, settings) -> Float[Array, "C 3"]:
