@@ -143,7 +143,9 @@ class KernelDensity(eqx.Module):
                 packed, prepared, paths, record.direct, scale, self.both_sides, key_direct, settings
             )
         if record.scattered is not None:
-            paths = PathSegments(packed, primary, record.scattered, record.vertices)
+            bounces = record.scattered.apex_face.shape[0]
+            vertices = jax.tree.map(lambda x: x[:bounces], record.vertices)
+            paths = PathSegments(packed, primary, record.scattered, vertices)
             if self.trace_background:
                 capacity = self._capacity(paths.count)
                 total = total + lobe_term(
