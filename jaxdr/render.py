@@ -116,8 +116,8 @@ def derivative_terms(
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
     Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
-    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`. Everything counts as moving unless `moving` says
-    otherwise.
+    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`.
+    Everything counts as moving unless `moving` says otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights))

@@ -82,7 +82,10 @@ class Crossing(NamedTuple):
 
 
 def passes(
-    origin: Float[Array, "*n 3"], direction: Float[Array, "*n 3"], start: Float[Array, "*n 3"], side: Float[Array, "*n 3"]
+    origin: Float[Array, "*n 3"],
+    direction: Float[Array, "*n 3"],
+    start: Float[Array, "*n 3"],
+    side: Float[Array, "*n 3"],
 ) -> Crossing:
     """Nearest points of rays and of lines from `start` along `side`."""
     normal = jnp.cross(direction, side)
@@ -101,8 +104,7 @@ def volume(origin, direction, start, side) -> Float[Array, "*n"]:
 def may_cross(
     bundle: Bundles, start: Float[Array, "*n 3"], side: Float[Array, "*n 3"], reach: float
 ) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """(t at which bundles cross the lines of edges, to first order; whether that is on the edge, |t| <= `reach`, about).
-    """
+    """(t at which bundles cross the lines of edges, to first order; whether that is on the edge and within `reach`)."""
     o, d, do, dd = bundle.origin, bundle.direction, bundle.origin_rate, bundle.direction_rate
     rate = dot(jnp.cross(dd, side), start - o) - dot(jnp.cross(d, side), do)
     step = -volume(o, d, start, side) / jnp.where(rate == 0, 1.0, rate)

@@ -6,9 +6,9 @@ A film point and the random numbers that choose lobes fix a chain of rays. Where
     g(x, θ) = d × (b - a) · (a - o) = 0,    of normal velocity  -∂g/∂θ / |∂g/∂x|.
 
 Chords on the film cross the curve where Newton's method finds it. A crossing x* on the chord of half-length r weighs
-(π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. Trials
-until the first success, T on average 1 / P (Booth 2007; Zeltner et al. 2020, Specular manifold sampling, Eq. 10), make
-that unbiased whatever else mirrors do: other faces, other lobes, other solutions, no convergence are failures.
+(π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. The
+number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, Specular manifold sampling),
+makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions, no convergence are failures.
 """
 
 import math
@@ -150,8 +150,8 @@ def _candidates(
     bundles = _bundles(detached, chain, rate)
     segments = settings.max_depth - 1
     seeds = jax.random.bits(key_seed, (segments, count), jnp.uint32)
-    later = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
-    found = draw_edges(table, *later, seeds.reshape(-1), REACH)
+    rows = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
+    found = draw_edges(table, rows[0], rows[1], seeds.reshape(-1), REACH)
     found = jax.tree.map(lambda x: x.reshape(segments, count), found)
     # One of the segments, in proportion to what was found there.
     cumulative = jnp.cumsum(found.total, 0)

@@ -59,7 +59,7 @@ class Segments(NamedTuple):
 class Vertices(NamedTuple):
     """Path vertices as they move, differentiable, in scenes where some slide.
 
-    `narrow`: the BSDF-sampled direction is held fixed in the lobe. `delta`: the path goes on in a delta lobe. None where
+    `narrow`: the BSDF-sampled direction is held fixed in the lobe. `delta`: the path goes on in a delta lobe. None if
     there are no such lobes.
     """
 
