@@ -7,8 +7,9 @@ A film point and the random numbers that choose lobes fix a chain of rays. Where
 
 Chords on the film cross the curve where Newton's method finds it. A crossing x* on the chord of half-length r weighs
 (π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. The
-number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, Specular manifold sampling),
-makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions, no convergence are failures.
+number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, "Specular manifold
+sampling"), makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions and no convergence
+are failures.
 """
 
 import math
@@ -101,7 +102,7 @@ def film_chain_term(
     even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
     _, score = _candidates(detached, table, _chords(packed, cell, even, key_pilot, settings), key_pilot, settings)
     importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
-    expected = shares(importance[None, :, None], count)
+    expected = shares(importance[None, :, None], float(count))
     cell, inverse = allocate(expected, capacity(count, cells), key_cells)
     chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, settings)
     crossings, score = _candidates(detached, table, chords, key_chords, settings)

@@ -54,7 +54,9 @@ def tetrahedron(centre, size) -> jd.Mesh:
 
 def mirrored(shape: jd.Shape) -> jd.Shape:
     mesh = shape.mesh
-    return jd.Shape(jd.Mesh(mesh.vertices * UPSIDE_DOWN, np.asarray(mesh.faces)[:, ::-1]), shape.bsdf, shape.emitter)
+    return jd.Shape(
+        jd.Mesh(np.asarray(mesh.vertices) * UPSIDE_DOWN, np.asarray(mesh.faces)[:, ::-1]), shape.bsdf, shape.emitter
+    )
 
 
 def oblique(pixel_filter=None, lens=None) -> jd.Perspective | jd.ThinLens:
@@ -194,7 +196,7 @@ def test_lit_and_shadowed_in_a_mirror(boundary):
 @pytest.mark.parametrize(
     ("name", "motion"),
     [
-        ("mirror.vertices", flat(0.0).vertices[:, :1] * [0, 0, 0.2]),
+        ("mirror.vertices", np.asarray(flat(0.0).vertices)[:, :1] * [0, 0, 0.2]),
         ("camera.to_world", np.eye(4)[:, :1] * [0, 0, 0, 1]),
     ],
     ids=["mirror", "camera"],
@@ -213,7 +215,7 @@ THING = jd.Shape(tetrahedron([0, 0, 0], 0.5), BLACK)
     ("name", "motion"),
     [
         ("glass.bsdf.eta", 1.0),
-        pytest.param("glass.vertices", WEDGE.vertices[:, :1] * [0, 0, 0.1], marks=pytest.mark.slow),
+        pytest.param("glass.vertices", np.asarray(WEDGE.vertices)[:, :1] * [0, 0, 0.1], marks=pytest.mark.slow),
     ],
     ids=["index", "wedge"],
 )
@@ -232,7 +234,9 @@ def test_through_glass(kind):
     shapes = {
         "slab": {"front": jd.Shape(flat(2.2), GLASS), "back": jd.Shape(flat(1.4, down=True), GLASS)},
         "pane": {"pane": jd.Shape(flat(1.8), jd.ThinDielectric(1.5, 1.0))},
-        "bump": {"bump": jd.Shape(jd.Mesh(bump.vertices * [1.2, 1.2, 0.4] + [0, 0, 1.8], bump.faces), GLASS)},
+        "bump": {
+            "bump": jd.Shape(jd.Mesh(np.asarray(bump.vertices) * [1.2, 1.2, 0.4] + [0, 0, 1.8], bump.faces), GLASS)
+        },
     }[kind]
     scene = jd.Scene(shapes | {"object": THING}, above(), SKY)
     depth = {"slab": 4, "pane": 2, "bump": 4}[kind]
