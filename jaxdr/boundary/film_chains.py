@@ -246,6 +246,8 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
 
 
 def _report(lost, total):
+    if not lost:  # under `vmap` the report is called for in any case
+        return
     warnings.warn(
         f"jaxdr: {int(lost)} of {int(total)} edges seen in mirrors or through glass were not found again in {TRIALS} "
         "trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
