@@ -6,6 +6,7 @@ and the gradient of a non-linear loss of the image is unbiased.
 """
 
 import dataclasses
+import warnings
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.boundary.edge_reservoir import EdgeTable
+from jaxdr.boundary.film_chains import chain_edges, film_chain_term
 from jaxdr.boundary.film_edges import EdgeDistribution, edge_distribution, film_edge_terms
 from jaxdr.boundary.hard_shadows import (
     ShadowDistribution,
@@ -25,9 +28,11 @@ from jaxdr.boundary.pixel_borders import pixel_border_term
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
 from jaxdr.integrator import PathTracer
+from jaxdr.scene.bsdf import BSDF, NormalMap
+from jaxdr.scene.bsdf.base import only_delta
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene, pack
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
 
@@ -36,7 +41,10 @@ PLACES = ("position", "direction", "to_world", "fov")
 
 
 class Moving(NamedTuple):
-    """What is being differentiated that moves: shapes, camera, lights without area, the environment. Static."""
+    """What is being differentiated that moves: shapes, camera, lights without area, the environment. Static.
+
+    A shape counts as well where its smooth glass bends light otherwise.
+    """
 
     shapes: tuple[bool, ...]
     camera: bool
@@ -55,7 +63,7 @@ class Moving(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What all chunks of an image share: distributions over edges and shadows, what the boundary estimator prepared.
+    """What all chunks share: distributions over edges and shadows, edges seen in mirrors, the estimator's own.
 
     None where there are no such terms.
     """
@@ -63,6 +71,7 @@ class Prepared(NamedTuple):
     edges: EdgeDistribution | None = None
     boundary: Any = None
     shadows: ShadowDistribution | None = None
+    chains: EdgeTable | None = None
 
 
 class Plan(NamedTuple):
@@ -109,8 +118,8 @@ def derivative_terms(
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
     Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
-    indirect light `pixel_borders`, with lights without area `shadows`. Everything counts as moving unless `moving` says
-    otherwise.
+    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`.
+    Everything counts as moving unless `moving` says otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
@@ -171,11 +180,21 @@ def _derivative_image(plan: Plan, active, at, floats, others, key):
 def _moving(active: Scene) -> Moving:
     """Which geometry moves, from a scene whose leaves say whether they are differentiated."""
     return Moving(
-        shapes=tuple(bool(shape.mesh.vertices) for shape in active.shapes.values()),
+        shapes=tuple(bool(shape.mesh.vertices) or _bends(unwrap(shape.bsdf)) for shape in active.shapes.values()),
         camera=any(jax.tree.leaves(active.camera)),
         lights=tuple(any(getattr(light, name, False) for name in PLACES) for light in active.lights.values()),
         environment=bool(getattr(active.environment, "to_world", False)),
     )
+
+
+def _bends(active: BSDF) -> bool:
+    """Whether directions of delta lobes change with the BSDF's own parameters, from one whose leaves say which do."""
+    if not active.delta:
+        return False
+    own = active.normal if isinstance(active, NormalMap) else getattr(active, "eta", None)
+    inner = getattr(active, "bsdf", None)
+    own = (active.transmissive or isinstance(active, NormalMap)) and any(jax.tree.leaves(own))
+    return own or (inner is not None and _bends(inner))
 
 
 def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Moving | None) -> dict:
@@ -189,7 +208,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
     prepared = None
     if with_boundary and moving is not None:
-        _check_opaque(packed)
+        _check_transmission(packed, integrator)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
@@ -212,22 +231,42 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
 
 
-def _check_opaque(packed: PackedScene) -> None:
-    """Raises ValueError where boundary terms are missing: of what is seen in mirrors, through glass or holes."""
+def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
+    """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
     for group in packed.bsdfs:
-        if group.bsdf.transmissive or group.bsdf.delta:
-            how = "through" if group.bsdf.transmissive else "in"
+        if group.bsdf.transmissive and not only_delta(group.bsdf):
             raise ValueError(
-                f"render: visibility changes seen {how} {type(group.bsdf).__name__} have no derivative yet; take an "
-                "opaque BSDF without delta lobes, differentiate nothing that moves, or boundary=None for the interior "
-                "term alone"
+                f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
+                "opaque BSDF or smooth glass, differentiate nothing that moves, or boundary=None for the interior term "
+                "alone"
             )
+    if not packed.has_delta_lobes:
+        return
+    if integrator.primary == "material":
+        raise ValueError(
+            'render: visibility changes seen over delta lobes have no derivative with primary="material"; use '
+            'primary="fixed_ray", or boundary=None for the interior term alone'
+        )
+    if packed.light_count and integrator.max_depth > 2:
+        raise ValueError(
+            "render: hard shadows seen over delta lobes have no derivative yet; take lights with an area, max_depth=2, "
+            "or boundary=None for the interior term alone"
+        )
+    if integrator.max_depth > 2 and not all(only_delta(group.bsdf) for group in packed.bsdfs):
+        warnings.warn(
+            "jaxdr: the derivative lacks visibility changes of reflected/refracted light from diffuse surfaces via "
+            "delta surfaces (a path that leaves a surface that spreads light, meets a mirror or smooth glass and goes "
+            "on); what the camera sees over delta surfaces is there",
+            stacklevel=2,
+        )
 
 
 def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:
     """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
-    edges = boundary = shadows = None
+    edges = boundary = shadows = chains = None
     if any(moving.seen):
+        if packed.has_delta_lobes and integrator.max_depth > 1:
+            chains = chain_edges(packed, moving.seen, integrator.rays)
         edges = edge_distribution(packed, moving.seen, key)
     if any(moving.seen) or moving.environment:
         boundary = integrator.boundary.prepare(packed, moving.seen, integrator.settings)
@@ -244,7 +283,7 @@ def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -
             )
         lights = moving.lights or (False,) * packed.light_count
         shadows = shadow_distribution(packed, moving.seen, lights, integrator.settings)
-    return Prepared(edges, boundary, shadows)
+    return Prepared(edges, boundary, shadows, chains)
 
 
 def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_key, spp, integrator) -> dict:
@@ -281,6 +320,9 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
         index = jnp.tile(samples, pixels)
         total = integrator.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
         terms["boundary"] = gather(total)
+    if prepared.chains is not None:
+        key_chains = jax.random.fold_in(key_edges, 3)
+        terms["chains"] = weight.sum() * film_chain_term(packed, prepared.chains, pixels * count, key_chains, settings)
     if prepared.shadows is not None:
         key_film, key_scattered = jax.random.split(jax.random.fold_in(key_edges, 1))
         shadows = weight.sum() * film_shadow_term(packed, prepared.shadows, points, key_film, settings, form)

@@ -1,5 +1,6 @@
 """Only what the scene needs is compiled, and models are added from outside: one class and one line in a registry."""
 
+import importlib
 import math
 
 import equinox as eqx
@@ -98,6 +99,8 @@ def test_a_diffuse_scene_pays_for_nothing_else(monkeypatch):
     for texture in (jd.Bitmap, jd.Checkerboard, jd.VertexColors):  # of BSDFs, and of the light
         monkeypatch.setattr(texture, "lookup", refuse)
     monkeypatch.setattr(PackedScene, "texture_point", refuse)
+    for name in ("chain_edges", "film_chain_term"):
+        monkeypatch.setattr(importlib.import_module("jaxdr.render"), name, refuse)
     assert program(scene(jd.Diffuse(0.5))) == plain
 
 

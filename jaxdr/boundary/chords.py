@@ -167,7 +167,7 @@ def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array,
     s, t = orthonormal_basis(centre)
     angle = math.pi * u[:, 2]
     plane = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
-    return LobeChords(centre, scatterer.pdf(centre), plane, width)
+    return LobeChords(centre, scatterer.sampled_pdf(centre, u[:, :2]), plane, width)
 
 
 def lobe_weight(

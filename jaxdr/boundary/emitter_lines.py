@@ -143,9 +143,9 @@ class EmitterLines:
         value = paths.table.throughput[found.vertex] * radiance
         value = value * emitter_weight(drawn.pdf, drawn.length)[found.chord][:, None]
         value = value * paths.transfer(found.vertex, ends, projection.point)
-        if paths.vertices is not None:
+        if paths.narrow is not None:
             share = self._share(found.vertex, point)
-            value = value * jnp.where(paths.vertices.narrow[found.vertex], share, 1.0)[:, None]
+            value = value * jnp.where(paths.narrow[found.vertex], share, 1.0)[:, None]
         counts = found.valid & inside & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
         return projection, jnp.where(counts[:, None], value, 0.0), point
 

@@ -322,8 +322,22 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
     one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
     near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
+    if packed.has_delta_lobes:
+        # What two mirrors show is not to be found in one direction.
+        jump = _jump(detached, points, u, key_path, settings, near)
+        return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
     jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
     return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
+
+
+def _jump(detached, points: _EdgePoints, u, key, settings, near) -> Float[Array, "n 3"]:
+    """Radiance on the second side less that on the first, from a path each, without what is in material form."""
+    sides = []
+    for side, field in zip((1, 0), near or (None, None), strict=True):
+        first = jax.tree.map(lambda x, side=side: x[side], points.first)
+        record = trace_paths(detached, first, points.direction[side], u, key, settings, field)
+        sides.append(record.radiance - record.near)
+    return sides[0] - sides[1]
 
 
 def _near_field(view: View, first: SurfacePoint) -> NearField:

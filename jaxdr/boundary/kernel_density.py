@@ -142,12 +142,14 @@ class KernelDensity(eqx.Module):
         scale = schedule[sample_index % self.iterations]
         key_direct, key_scattered = jax.random.split(key)
         if record.direct is not None:
-            paths = PathSegments(packed, primary, record.direct)
+            paths = PathSegments(packed, primary, record.direct, record.vertices)
             total = total + self._term(
                 packed, prepared, paths, record.direct, scale, self.both_sides, key_direct, settings
             )
         if record.scattered is not None:
-            paths = PathSegments(packed, primary, record.scattered)
+            bounces = record.scattered.apex_face.shape[0]
+            vertices = jax.tree.map(lambda x: x[:bounces], record.vertices)
+            paths = PathSegments(packed, primary, record.scattered, vertices)
             if self.trace_background:
                 capacity = self._capacity(paths.count)
                 total = total + lobe_term(

@@ -115,20 +115,20 @@ class LineSampling(eqx.Module):
         if packed.environment is not None or settings.max_depth > 2:
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
-            if paths.vertices is not None:
-                carries = jnp.where(paths.vertices.narrow, 0.0, carries)
+            if paths.narrow is not None:
+                carries = jnp.where(paths.narrow, 0.0, carries)
             lobes = self._spread(lobe_lines, carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
             carries = luminance(paths.table.throughput)
-            if paths.vertices is not None:
-                carries = jnp.where(paths.vertices.narrow, 0.0, carries)
+            if paths.narrow is not None:
+                carries = jnp.where(paths.narrow, 0.0, carries)
             sky_lines = SkyLines(packed, prepared, paths, settings)
             skies = self._spread(sky_lines, carries, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             sky_lines.both = lobe_lines.skies = SkyShare(packed, paths, self.reach, *numbers)
-        if paths.vertices is not None:
+        if paths.narrow is not None:
             lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
-            carries = jnp.where(paths.vertices.narrow, luminance(paths.table.throughput), 0.0)
+            carries = jnp.where(paths.narrow, luminance(paths.table.throughput), 0.0)
             attached = self._spread(lines, carries, jax.random.fold_in(key, 2))
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)

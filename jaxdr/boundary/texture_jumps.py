@@ -73,10 +73,14 @@ def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool, 
     """Raise ValueError where a texture's jumps inside faces move in the image, or in the image in an attached lobe.
 
     With `fixed_rays` first hits slide over the shapes that move relative to the camera, in lobes narrower than
-    `attached` later ones over any shape. Points in material form take the jumps along.
+    `attached`, and over mirrors and smooth glass that move, later ones over any shape. Points in material form take the
+    jumps along.
     """
     lobes = any(type(unwrap(shape.bsdf)).lobe_width is not BSDF.lobe_width for shape in scene.shapes.values())
     in_lobes = ["attached=0"] if lobes and attached > 0 else []
+    pairs = zip(scene.shapes.values(), moving, strict=True)
+    if any(moves and unwrap(shape.bsdf).delta for shape, moves in pairs):
+        in_lobes.append("mirrors and smooth glass that stay")
     for (name, shape), moves in zip(scene.shapes.items(), moving, strict=True):
         remedies = (['primary="material"'] if fixed_rays and moves else []) + in_lobes
         for field, texture in textures_of(shape):

@@ -58,11 +58,16 @@ class Segments(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Path vertices as they move, differentiable, and where the BSDF-sampled direction is held fixed in the lobe."""
+    """Path vertices as they move, differentiable, in scenes where some slide.
+
+    `narrow`: the BSDF-sampled direction is held fixed in the lobe. `delta`: the path goes on in a delta lobe. None if
+    there are no such lobes.
+    """
 
     position: Float[Array, "B N 3"]
     shading_normal: Float[Array, "B N 3"]
-    narrow: Bool[Array, "B N"]
+    narrow: Bool[Array, "B N"] | None
+    delta: Bool[Array, "B N"] | None = None
 
 
 class PathRecord(NamedTuple):
@@ -112,12 +117,14 @@ def trace_paths(
     packed: PackedScene,
     first: SurfacePoint,
     direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
+    u: Float[Array, "N 4"] | Float[Array, "B N 4"],
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None = None,
 ) -> PathRecord:
     """Trace paths on from first hits; `direction` is that of the rays which found them, `u` the first bounce's numbers.
+
+    Or those of all bounces; then nothing is drawn from `key`.
 
     Next-event estimation and BSDF sampling are combined by the balance heuristic (Veach 1997), unless `settings.mis`
     is off: then emitters are reached by next-event estimation alone, but for delta lobes, whose light only they find.
@@ -199,8 +206,11 @@ def gathered_radiance(
 def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     """All bounces of paths from their first vertex on, [B, N, ...]."""
 
+    given = u if u.ndim == 3 else None
+    u = u if given is None else given[0]
+
     def numbers(bounce):
-        return uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
+        return given[bounce] if given is not None else uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
 
     # Without MIS the last bounce needs no BSDF ray, if there is no delta lobe.
     throughput = jnp.ones_like(scatterer.point.position)
@@ -300,6 +310,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         light *= _share(solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)), delta)
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
     carries = reachable if delta is None else reachable & ~delta
+    lit = point.valid & scatterer.spreads() if packed.has_delta_lobes else point.valid
     unlit = None
     if packed.has_varying_sky or packed.glow:
         unlit = jnp.where(carries[:, None], throughput / sample.pdf[:, None], 0.0)
@@ -312,7 +323,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         direction=sample.direction,
         weight=jnp.where(carries[:, None], arriving, 0.0),
         visible=seen,
-        throughput=jnp.where(point.valid[:, None], throughput, 0.0),
+        throughput=jnp.where(lit[:, None], throughput, 0.0),
         unlit=unlit,
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
@@ -370,9 +381,11 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
     narrow, vertices, direction = _narrow(scatterer, settings), None, sampled
     if packed.environment_turns:
         direction = jnp.where(hit[:, None], sampled, packed.turned(sampled))
+    if narrow is not None or delta is not None:
+        apart = None if narrow is None else narrow & point.valid
+        vertices = Vertices(point.position, point.shading_normal, apart, chosen)
     if narrow is not None:
         # The direction turns with the lobe, in solid angle: no G, no J (that of a rotation is one).
-        vertices = Vertices(point.position, point.shading_normal, narrow & point.valid)
         direction = jnp.where(narrow[:, None], scatterer.turn(sampled), direction)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
         following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
@@ -410,6 +423,8 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         if chosen is not None:
             weight = jnp.where(chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]
+    # Delta lobes have no density: no estimator may spread what they carry over directions beside theirs.
+    spread = active if chosen is None else active & ~chosen
     scattered = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
@@ -417,9 +432,9 @@ def _bounce(packed, scatterer, throughput, u, settings, near=None):
         target_barycentric=barycentric,
         infinite=active & ~hit,
         direction=sampled,
-        weight=jnp.where(hit[:, None], stop_gradient(transfer.value), 0.0),
+        weight=jnp.where((hit if chosen is None else hit & spread)[:, None], stop_gradient(transfer.value), 0.0),
         visible=hit,
-        lobe=jnp.where(active[:, None], incoming / jnp.where(active, pdf, 1.0)[:, None], 0.0),
+        lobe=jnp.where(spread[:, None], incoming / jnp.where(spread, pdf, 1.0)[:, None], 0.0),
     )
     following = following._replace(valid=hit & (throughput != 0).any(-1))
     added = _Bounce(light, emission, near_light, near_beyond, direct, scattered, vertices)

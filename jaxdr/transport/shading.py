@@ -5,7 +5,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot
-from jaxdr.scene.bsdf.base import DeltaSample, no_delta
+from jaxdr.scene.bsdf.base import DeltaSample, no_delta, only_delta
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
 from jaxdr.transport.near_field import NearField
@@ -75,6 +75,18 @@ class Scatterer:
         chosen = [bsdf.sample_delta(self.wi, u) if bsdf.delta else no_delta(self.wi) for bsdf, _ in self.groups]
         local = DeltaSample(*(self._combine(list(values)) for values in zip(*chosen, strict=True)))
         return local._replace(wo=self.to_world(local.wo))
+
+    def sampled_pdf(self, wo: Float[Array, "N 3"], u: Float[Array, "N 2"]) -> Float[Array, " N"]:
+        """`pdf` of the directions that `sample` drew with `u`; zero where `u` chooses a delta lobe instead."""
+        pdf = self.pdf(wo)
+        if not any(bsdf.delta for bsdf, _ in self.groups):
+            return pdf
+        return jnp.where(self.sample_delta(u).probability > 0, 0.0, pdf)
+
+    def spreads(self) -> Bool[Array, " N"]:
+        """Whether BSDFs scatter any light into more than single directions."""
+        one = jnp.ones_like(self.wi[:, 0])
+        return self._combine([one * (not only_delta(bsdf)) for bsdf, _ in self.groups]) > 0
 
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""

@@ -1,5 +1,7 @@
 """Paths through mirrors, glass and holes: closed forms, finite differences, and what has no derivative yet."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -109,13 +111,54 @@ def test_index_of_glass():
     assert abs(found - difference) < 0.05 * abs(difference), (found, difference)
 
 
-def test_no_derivative_of_visibility():
-    """Said rather than left out: what moves before a mirror has silhouettes there."""
-    scene = above({"floor": jd.Shape(floor(), jd.TwoSided(jd.Conductor()))})
+MIRROR, LIGHT = jd.Shape(floor(), jd.Conductor()), jd.PointLight([0, 0, 3], 1.0)
+CHECKS = jd.Shape(
+    jd.Mesh(floor(2.0).vertices, floor().faces, uvs=CORNERS[:, :2], uv_faces=floor().faces),
+    jd.Diffuse(jd.Checkerboard(0.1, 0.9)),
+)
+
+
+@pytest.mark.parametrize(
+    ("shapes", "lights", "settings", "message"),
+    [
+        ({"floor": jd.Shape(floor(), jd.RoughDielectric(0.2))}, {}, {}, "seen through RoughDielectric have no deriv"),
+        ({"floor": MIRROR}, {}, {"primary": "material"}, "over delta lobes have no derivative with primary"),
+        ({"floor": MIRROR}, {"lamp": LIGHT}, {}, "hard shadows seen over delta lobes"),
+        ({"floor": MIRROR, "checks": CHECKS}, {}, {}, "use mirrors and smooth glass that stay"),
+    ],
+    ids=["rough", "material", "light", "checks"],
+)
+@pytest.mark.filterwarnings("ignore:jaxdr. the derivative lacks")
+def test_what_has_no_derivative(shapes, lights, settings, message):
+    """Said rather than left out."""
+    scene = jd.Scene(shapes, above({"floor": MIRROR}).camera, jd.ConstantEnvironment(1.0), lights)
+    if settings:
+        gaussian = jd.Film(4, 4, jd.Gaussian())
+        scene = jd.Scene(shapes, jd.Perspective(scene.camera.to_world, 8.0, gaussian), scene.environment, lights)
 
     def moved(vertices):
-        return jd.render(scene.replace({"floor.vertices": vertices}), jax.random.key(0), 1)
+        integrator = jd.PathTracer(**settings)
+        return jd.render(scene.replace({"floor.vertices": vertices}), jax.random.key(0), 1, integrator)
 
     vertices = scene.parameters()["floor.vertices"]
-    with pytest.raises(ValueError, match="seen in Conductor have no derivative yet"):
-        jax.jvp(moved, (vertices,), (vertices,))
+    with pytest.raises(ValueError, match=message):
+        jax.eval_shape(lambda v: jax.jvp(moved, (v,), (v,)), vertices)
+
+
+def test_what_is_missing_is_told():
+    """Light that leaves a diffuse surface for a mirror."""
+    scene = above({"floor": MIRROR, "wall": jd.Shape(floor(2.0))})
+    vertices = scene.parameters()["floor.vertices"]
+
+    def derivative(max_depth):
+        def moved(vertices):
+            integrator = jd.PathTracer(max_depth=max_depth)
+            return jd.render(scene.replace({"floor.vertices": vertices}), jax.random.key(0), 1, integrator)
+
+        jax.eval_shape(lambda v: jax.jvp(moved, (v,), (v,)), vertices)
+
+    with pytest.warns(UserWarning, match="reflected/refracted light from diffuse surfaces via delta surfaces"):
+        derivative(3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        derivative(2)

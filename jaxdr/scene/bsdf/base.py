@@ -102,6 +102,12 @@ class DeltaBSDF(BSDF):
         """The delta lobe that `u` chooses."""
 
 
+def only_delta(bsdf: BSDF) -> bool:
+    """Whether a BSDF, with those inside it, has delta lobes alone."""
+    inner = getattr(bsdf, "bsdf", None)
+    return isinstance(bsdf, DeltaBSDF) or (isinstance(inner, BSDF) and bsdf.delta and only_delta(inner))
+
+
 class TwoSided(eqx.Module):
     """Adapter: the BSDF acts alike on both sides of the surface. Parameter names pass through it."""
 

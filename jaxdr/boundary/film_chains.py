@@ -1,0 +1,328 @@
+"""Edges seen in mirrors and through smooth glass: lines on the film, by line sampling (docs/delta_visibility.md).
+
+A film point and the random numbers that choose lobes fix a chain of rays. Where one of its segments touches the edge
+(a, b), the image jumps; with (o, d) the segment as a function of the film point x and the scene θ, that is the curve
+
+    g(x, θ) = d × (b - a) · (a - o) = 0,    of normal velocity  -∂g/∂θ / |∂g/∂x|.
+
+Chords on the film cross the curve where Newton's method finds it. A crossing x* on the chord of half-length r weighs
+(π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. The
+number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, "Specular manifold
+sampling"), makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions and no convergence
+are failures.
+"""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
+from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
+from jaxdr.geometry.vector import norm
+from jaxdr.scene.camera import Camera, View
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.splat import splat
+from jaxdr.transport.delta_chain import ChainSegments, delta_chain
+from jaxdr.transport.interaction import intersect, on_fixed_ray
+from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
+
+REACH = 2.0  # half-length of the chords, pixels
+PILOTS = 0.25  # chords that tell where the others should go, for each of them
+FLOOR = 0.2  # importance that every pixel keeps, relative to the mean
+STEPS = 5  # of Newton's method
+CONVERGED = 1e-3  # pixels: last step of Newton's method, and how far apart two solutions are
+TRIALS = 256  # at most; what is lost beyond is reported
+NEAR = 1e-3  # share of the distance by which what is beside an edge may be nearer than the edge
+CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mirror's own
+BESIDE = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
+
+
+class Chords(NamedTuple):
+    """C chords from `centre` along the unit `towards`; detached.
+
+    `u` are the random numbers of the paths, `lens` those of the camera's aperture; `inverse` is one over the density of
+    centres (per square pixel).
+    """
+
+    centre: Float[Array, "C 2"]
+    towards: Float[Array, "C 2"]
+    u: Float[Array, "C B 4"]
+    lens: Float[Array, "C 2"] | None
+    inverse: Float[Array, " C"]
+
+
+class Crossings(NamedTuple):
+    """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
+
+    chords: Chords
+    number: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    weight: Float[Array, " C"]
+
+
+class Found(NamedTuple):
+    """What Newton's method came to: film points, and whether they count."""
+
+    film_point: Float[Array, "C 2"]
+    valid: Bool[Array, " C"]
+
+
+def chain_edges(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
+    """The edges that may jump in the image as it is seen over delta lobes; `moving` shapes, relative to the camera."""
+    flags, turns = jnp.asarray(moving), jnp.asarray(False)
+    for group in packed.bsdfs:
+        if group.bsdf.delta:
+            turns = turns | (group.member & flags).any()
+    return edge_table(packed, flags[packed.edges.shape] | turns, rays)
+
+
+def film_chain_term(
+    packed: PackedScene, table: EdgeTable, count: int, key: PRNGKeyArray, settings: PathSettings
+) -> Float[Array, "H W 3"]:
+    """Image of the edges seen over delta lobes, zero in value and right in derivative, from `count` chords.
+
+    Pilots, a share of them more, are spread evenly over the film and tell where they go.
+    """
+    settings = settings._replace(attached=0.0)  # of values alone all forms are one
+    detached = jax.tree.map(stop_gradient, packed)
+    key_pilot, key_cells, key_chords, key_trials, key_path = jax.random.split(key, 5)
+    _, _, width, height = packed.camera.film.window
+    margin = _margin(packed)
+    shape = (height + 2 * margin, width + 2 * margin)
+    cells = shape[0] * shape[1]
+    pilots = max(1, round(PILOTS * count / cells))
+    cell = jnp.repeat(jnp.arange(cells), pilots)
+    even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
+    _, score = _candidates(detached, table, _chords(packed, cell, even, key_pilot, settings), key_pilot, settings)
+    importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
+    expected = shares(importance[None, :, None], float(count))
+    cell, inverse = allocate(expected, capacity(count, cells), key_cells)
+    chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, settings)
+    crossings, score = _candidates(detached, table, chords, key_chords, settings)
+    valid = (score > 0) & (cell >= 0)
+    order, used = jnp.argsort(~valid, stable=True), valid.sum()
+    slots = jax.tree.map(lambda x: x[order], (crossings, valid))
+
+    def image(slots, number):
+        crossings, valid = slots
+        key = jax.random.fold_in(key_trials, number[0])
+        return _image(packed, table, crossings, valid & (number < used), key, key_path, settings)
+
+    return sum_over_blocks(image, slots, used)
+
+
+def _margin(packed: PackedScene) -> int:
+    """How many pixels around the film's window chords begin."""
+    return math.ceil(packed.camera.film.filter.radius + REACH)
+
+
+def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, settings) -> Chords:
+    """Chords from random points of cells, the pixels of the window with a margin around it."""
+    x0, y0, width, _ = packed.camera.film.window
+    margin, dtype = _margin(packed), inverse.dtype
+    aperture = LENS_DIMENSIONS if packed.camera.aperture else 0
+    drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)[0]
+    row, column = jnp.divmod(cell, width + 2 * margin)
+    corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
+    angle = math.pi * drawn[:, 2]
+    return Chords(
+        centre=corner + drawn[:, :2],
+        towards=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
+        u=uniform(jax.random.fold_in(key, 1), (cell.shape[0], settings.max_depth, 4), dtype),
+        lens=drawn[:, 3:] if aperture else None,
+        inverse=inverse,
+    )
+
+
+def _candidates(
+    detached: PackedScene, table: EdgeTable, chords: Chords, key, settings
+) -> tuple[Crossings, Float[Array, " C"]]:
+    """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
+    count, dtype = chords.inverse.shape[0], chords.inverse.dtype
+    key_seed, key_choice = jax.random.split(jax.random.fold_in(key, 2))
+    chain, rate = _moved(detached, chords, jnp.zeros(count, dtype), settings)
+    bundles = _bundles(detached, chain, rate)
+    segments = settings.max_depth - 1
+    seeds = jax.random.bits(key_seed, (segments, count), jnp.uint32)
+    rows = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
+    found = draw_edges(table, rows[0], rows[1], seeds.reshape(-1), REACH)
+    found = jax.tree.map(lambda x: x.reshape(segments, count), found)
+    # One of the segments, in proportion to what was found there.
+    cumulative = jnp.cumsum(found.total, 0)
+    total = cumulative[-1]
+    target = uniform(key_choice, (count,), dtype) * total
+    number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
+    edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
+    weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
+    return Crossings(chords, number + 1, edge, weight), total
+
+
+def _view(camera: Camera, chords: Chords) -> View:
+    return camera.view(chords.lens)
+
+
+class _Rate(NamedTuple):
+    """Derivatives of the segments of a chain."""
+
+    origin: Float[Array, "*B C 3"]
+    direction: Float[Array, "*B C 3"]
+
+
+def _moved(detached, chords: Chords, t, settings) -> tuple[ChainSegments, _Rate]:
+    """Chains from the points at t of chords, and their derivatives along the chords."""
+    view, u = _view(detached.camera, chords), chords.u.swapaxes(0, 1)
+
+    def rays(t):
+        chain = delta_chain(detached, view, chords.centre + t[:, None] * chords.towards, u, settings.rays)
+        return (chain.origin, chain.direction), chain
+
+    _, rates, chain = jax.jvp(rays, (t,), (jnp.ones_like(t),), has_aux=True)
+    return chain, _Rate(*rates)
+
+
+def _segment(crossings: Crossings, *tables):
+    """Rows of tables [B, C, ...] for the segments that cross."""
+    return jax.tree.map(lambda x: x[crossings.number, jnp.arange(x.shape[1])], tables)
+
+
+def _bundles(detached, chain: ChainSegments, rate: _Rate) -> Bundles:
+    end = jnp.where(jnp.isinf(chain.distance), 4.0 * detached.size(), chain.distance)
+    return Bundles(chain.origin, chain.direction, rate.origin, rate.direction, end)
+
+
+def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
+    """Where the chords cross the edges, by Newton's method from their centres.
+
+    A function of the arguments alone, and false unless the edge is among the centre's candidates: trials rely on it.
+    """
+    chords = crossings.chords
+    start = table.ends[crossings.edge, 0]
+    side = table.ends[crossings.edge, 1] - start
+
+    def step(state, number):
+        t, _, valid = state
+        chain, rate = _segment(crossings, *_moved(detached, chords, t, settings))
+        bundles = _bundles(detached, chain, rate)
+        change, candidate = may_cross(bundles, start, side, REACH)
+        valid = valid & chain.reached & ((number > 0) | candidate)
+        change = jnp.where(valid, jnp.clip(change, -2.0 * REACH, 2.0 * REACH), 0.0)
+        return (t + change, jnp.abs(change), valid), None
+
+    nothing = jnp.zeros_like(crossings.weight)
+    state = (nothing, nothing, jnp.ones_like(nothing, bool))
+    (t, change, valid), _ = jax.lax.scan(step, state, jnp.arange(STEPS))
+    valid = valid & (change < CONVERGED) & (jnp.abs(t) <= REACH)
+    return Found(chords.centre + t[:, None] * chords.towards, valid)
+
+
+def _trials(detached, table, crossings: Crossings, target: Found, key, settings) -> Float[Array, " C"]:
+    """Numbers of centres on the chords until one finds `target`: 1 / P on average."""
+    chords = crossings.chords
+
+    def unfinished(state):
+        number, done, _ = state
+        return (number < TRIALS) & ~done.all()
+
+    def trial(state):
+        number, done, count = state
+        u = uniform(jax.random.fold_in(key, number), done.shape, target.film_point.dtype)
+        centre = target.film_point + (REACH * (2 * u - 1))[:, None] * chords.towards
+        again = _find(detached, table, crossings._replace(chords=chords._replace(centre=centre)), settings)
+        same = again.valid & (norm(again.film_point - target.film_point) < CONVERGED)
+        return number + 1, done | same, count + ~done
+
+    nothing = jnp.zeros_like(crossings.weight)
+    _, done, count = jax.lax.while_loop(unfinished, trial, (jnp.int32(0), ~target.valid, nothing))
+    lost = (~done).sum()
+    jax.lax.cond(lost > 0, lambda: jax.debug.callback(_report, lost, target.valid.sum()), lambda: None)
+    return count
+
+
+def _report(lost, total):
+    if not lost:  # under `vmap` the report is called for in any case
+        return
+    warnings.warn(
+        f"jaxdr: {int(lost)} of {int(total)} edges seen in mirrors or through glass were not found again in {TRIALS} "
+        "trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
+        stacklevel=2,
+    )
+
+
+def _image(packed, table: EdgeTable, crossings: Crossings, valid, key, key_path, settings) -> Float[Array, "H W 3"]:
+    detached, chords = jax.tree.map(stop_gradient, packed), crossings.chords
+    found = _find(detached, table, crossings, settings)
+    valid = valid & found.valid
+    x, u = found.film_point, chords.u.swapaxes(0, 1)
+    view = _view(detached.camera, chords)
+    faces = delta_chain(detached, view, x, u, settings.rays).face
+
+    def at(packed, x):
+        """g for the scene and film points, along the faces of these chains."""
+        moving = delta_chain(packed, _view(packed.camera, chords), x, u, settings.rays, faces)
+        (origin, direction) = _segment(crossings, moving.origin, moving.direction)
+        ends = packed.vertices[packed.edges.vertices[crossings.edge]]
+        return volume(origin, direction, ends[:, 0], ends[:, 1] - ends[:, 0])
+
+    def slope(axis):
+        return jax.jvp(lambda x: at(detached, x), (x,), (jnp.broadcast_to(axis, x.shape),))[1]
+
+    gradient = jax.vmap(slope)(jnp.eye(2, dtype=x.dtype)).T
+    steepness = norm(gradient)
+    valid = valid & (steepness > 0)
+    steepness = jnp.where(valid, steepness, 1.0)
+    normal = gradient / steepness[:, None]
+
+    film = packed.camera.film
+    step = BESIDE * max(film.width, film.height)
+    beside = jnp.stack([x - step * normal, x + step * normal])
+    sides = jax.vmap(lambda x: _side(detached, table, crossings, view, x, u, key_path, settings))(beside)
+    valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
+    trials = _trials(detached, table, crossings, Found(x, valid), key, settings)
+    # (pi / 2) k / p, with k = 1 / (2 r P).
+    weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight * trials
+    weight = stop_gradient(jnp.where(valid, weight / steepness, 0.0))
+    moved = at(packed, x)
+    displacement = stop_gradient(moved) - moved
+    return splat(film, x, stop_gradient(sides.radiance[0] - sides.radiance[1]) * (weight * displacement)[:, None])
+
+
+class _Side(NamedTuple):
+    """Radiance beside a crossing, on which side of the edge the chain passes, and whether it does with clear sight."""
+
+    radiance: Float[Array, "C 3"]
+    volume: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+
+
+def _side(detached, table: EdgeTable, crossings: Crossings, view, film_points, u, key, settings) -> _Side:
+    """What chains from film points beside crossings find."""
+    start = table.ends[crossings.edge, 0]
+    side = table.ends[crossings.edge, 1] - start
+    (chain,) = _segment(crossings, delta_chain(detached, view, film_points, u, settings.rays))
+    at = passes(chain.origin, chain.direction, start, side)
+    neighbours = detached.edges.faces[crossings.edge]
+    own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
+    # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
+    clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
+    ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
+    meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached
+    radiance = _radiance(detached, view, film_points, u, key, settings)
+    return _Side(radiance, volume(chain.origin, chain.direction, start, side), meets)
+
+
+def _radiance(detached, view: View, film_points, u, key, settings) -> Float[Array, "C 3"]:
+    """Radiance that arrives at film points, by the paths of these numbers."""
+    origin, direction = view.rays(film_points)
+    origin = jnp.broadcast_to(origin, direction.shape)
+    begin, reach = view.clipped(origin, direction)
+    active = jnp.ones(direction.shape[0], bool)
+    face = intersect(detached, begin, direction, active, settings.rays, reach)
+    first = on_fixed_ray(detached, origin, direction, face)
+    return trace_paths(detached, first, direction, u, key, settings).radiance

@@ -1,0 +1,69 @@
+"""Chains of delta lobes: what a ray does between the camera and the first surface that spreads light.
+
+Given the film point and the random numbers that choose lobes, mirrors and smooth glass continue a ray without any
+freedom. So every segment of the chain is a differentiable function of the film point and of the scene.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.vector import dot
+from jaxdr.scene.camera import View
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import intersect, on_fixed_ray
+from jaxdr.transport.shading import Scatterer
+
+
+class ChainSegments(NamedTuple):
+    """B segments of N chains, the camera's first; only `reached` ones mean anything.
+
+    From `origin` in the unit `direction`, both differentiable, to what they hit: its `face`, -1 for none, at `distance`
+    (scene units, infinite for none).
+    """
+
+    origin: Float[Array, "B N 3"]
+    direction: Float[Array, "B N 3"]
+    face: Int[Array, "B N"]
+    distance: Float[Array, "B N"]
+    reached: Bool[Array, "B N"]
+
+
+def delta_chain(
+    packed: PackedScene,
+    view: View,
+    film_points: Float[Array, "N 2"],
+    u: Float[Array, "B N 4"],
+    rays: str,
+    faces: Int[Array, "B N"] | None = None,
+) -> ChainSegments:
+    """The first B segments of paths from film points, as far as lobes are delta lobes.
+
+    `u` are the numbers of all bounces, as `trace_paths` uses them. With `faces`, the hits of a chain that was traced
+    before, nothing is traced: the chain as it goes over these faces.
+    """
+    origin, direction = view.rays(film_points)
+    origin = jnp.broadcast_to(origin, direction.shape)
+    start, reach = view.clipped(origin, direction)
+    everywhere = jnp.ones(direction.shape[0], bool)
+
+    def step(state, inputs):
+        origin, direction, start, reach, reached = state
+        numbers, face = inputs
+        if faces is None:
+            face = intersect(packed, start, direction, reached, rays, reach)
+        point = on_fixed_ray(packed, origin, direction, face)
+        scatterer = Scatterer(packed, point, -direction)
+        delta = scatterer.sample_delta(numbers[:, 2:])
+        goes_on = reached & point.valid & (stop_gradient(delta.probability) > 0)
+        distance = jnp.where(point.valid, dot(point.position - origin, direction), jnp.inf)
+        segment = ChainSegments(origin, direction, face, stop_gradient(distance), reached)
+        onwards = jnp.where(goes_on[:, None], delta.wo, direction)
+        position = jnp.where(goes_on[:, None], point.position, origin)
+        return (position, onwards, scatterer.leave(onwards), jnp.full_like(reach, 1e30), goes_on), segment
+
+    given = jnp.zeros(u.shape[:2], jnp.int32) if faces is None else faces
+    return jax.lax.scan(step, (origin, direction, start, reach, everywhere), (u, given))[1]
