@@ -1,8 +1,11 @@
 """Shapes and dtypes of every public signature are checked by beartype, in the tests only."""
 
+import gc
 import signal
 from pathlib import Path
 
+import jax
+import pytest
 from jaxtyping import install_import_hook
 
 import tests.type_checker  # noqa: F401  the hook names it in a string
@@ -22,3 +25,18 @@ install_import_hook(
     ],
     "tests.type_checker.check",
 )
+
+MAPPINGS = Path("/proc/self/maps")
+MOST_MAPPINGS = 30_000  # Linux gives a process 65530, and XLA's compiler crashes without
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs():
+    """Every compiled program maps memory: forget those of earlier modules before there is no room for more."""
+    yield
+    if MAPPINGS.exists():
+        with MAPPINGS.open() as lines:
+            crowded = sum(1 for _ in lines) > MOST_MAPPINGS
+        if crowded:
+            jax.clear_caches()
+            gc.collect()

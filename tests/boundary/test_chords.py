@@ -68,7 +68,9 @@ def light_of(triangles: int) -> jd.Mesh:
     return jd.Mesh(points, np.concatenate([np.stack([v00, v10, v11], 1), np.stack([v00, v11, v01], 1)]))
 
 
-@pytest.mark.parametrize("triangles", [pytest.param(2, marks=pytest.mark.slow), 8, 50])
+@pytest.mark.parametrize(
+    "triangles", [pytest.param(2, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow), 50]
+)
 def test_length_of_a_shadow_on_a_light(triangles):
     """The outline of a quadrangle's shadow, projected from a floor point onto the plane of a square light."""
     of = scene(sheet(QUADRANGLE, 3.0))

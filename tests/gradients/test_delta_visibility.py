@@ -214,7 +214,7 @@ THING = jd.Shape(tetrahedron([0, 0, 0], 0.5), BLACK)
 @pytest.mark.parametrize(
     ("name", "motion"),
     [
-        ("glass.bsdf.eta", 1.0),
+        pytest.param("glass.bsdf.eta", 1.0, marks=pytest.mark.slow),
         pytest.param("glass.vertices", np.asarray(WEDGE.vertices)[:, :1] * [0, 0, 0.1], marks=pytest.mark.slow),
     ],
     ids=["index", "wedge"],

@@ -124,7 +124,7 @@ CASES = {  # size of the map, its sun, boundary, the bias allowed for: a strip i
     "sun, lines": ((16, 32), SUN, jd.LineSampling(), 0.001),
     "small sun, lines": ((64, 128), 20 * SUN, jd.LineSampling(), 0.001),
 }
-QUICK = ("sun, kernel", "sun, lines")
+QUICK = ("sun, lines",)
 
 
 @pytest.mark.parametrize("case", [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow) for c in CASES])

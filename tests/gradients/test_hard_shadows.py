@@ -136,7 +136,9 @@ def central(function, at, step=1e-5):
     return result
 
 
-@pytest.mark.parametrize("kind", [pytest.param("spot", marks=pytest.mark.slow), "point", "directional"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("spot", marks=pytest.mark.slow), "point", pytest.param("directional", marks=pytest.mark.slow)]
+)
 def test_shadow_of_a_quadrangle(kind):
     """What throws the shadow, the light, the floor and the camera move."""
     light, names = LIGHTS[kind]
@@ -172,6 +174,7 @@ def projected_sum(to_world, fov, height=0.0):
     return REFLECTANCE / np.pi * abs(parts)
 
 
+@pytest.mark.slow
 def test_border_of_a_projected_image():
     """The projector turns, moves and zooms; the floor moves."""
     to_world = np.asarray(jd.look_at([0.4, 1.0, 3.0], [0.2, 0.4, 0.0], [0, 1, 0]))
