@@ -53,7 +53,7 @@ class _Settings(NamedTuple):
 
 
 def render_aovs(
-    scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "warp"
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "auto"
 ) -> dict[str, Array]:
     """What camera rays hit, by name: floats [H, W, C], averaged with the pixel filter, and int32 numbers [H, W].
 

@@ -6,7 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.kernel_density import KernelDensity
-from jaxdr.geometry.queries import IMPLEMENTATIONS
+from jaxdr.geometry.queries import CHOICES
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
@@ -50,7 +50,8 @@ class PathTracer(eqx.Module):
     - `edge_samples`: points on silhouettes, and as many on creases, in the image per path sample. None: 1/8 for direct
       light, 1 with indirect light, whose noise does not cancel between the two sides of a silhouette.
     - `chunk_size`: paths traced at once; memory is proportional to it and independent of the samples per pixel.
-    - `rays`: implementation of the ray queries, "warp" (CPU, CUDA) or "jax".
+    - `rays`: implementation of the ray queries, "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
+      for the first of them that is installed.
     """
 
     max_depth: int = eqx.field(static=True, default=3)
@@ -60,7 +61,7 @@ class PathTracer(eqx.Module):
     antithetic: bool = eqx.field(static=True, default=False)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 16)
-    rays: str = eqx.field(static=True, default="warp")
+    rays: str = eqx.field(static=True, default="auto")
 
     def __check_init__(self):
         if self.max_depth < 1:
@@ -68,7 +69,7 @@ class PathTracer(eqx.Module):
         for name, known in (
             ("primary", ("fixed_ray", "material")),
             ("sampling", ("mis", "emitter")),
-            ("rays", IMPLEMENTATIONS),
+            ("rays", CHOICES),
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")

@@ -21,7 +21,7 @@ install_import_hook(
     [
         ".".join(path.relative_to(ROOT).with_suffix("").parts)
         for path in (ROOT / "jaxdr").rglob("*.py")
-        if not path.name.startswith(("warp", "__init__"))
+        if not path.name.startswith(("warp", "embree", "__init__"))
     ],
     "tests.type_checker.check",
 )

@@ -199,7 +199,7 @@ def test_wrong_samples(arguments, message):
     "arguments, message",
     [
         ({"max_depth": 0}, "max_depth must be at least 1"),
-        ({"rays": "embree"}, "rays must be one of warp, jax; got 'embree'"),
+        ({"rays": "optix"}, "rays must be one of auto, embree, warp, jax; got 'optix'"),
         ({"chunk_size": 0}, "chunk_size must be positive"),
         ({"edge_samples": 0.0}, "must be positive"),
     ],

@@ -1,10 +1,13 @@
-"""Ray queries: one interface, two implementations (`warp`, `jax`).
+"""Ray queries: one interface, three implementations (`embree`, `warp`, `jax`), and `auto` for the first there is.
+
+`embree` traces nearest hits and occlusion on the CPU, two to three times as fast as Warp, which does everything else.
 
 Queries answer discrete questions in float32 (which face, which edge, occluded or not) and have no derivative: their
 inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vmap` a batch of rays against one geometry
 becomes one larger batch of rays.
 """
 
+import importlib.util
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -16,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry import jax_queries, jax_sector
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 
-IMPLEMENTATIONS = ("warp", "jax")
+IMPLEMENTATIONS = ("embree", "warp", "jax")
+CHOICES = ("auto", *IMPLEMENTATIONS)
 
 
 class Hit(NamedTuple):
@@ -62,13 +66,19 @@ class Crossings(NamedTuple):
 
 
 def _module(implementation: str) -> Any:
+    if implementation == "auto":
+        implementation = "embree" if importlib.util.find_spec("embreex") else "warp"
     if implementation == "jax":
         return jax_queries
     if implementation == "warp":
         from jaxdr.geometry import warp_queries  # imported on use: a GPU that Warp does not know needs only `jax`
 
         return warp_queries
-    raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(IMPLEMENTATIONS)}")
+    if implementation == "embree":
+        from jaxdr.geometry import embree_queries
+
+        return embree_queries
+    raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(CHOICES)}")
 
 
 def _discrete(*arrays):
@@ -133,7 +143,7 @@ def closest_hit(
     origin: Float[Array, "N 3"],
     direction: Float[Array, "N 3"],
     t_max: Float[Array, " N"],
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Hit:
     """The nearest face on each ray `origin + t direction`, 0 < t < `t_max`; t counts in lengths of `direction`."""
     query = _over_rays(_module(implementation).closest_hit, 2)
@@ -146,7 +156,7 @@ def occluded(
     origin: Float[Array, "N 3"],
     direction: Float[Array, "N 3"],
     t_max: Float[Array, " N"],
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Bool[Array, " N"]:
     """Whether any face lies on each ray before `t_max`; a ray with `t_max` <= 0 is free."""
     query = _over_rays(_module(implementation).occluded, 2)
@@ -160,7 +170,7 @@ def all_hits(
     direction: Float[Array, "N 3"],
     t_max: Float[Array, " N"],
     capacity: int = 16,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> AllHits:
     """Every face on each ray before `t_max`: the nearest `capacity` of them, sorted, and how many there are."""
     module = _module(implementation)
@@ -182,7 +192,7 @@ def edge_candidates(
     seed: Int[Array, ""],
     capacity: int,
     both_sides: bool = False,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Candidates:
     """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
 
@@ -214,7 +224,7 @@ def edge_tree(
     interior: Bool[Array, " E"],
     radius: Float[Array, " E"],
     counts: Sequence[int] | None = None,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> EdgeTree:
     """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
     if implementation == "jax":
@@ -241,7 +251,7 @@ def point_candidates(
     seed: Int[Array, ""],
     capacity: int,
     both_sides: bool = False,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Candidates:
     """Points on silhouette edges whose projection from `apex` onto the plane (target, normal) is near `target`.
 
@@ -277,7 +287,7 @@ def sector_crossings(
     seed: Int[Array, ""],
     least_layer: int,
     capacity: int,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Crossings:
     """Where silhouettes, seen from `apex`, cross chords from `first` to `last` and bound what is visible of them.
 

@@ -28,6 +28,18 @@ def normalize(a: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
     return jnp.where(positive, a / jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
+def interpolate(corners: Float[Array, "*n 3 d"], barycentric: Float[Array, "*n 3"]) -> Float[Array, "*n d"]:
+    """Values between those at the corners of faces. Written out: XLA's CPU compiler makes slow sums over short axes."""
+    a, b, c = (corners[..., k, :] * barycentric[..., k, None] for k in range(3))
+    return a + b + c
+
+
+def transform(matrix: Float[Array, "3 3"], v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """matrix @ v for every row; written out for the same reason."""
+    x, y, z = (v[..., k, None] * matrix[:, k] for k in range(3))
+    return x + y + z
+
+
 def orthonormal_basis(n: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
     """Two tangents that complete unit `n` to a right-handed frame (Duff et al. 2017, branchless)."""
     x, y, z = n[..., 0], n[..., 1], n[..., 2]

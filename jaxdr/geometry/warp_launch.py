@@ -23,8 +23,8 @@ def on_host(array: wp.array) -> np.ndarray:
     return array.numpy()
 
 
-def launch(kernel, count: int, leading: list, rest: list, device) -> None:
-    """Run `kernel(*leading, start, *rest)` over `count` rays."""
+def launch(kernel, count: int, leading: list, rest: list, device, each: int = SLICE) -> None:
+    """Run `kernel(*leading, start, *rest)` over `count` rays, or packets of them, `each` at a time."""
     if count == 0:
         return
     if not device.is_cpu:
@@ -33,10 +33,10 @@ def launch(kernel, count: int, leading: list, rest: list, device) -> None:
     wp.load_module(kernel.module, device=device)
 
     def run(start):
-        size = min(SLICE, count - start)
+        size = min(each, count - start)
         wp.launch(kernel, dim=size, inputs=[*leading, start, *rest], device=device, record_tape=False)
 
-    jobs = [_pool.submit(run, start) for start in range(0, count, SLICE)]
+    jobs = [_pool.submit(run, start) for start in range(0, count, each)]
     wait(jobs)
     for job in jobs:
         job.result()

@@ -51,12 +51,13 @@ def assert_same_faces(vertices, faces, origin, direction, first, second):
         assert tie, f"ray {i}: face {first[i]} or {second[i]}, and no edge is near"
 
 
+@pytest.mark.parametrize("implementation", ["embree", "warp"])
 @pytest.mark.parametrize("name", MESHES)
-def test_closest_hit(name):
-    """Warp, Embree and the plain JAX implementation find the same faces, at the distances that float64 gives."""
+def test_closest_hit(name, implementation):
+    """All implementations and trimesh's Embree find the same faces, at the distances that float64 gives."""
     vertices, faces = arrays(make(name))
     origin, direction = random_rays(vertices, 4000, seed=11)
-    face, t = closest(vertices, faces, origin, direction, "warp")
+    face, t = closest(vertices, faces, origin, direction, implementation)
     assert 0.02 < np.mean(face >= 0) < 1.0, "the rays don't test much"
     assert_same_faces(vertices, faces, origin, direction, face, embree(vertices, faces, origin, direction))
 
@@ -76,7 +77,7 @@ def test_closest_hit(name):
 @pytest.mark.parametrize("name", ["sphere, tiny", "bumps, far away", "trefoil", "box"])
 def test_occluded_agrees_with_the_closest_hit(name, implementation):
     vertices, faces = arrays(make(name))
-    count = 4000 if implementation == "warp" else 200
+    count = 4000 if implementation != "jax" else 200
     origin, direction = random_rays(vertices, count, seed=12)
     face, t = closest(vertices, faces, origin, direction, "warp")
     rng = np.random.default_rng(13)
@@ -148,7 +149,10 @@ def test_all_hits_beyond_the_capacity_are_counted(implementation):
 @pytest.mark.parametrize("matrix", SCALES.values(), ids=SCALES)
 @pytest.mark.parametrize("shape", ["sphere", "box", "torus"])
 def test_watertight(shape, matrix):
-    """Nothing leaks: rays from inside a closed mesh, aimed at its vertices and at points of its edges, all hit it."""
+    """Nothing leaks: rays from inside a closed mesh, aimed at its vertices and at points of its edges, all hit it.
+
+    With Embree next to nothing.
+    """
     mesh = {
         "sphere": lambda: shapes.sphere(2),
         "box": lambda: shapes.box((1.0, 2.0, 1.5)),
@@ -167,13 +171,14 @@ def test_watertight(shape, matrix):
     origin = np.repeat(np.float32(inside)[:, :3], len(aims), axis=0)
     direction = np.float32(np.tile(aims, (len(inside), 1)) - origin)
     for implementation in IMPLEMENTATIONS:
-        some = slice(None, None, 1 if implementation == "warp" else 7)
+        some = slice(None, None, 1 if implementation != "jax" else 7)
         n = len(origin[some])
         rays = vertices, faces, origin[some], direction[some], np.full(n, FAR)
         face, _ = ask(queries.closest_hit, *rays, implementation=implementation)
-        assert np.all(face >= 0), f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
+        most = 1e-3 * n if implementation == "embree" else 0  # see `embree_scene.ROBUST`
+        assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
         blocked = ask(queries.occluded, *rays, implementation=implementation)
-        assert np.all(blocked), f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
+        assert np.sum(~blocked) <= most, f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
         count = ask(queries.all_hits, *rays, capacity=4, implementation=implementation).count
         assert np.all(count >= 1), f"{implementation}: all_hits leaks {np.sum(count == 0)} of {n}"
 
@@ -184,7 +189,7 @@ def test_no_self_intersection(matrix, implementation):
     """Points on a convex closed surface see everything in front of their tangent plane: rays start off the surface."""
     vertices, faces = arrays(shapes.transformed(shapes.sphere(2), matrix))
     rng = np.random.default_rng(17)
-    n = 20000 if implementation == "warp" else 400
+    n = 20000 if implementation != "jax" else 400
     face = rng.integers(len(faces), size=n)
     barycentric = rng.dirichlet([0.3, 0.3, 0.3], n).astype(np.float32)  # many close to the sides of their faces
     corners = vertices[faces[face]]
@@ -207,8 +212,10 @@ def test_no_self_intersection(matrix, implementation):
 def test_unknown_implementation():
     vertices, faces = arrays(make("box"))
     rays = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
-    with pytest.raises(ValueError, match="unknown query implementation 'embree'; expected one of warp, jax"):
-        closest(vertices, faces, *rays, "embree")
+    with pytest.raises(
+        ValueError, match="unknown query implementation 'optix'; expected one of auto, embree, warp, jax"
+    ):
+        closest(vertices, faces, *rays, "optix")
 
 
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
