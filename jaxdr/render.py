@@ -35,9 +35,11 @@ from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.radiance import arriving_radiance
 
 # Parameters of lights without area that move their shadows.
 PLACES = ("position", "direction", "to_world", "fov")
+IMAGE_CHUNK = 4  # times the paths of a chunk at once for images that nobody differentiates
 
 
 class Moving(NamedTuple):
@@ -198,11 +200,15 @@ def _bends(active: BSDF) -> bool:
 
 
 def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Moving | None) -> dict:
-    """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel."""
+    """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel.
+
+    Without `moving` the terms are those of an image that nobody differentiates: the interior's value alone.
+    """
     packed = pack(scene)
     _, _, width, height = scene.camera.film.window
     pixels = width * height
-    chunks = -(-spp * pixels // integrator.chunk_size)
+    # Images keep nothing of their paths, and those that go on should fill blocks for long.
+    chunks = -(-spp * pixels // (integrator.chunk_size * (IMAGE_CHUNK if moving is None else 1)))
     chunks = min(chunks, spp)
     per_chunk = -(-spp // chunks)
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
@@ -218,6 +224,8 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
+        if moving is None:
+            return _image_chunk(packed, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
         return _chunk(packed, prepared, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
 
     if chunks == 1:
@@ -286,6 +294,25 @@ def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -
     return Prepared(edges, boundary, shadows, chains)
 
 
+def _image_chunk(packed: PackedScene, samples, key, chunk_key, spp, integrator) -> dict:
+    """The same as `_chunk` in value, for images that nobody differentiates."""
+    settings = integrator.settings
+    primary = primary_samples(packed, samples, key, settings.rays, "fixed", integrator.antithetic)
+    radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, chunk_key, settings)
+    return {"interior": _pixel_sums(packed, radiance, _weights(samples, spp, radiance.dtype))}
+
+
+def _weights(samples, spp: int, dtype) -> Float[Array, " n"]:
+    """What samples by their numbers count in their pixels."""
+    return jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
+
+
+def _pixel_sums(packed: PackedScene, values: Float[Array, "N 3"], weight: Float[Array, " n"]) -> Float[Array, "H W 3"]:
+    """Image of values of all samples, those of a pixel in a row."""
+    _, _, width, height = packed.camera.film.window
+    return (values.reshape(width * height, -1, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
+
+
 def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_key, spp, integrator) -> dict:
     """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero."""
     _, _, width, height = packed.camera.film.window
@@ -298,11 +325,10 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
     primary = primary_samples(packed, samples, key, settings.rays, form, integrator.antithetic)
     record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
     radiance = record.radiance * primary.weight[:, None]
-
-    weight = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(radiance.dtype)
+    weight = _weights(samples, spp, radiance.dtype)
 
     def gather(values):
-        return (values.reshape(pixels, count, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
+        return _pixel_sums(packed, values, weight)
 
     terms = {"interior": gather(radiance)}
     if prepared is None:

@@ -1,7 +1,7 @@
 """Where the time of a forward image goes: one bounce taken apart, its pieces timed as programs of their own.
 
-The pieces get what they get in the path tracer: the first hits of a chunk of camera rays, and directions, emitter
-samples and hits that come from them.
+The pieces get what they get in the path tracer: a block of first hits that scatter, and directions, emitter samples and
+hits that come from them.
 """
 
 import statistics
@@ -16,34 +16,39 @@ from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sam
 from jaxdr.transport.interaction import detached_barycentric, intersect, leave, material_point
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.radiance import BLOCK, arriving_radiance
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 
 CALLS = 5
-RAYS = "warp"
+RAYS = "auto"
 
 
 def pieces(scene, settings, samples):
-    """Name -> seconds a call, for all pixels and `samples` samples each; and the share of paths that go on."""
+    """(name -> seconds a path or, but for the first and last, a vertex; vertices that scatter, a path).
+
+    From all pixels with `samples` samples each.
+    """
     key = jax.random.key(0)
     packed = jax.jit(pack)(scene)
     _, _, width, height = scene.camera.film.window
     count = width * height * samples
-    u = uniform(key, (count, 4))
     state = {}
 
-    def timed(name, function, *arguments):
+    def timed(name, function, *arguments, each=BLOCK):
         program = jax.jit(function)
         answer = jax.block_until_ready(program(*arguments))
         seconds = [common.seconds_of(program, *arguments)[1] for _ in range(CALLS)]
-        state[name] = statistics.median(seconds)
+        state[name] = statistics.median(seconds) / each
         return answer
 
     def camera(packed):
         return primary_samples(packed, jnp.arange(samples), key, RAYS, "fixed")
 
-    primary = timed("camera rays, their hits", camera, packed)
-    point, wi = primary.first, -primary.direction
+    primary = timed("camera rays, their hits", camera, packed, each=count)
+    vertices = jax.jit(lambda packed: _vertices(packed, primary, key, settings))(packed)
+    rows = jnp.resize(jnp.flatnonzero(primary.first.valid), BLOCK)
+    point, wi, u = jax.tree.map(lambda x: x[rows], (primary.first, -primary.direction, uniform(key, (count, 4))))
 
     emitter = timed("emitter samples", lambda packed, u: sample_emitter(packed, u[:, :2]), packed, u)
 
@@ -99,23 +104,26 @@ def pieces(scene, settings, samples):
 
     def whole(packed):
         primary = camera(packed)
-        return trace_paths(packed, primary.first, primary.direction, primary.u, key, settings).radiance
+        return arriving_radiance(packed, primary.first, primary.direction, primary.u, key, settings)
 
-    timed("all of it", whole, packed)
-    return state, float(jnp.mean(active & (face >= 0)))
+    timed("all of it", whole, packed, each=count)
+    return state, float(vertices)
+
+
+def _vertices(packed, primary, key, settings):
+    """Mean number of vertices of a path that scatter."""
+    record = trace_paths(packed, primary.first, primary.direction, primary.u, key, settings)
+    return (record.direct.throughput > 0).any(-1).sum(0).mean()
 
 
 def report(scene, settings, samples):
-    """Rows of the table: milliseconds and share of a million paths, pieces of a bounce times the number of bounces."""
-    seconds, alive = pieces(scene, settings, samples)
-    _, _, width, height = scene.camera.film.window
-    million = width * height * samples / 1e6
-    bounces = settings.max_depth - 1
+    """Rows of the table, seconds and share of a million paths: pieces of a vertex times the vertices of a path."""
+    seconds, vertices = pieces(scene, settings, samples)
     whole = seconds.pop("all of it")
     rows = []
     for name, value in seconds.items():
-        total = value * (1 if name.startswith("camera") else bounces)
-        rows.append({"piece": name, "seconds": total / million, "share": total / whole})
+        total = value * (1 if name.startswith("camera") else vertices)
+        rows.append({"piece": name, "seconds": total * 1e6, "share": total / whole})
     rows.append({"piece": "sum", "seconds": sum(r["seconds"] for r in rows), "share": sum(r["share"] for r in rows)})
-    rows.append({"piece": "all in one program", "seconds": whole / million, "share": 1.0})
-    return rows, alive
+    rows.append({"piece": "all in one program", "seconds": whole * 1e6, "share": 1.0})
+    return rows, vertices

@@ -69,10 +69,11 @@ def measure(path, case, size, spp, rounds, profile):
     row |= {"ratio": statistics.median(ratios), "least": min(ratios), "most": max(ratios), "pairs": pairs}
     row["brightness"] = float(np.mean(images[0]) / np.mean(images[1]))
     if not profile:
-        return row, [], 1.0
+        return row, [], 0.0
     from experiments.forward_cost.profile import report
+    from jaxdr.render import IMAGE_CHUNK
 
-    samples = max(1, tracer.chunk_size // (size * size))
+    samples = max(1, IMAGE_CHUNK * tracer.chunk_size // (size * size))
     return row, *report(scene, tracer.settings, samples)
 
 
@@ -88,13 +89,13 @@ def main():
     for name, case in scenes(size).items():
         path = work / f"{name.replace(' ', '_')}.xml"
         path.write_text(case.xml)
-        row, profile, alive = common.in_fresh_process(measure, path, case, size, spp, rounds, options.profile)
+        row, profile, vertices = common.in_fresh_process(measure, path, case, size, spp, rounds, options.profile)
         rows.append({"scene": name, "max_depth": case.max_depth, **row})
         print(f"{name}: {row['ours']:.2f} Mpaths/s, {row['ratio']:.3f} of Mitsuba's", flush=True)
         if profile:
-            profiles[name] = {"rows": profile, "alive": alive}
+            profiles[name] = {"rows": profile, "vertices": vertices}
             text += [f"### {name}", "", common.table(profile, PROFILE), ""]
-            text += [f"{alive:.0%} of the paths hit something behind their first vertex.", ""]
+            text += [f"A path has {vertices:.2f} vertices that scatter.", ""]
     report = "\n".join([common.table(rows, COLUMNS), "", *text])
     print("\n" + report)
     (folder / "table.md").write_text(report)

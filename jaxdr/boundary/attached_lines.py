@@ -36,7 +36,8 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_pdf
 from jaxdr.transport.interaction import SurfacePoint, either, material_point
-from jaxdr.transport.path import PathSettings, gathered_radiance
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import gathered_radiance
 from jaxdr.transport.sampler import lattice
 
 FLAT = 1e-6  # radians: faces that fold by less continue each other
@@ -217,13 +218,15 @@ class AttachedLines:
         key_first, key_path = jax.random.split(key)
         u = lattice(key_first, 1, number, 4, seen.distance.dtype)[0]
         remaining = jnp.where(valid, bounces - seen.segment // self.paths.paths, 0)
+        point = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), sides._replace(valid=sides.valid & valid))
+        towards, u, remaining, stream = (
+            jnp.concatenate([x, x]) for x in (seen.towards, u, remaining, jnp.arange(u.shape[0]))
+        )
         key_path = jax.random.fold_in(key_path, number[0])
-
-        def radiance(point):
-            point = point._replace(valid=point.valid & valid)
-            return gathered_radiance(self.detached, point, seen.towards, u, key_path, self.settings, bounces, remaining)
-
-        return jax.vmap(radiance)(sides)
+        settings = self.settings
+        return gathered_radiance(
+            self.detached, point, towards, u, key_path, settings, bounces, remaining, stream
+        ).reshape(2, -1, 3)
 
     def _motion(self, found: Crossings, seen: SeenEdges) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
         """(of the edge as seen from the apex, of that direction in the lobe): along the pole, zero in value."""

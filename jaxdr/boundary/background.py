@@ -18,7 +18,8 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
-from jaxdr.transport.path import PathSettings, gathered_radiance
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import gathered_radiance
 from jaxdr.transport.sampler import lattice
 
 # Emitted radiance that counts, of a background point seen in a direction from an apex.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -107,7 +107,7 @@ class PathSegments:
         apex = self.apex(index).position
         corners = self.packed.vertices[self.packed.faces[face]]
         normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-        on_face = (corners * barycentric[..., None]).sum(1)
+        on_face = interpolate(corners, barycentric)
         far = infinite[:, None]
         attached, seen = self._attached(index, apex)
         if seen is not None:
@@ -242,7 +242,7 @@ def project_edges(
     corners = stop_gradient(ends.corners)
     barycentric = affine_coordinates(corners, on_plane)
     rate = affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
-    rigid = (ends.corners * barycentric[..., None]).sum(1)
+    rigid = interpolate(ends.corners, barycentric)
     sky = on_plane - apex if ends.turn is None else (on_plane - apex) @ ends.turn.T
     material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
     # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, interpolate
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -66,7 +66,7 @@ def _beside(packed: PackedScene, edge: Int[Array, " C"]):
 
 
 def _uv(packed, point):
-    return (packed.uvs[packed.uv_faces[point.face]] * point.barycentric[..., None]).sum(1)
+    return interpolate(packed.uvs[packed.uv_faces[point.face]], point.barycentric)
 
 
 def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool, attached: float) -> None:

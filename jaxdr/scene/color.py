@@ -8,7 +8,8 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     """Of linear RGB (Rec. 709 primaries)."""
-    return rgb @ jnp.asarray(LUMINANCE, rgb.dtype)
+    red, green, blue = (share * rgb[..., k] for k, share in enumerate(LUMINANCE))
+    return red + green + blue
 
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:

@@ -13,7 +13,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
-from jaxdr.geometry.vector import normalize
+from jaxdr.geometry.vector import normalize, transform
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.sampling import linear, search_sorted_rows
@@ -137,7 +137,7 @@ class LatLongSampler(DirectionSampler):
         sine = jnp.sqrt((1.0 - cosine) * (1.0 + cosine))
         longitude = (column + 0.5 + along) * (2 * math.pi / width)
         local = jnp.stack([sine * jnp.sin(longitude), cosine, -sine * jnp.cos(longitude)], -1)
-        return stop_gradient(normalize(local @ self.to_world.T))
+        return stop_gradient(normalize(transform(self.to_world, local)))
 
     def pdf(self, direction):
         height, width = self.corners.shape
@@ -182,7 +182,7 @@ def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
 
 def _to_map(to_world: Float[Array, "3 3"], direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """World directions in the map's frame; not unit where the matrix scales."""
-    return direction @ to_world
+    return transform(to_world.T, direction)
 
 
 def _angles(local: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:

@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import dot, interpolate, norm, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
@@ -146,7 +146,7 @@ class PackedScene(eqx.Module):
 
     def turned(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Directions to the environment, fixed in value, as they turn with it where `environment_turns`."""
-        return direction @ self.environment.turn().T if self.environment_turns else direction
+        return transform(self.environment.turn(), direction) if self.environment_turns else direction
 
     @property
     def light_count(self) -> int:
@@ -157,7 +157,7 @@ class PackedScene(eqx.Module):
         """Where textures are looked up, from faces and barycentric coordinates."""
         uv = None
         if self.uvs is not None:
-            uv = (self.uvs[self.uv_faces[face]] * on_face[..., None]).sum(1)
+            uv = interpolate(self.uvs[self.uv_faces[face]], on_face)
         first = jnp.asarray(self.first_vertex, jnp.int32)[self.face_shape[face]]
         return TexturePoint(uv, on_face, self.faces[face] - first[:, None])
 

@@ -8,7 +8,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 
 # Ray origins leave the surface by this share of the largest coordinate involved: some 32 float32 roundings.
@@ -68,7 +68,7 @@ def _shading_normal(packed: PackedScene, face, barycentric, normal):
     if packed.normals is None:
         return normal
     groups = packed.normal_faces[face]
-    interpolated = normalize((packed.normals[groups] * barycentric[..., None]).sum(1))
+    interpolated = normalize(interpolate(packed.normals[groups], barycentric))
     return jnp.where(groups[:, :1] >= 0, interpolated, normal)
 
 
@@ -87,13 +87,19 @@ def on_fixed_ray(
     t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
     position = origin + t[:, None] * direction
     barycentric = _barycentric(corners, position, normal2)
-    scale = jnp.maximum(_largest(corners), jnp.abs(stop_gradient(origin)).max(-1))
+    scale = jnp.maximum(_largest(corners), _max_of_three(jnp.abs(stop_gradient(origin))))
     return _surface_point(packed, valid, face, barycentric, position, corners, normal2, scale)
 
 
 def _largest(corners):
     """Largest coordinate of the corners of each face, detached."""
-    return jnp.abs(stop_gradient(corners)).max((1, 2))
+    size = jnp.abs(stop_gradient(corners))
+    return _max_of_three(jnp.maximum(jnp.maximum(size[:, 0], size[:, 1]), size[:, 2]))
+
+
+def _max_of_three(v: Float[Array, "N 3"]) -> Float[Array, " N"]:
+    """Written out, see `vector.interpolate`."""
+    return jnp.maximum(jnp.maximum(v[:, 0], v[:, 1]), v[:, 2])
 
 
 def material_point(
@@ -103,7 +109,7 @@ def material_point(
     barycentric = stop_gradient(barycentric)
     corners = packed.vertices[packed.faces[face]]
     normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    position = (corners * barycentric[..., None]).sum(1)
+    position = interpolate(corners, barycentric)
     return _surface_point(packed, valid, face, barycentric, position, corners, normal2, _largest(corners))
 
 

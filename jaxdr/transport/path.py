@@ -183,26 +183,6 @@ def trace_jump(
     return radiance + parts.light.sum(0) + parts.emission.sum(0)
 
 
-def gathered_radiance(
-    packed: PackedScene,
-    point: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
-    key: PRNGKeyArray,
-    settings: PathSettings,
-    bounces: int,
-    remaining: Int[Array, " N"],
-) -> Float[Array, "N 3"]:
-    """Radiance that surface points scatter back against `direction`, without what they emit; of a detached scene.
-
-    Paths scatter `remaining` times, at most `bounces`.
-    """
-    settings = settings._replace(attached=0.0)  # all forms are one where nothing moves
-    parts = _gather(packed, Scatterer(packed, point, -direction), bounces, u, key, settings, None)
-    counts = (jnp.arange(bounces)[:, None] < remaining)[..., None]
-    return jnp.where(counts, parts.light + parts.emission, 0.0).sum(0)
-
-
 def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     """All bounces of paths from their first vertex on, [B, N, ...]."""
 
@@ -216,13 +196,13 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     throughput = jnp.ones_like(scatterer.point.position)
     found_by_rays = settings.mis or packed.has_delta_lobes
     if bounces == 1 and not found_by_rays:
-        return _stack(_last_bounce(packed, scatterer, throughput, u, settings, near))
-    state, added = _bounce(packed, scatterer, throughput, u, settings, near)
+        return _stack(scatter_last(packed, scatterer, throughput, u, settings, near))
+    state, added = scatter(packed, scatterer, throughput, u, settings, near)
     parts = [_stack(added)]
 
     def step(state, bounce):
         point, wi, throughput = state
-        return _bounce(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
+        return scatter(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
 
     last = bounces if found_by_rays else bounces - 1
     if last > 1:
@@ -231,7 +211,7 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     if last < bounces:
         point, wi, throughput = state
         scatterer = Scatterer(packed, point, wi)
-        parts.append(_stack(_last_bounce(packed, scatterer, throughput, numbers(last), settings)))
+        parts.append(_stack(scatter_last(packed, scatterer, throughput, numbers(last), settings)))
     return jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
 
 
@@ -348,14 +328,14 @@ def _share(weight, delta):
     return (weight if delta is None else jnp.where(delta, 1.0, weight))[:, None]
 
 
-def _last_bounce(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
+def scatter_last(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
     """A vertex behind which paths end: emitter sampling alone."""
     light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
     unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, unlit=None, lobe=jnp.zeros_like(light))
     return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
 
 
-def _bounce(packed, scatterer, throughput, u, settings, near=None):
+def scatter(packed, scatterer, throughput, u, settings, near=None):
     """((next vertex, direction back from it, throughput), what this vertex adds): light, and BSDF sampling.
 
     The weight of the BSDF-sampled segment is its BSDF value times geometric term, for `trace_paths` to divide by.

@@ -38,3 +38,26 @@ def lattice(
     shift = jax.random.bits(key, (pixels, 1, dimensions), jnp.uint32)
     steps = jnp.asarray(_generators(dimensions), jnp.uint32)
     return _to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
+
+
+def path_numbers(key: PRNGKeyArray, number: Int[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
+    """Four uniform numbers for every path at a bounce, [n, 4]: functions of the path's number, wherever its row is.
+
+    The hash pcg4d of Jarzynski and Olano 2020, "Hash functions for GPU rendering", of number, bounce and two words from
+    the key.
+    """
+    words = jax.random.bits(key, (2,), jnp.uint32)
+    v = [number.astype(jnp.uint32), jnp.asarray(bounce).astype(jnp.uint32) ^ jnp.zeros_like(number, jnp.uint32)]
+    v = [x * jnp.uint32(1664525) + jnp.uint32(1013904223) for x in (*v, words[0], words[1])]
+    v = _mixed(v)
+    v = _mixed([x ^ (x >> 16) for x in v])
+    return _to_unit(jnp.stack(v, -1), jnp.dtype(dtype).type)
+
+
+def _mixed(v: list) -> list:
+    x, y, z, w = v
+    x = x + y * w
+    y = y + z * x
+    z = z + x * y
+    w = w + y * z
+    return [x, y, z, w]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from jaxdr.transport.sampler import FIRST_DIMENSIONS, lattice, uniform
+from jaxdr.transport.sampler import FIRST_DIMENSIONS, lattice, path_numbers, uniform
 
 KEY = jax.random.key(30)
 
@@ -85,3 +85,19 @@ def test_samples_of_a_pixel_leave_no_gaps():
     """64 points in one dimension: no gap is wider than five average ones (independent points: ten)."""
     u = np.sort(points(50, 64), axis=1)
     assert np.diff(u, axis=1, append=u[:, :1] + 1).max() < 5 / 64
+
+
+def test_numbers_of_paths():
+    """Uniform in every dimension, in pairs of dimensions, from one path or bounce to the next; a path keeps its own."""
+    paths = jnp.arange(40_000)
+    first, second = (np.asarray(path_numbers(KEY, paths, bounce)) for bounce in (0, 1))
+    assert first.shape == (40_000, 4) and first.dtype == np.float32
+    assert np.all(first >= 0) and np.all(first < 1)
+    columns = [*first.T, *second.T, *np.roll(first, 1, axis=0).T]
+    for i, a in enumerate(columns):
+        assert kstest(a, "uniform").pvalue > 1e-4
+        for b in columns[:i]:
+            counts = np.bincount((a * 8).astype(int) * 8 + (b * 8).astype(int), minlength=64)
+            assert np.sum((counts - 625) ** 2 / 625) < chi2.ppf(1 - 1e-6, 63)
+    np.testing.assert_array_equal(first[[7, 3000]], path_numbers(KEY, jnp.array([7, 3000]), 0))
+    assert np.all(first != np.asarray(path_numbers(jax.random.key(31), paths, 0)))

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, norm, normalize, transform
 from jaxdr.scene.film import Film
 
 
@@ -48,7 +48,7 @@ class View(eqx.Module):
 
     def local(self, points: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """World points in the frame (left, up, forward)."""
-        return (points - self.position) @ self.inverse.T
+        return transform(self.inverse, points - self.position)
 
     def project(self, points: Float[Array, "*#n 3"]) -> Float[Array, "*#n 2"]:
         """Film points of world points; those in front of a pinhole."""
@@ -99,7 +99,7 @@ class PinholeView(View):
     def rays(self, film_points):
         tangent = (self.centre - film_points) / self.pixels
         local = jnp.concatenate([tangent, jnp.ones_like(tangent[..., :1])], -1)
-        return self.position, normalize(local @ self.matrix.T)
+        return self.position, normalize(transform(self.matrix, local))
 
     def project_local(self, local):
         return self.centre - self.pixels * local[..., :2] / local[..., 2:]

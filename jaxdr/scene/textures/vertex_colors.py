@@ -3,6 +3,7 @@
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.vector import interpolate
 from jaxdr.scene.textures.base import Texture, channels_last
 
 
@@ -23,4 +24,4 @@ class VertexColors(Texture):
         return (self.colors,)
 
     def lookup(self, row, point):
-        return (self.colors[row[:, None], point.vertices] * point.barycentric[..., None]).sum(1)
+        return interpolate(self.colors[row[:, None], point.vertices], point.barycentric)

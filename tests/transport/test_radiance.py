@@ -1,0 +1,105 @@
+"""Radiance in value alone: that of the paths with a record, whatever blocks they are worked on in."""
+
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxdr as jd
+from jaxdr.geometry.shapes import rectangle, sphere
+from jaxdr.scene.packed import pack
+from jaxdr.transport import radiance
+from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.primary import primary_samples
+
+KEY = jax.random.key(50)
+
+
+@cache
+def scene() -> jd.Scene:
+    """Two bodies under a lamp and a dim sky: many paths leave at once, some go on for long."""
+    shapes = {
+        "floor": jd.Shape(rectangle(4.0, 4.0), jd.TwoSided(jd.Diffuse([0.7, 0.5, 0.3]))),
+        "matt": jd.Shape(sphere(2, 0.6, (-0.8, 0.0, 0.6)), jd.Diffuse(0.8)),
+        "glass": jd.Shape(sphere(2, 0.6, (0.8, 0.0, 0.7)), jd.Dielectric()),
+        "lamp": jd.Shape(rectangle(1.0, 1.0, (0.0, 0.0, 3.0)), jd.TwoSided(jd.Diffuse(0.5)), jd.AreaEmitter(6.0)),
+    }
+    camera = jd.Perspective(jd.look_at([0, -6, 2.5], [0, 0, 0.5], [0, 0, 1]), 40.0, jd.Film(24, 16, jd.Box()))
+    return jd.Scene(shapes, camera, environment=jd.ConstantEnvironment(0.2))
+
+
+def both(key, depth, mis=True, samples=4):
+    """(radiance in value alone, radiance of the record) of all pixels."""
+    return traced(scene(), key, depth, mis, samples)
+
+
+@partial(jax.jit, static_argnames=("depth", "mis", "samples"))
+def traced(scene, key, depth, mis, samples):
+    packed, settings = pack(scene), PathSettings(depth, mis, "auto")
+    primary = primary_samples(packed, jnp.arange(samples), key, "auto", "fixed")
+    arguments = packed, primary.first, primary.direction, primary.u, jax.random.fold_in(key, 1), settings
+    return radiance.arriving_radiance(*arguments), trace_paths(*arguments).radiance
+
+
+@pytest.mark.parametrize("depth, mis", [(1, True), (2, True), (2, False)])
+def test_one_bounce_is_the_same_to_rounding(depth, mis):
+    """The first bounce's random numbers are the caller's."""
+    quick, recorded = both(KEY, depth, mis)
+    np.testing.assert_allclose(quick, recorded, rtol=2e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("mis", [True, False])
+def test_more_bounces_agree_in_the_mean(mis):
+    rows = []
+    for i in range(12):
+        quick, recorded = both(jax.random.fold_in(KEY, i), 6, mis, samples=32)
+        rows.append((quick - recorded).mean(0))
+    mean, error = np.mean(rows, 0), np.std(rows, 0, ddof=1) / np.sqrt(len(rows))
+    assert np.all(np.abs(mean) < 4.5 * error)
+    assert np.all(error < 0.01 * np.mean(recorded, 0))
+
+
+def test_blocks_do_not_matter(monkeypatch):
+    expected = both(KEY, 6)[0]
+    for size in (100, 1000):
+        monkeypatch.setattr(radiance, "BLOCK", size)
+        traced.clear_cache()
+        np.testing.assert_allclose(both(KEY, 6)[0], expected, rtol=1e-5, atol=1e-6)
+    traced.clear_cache()
+
+
+def test_remaining_bounces_and_streams():
+    """Every path scatters as often as it may; those of one stream see the same random numbers throughout."""
+    packed, settings = pack(scene()), PathSettings(5, True, "auto")
+    primary = primary_samples(packed, jnp.arange(2), KEY, "auto", "fixed")
+    count = len(primary.direction)
+
+    def gathered(bounces, remaining=None, copies=1, stream=None):
+        many = jax.tree.map(lambda x: jnp.concatenate([x] * copies), (primary.first, primary.direction, primary.u))
+        return np.asarray(radiance.gathered_radiance(packed, *many, KEY, settings, bounces, remaining, stream))
+
+    whole, once = gathered(4), gathered(1)
+    remaining = jnp.arange(count) % 3
+    some = gathered(4, remaining)
+    assert not some[remaining == 0].any()
+    np.testing.assert_allclose(some[remaining == 1], once[remaining == 1], rtol=1e-5, atol=1e-6)
+    assert np.all(whole >= once - 1e-5) and whole.sum() > 1.1 * once.sum()
+    pairs = gathered(4, copies=2, stream=jnp.tile(jnp.arange(count), 2))
+    np.testing.assert_allclose(pairs[:count], pairs[count:], rtol=1e-5, atol=1e-6)
+    alone = gathered(4, copies=2)
+    assert np.abs(alone[:count] - alone[count:]).max() > 0.1
+
+
+def test_derivatives_do_not_pass():
+    """It is of values alone: derivatives through it are zero, in both modes, not an error."""
+    packed, settings = pack(scene()), PathSettings(4, True, "auto")
+    primary = primary_samples(packed, jnp.arange(1), KEY, "auto", "fixed")
+
+    def total(brightness):
+        dimmed = primary.first._replace(position=brightness * primary.first.position)
+        return radiance.arriving_radiance(packed, dimmed, primary.direction, primary.u, KEY, settings).sum()
+
+    assert jax.jit(jax.grad(total))(1.0) == 0.0
+    assert jax.jit(lambda x: jax.jvp(total, (x,), (1.0,))[1])(1.0) == 0.0
