@@ -23,7 +23,10 @@ class _Library:
     """The functions that are called from Python, the addresses of those that kernels call, and a device."""
 
     def __init__(self):
-        from embreex import rtcore  # a handle on it finds what it is linked with
+        try:
+            from embreex import rtcore  # a handle on it finds what it is linked with
+        except ImportError as error:
+            raise ImportError('rays="embree" needs the package embreex: pip install "embreex>=4.4"') from error
 
         self.functions = ctypes.CDLL(rtcore.__file__)
         for name in ("rtcNewDevice", "rtcNewScene", "rtcNewGeometry", "rtcSetNewGeometryBuffer"):
@@ -45,6 +48,15 @@ class _Library:
 def library() -> _Library:
     """Embree; raises ImportError without the package `embreex`, or with one of another version."""
     return _Library()
+
+
+def available() -> bool:
+    """Whether the package is there, and of the right version."""
+    try:
+        library()
+    except ImportError:
+        return False
+    return True
 
 
 class EmbreeScene:

@@ -7,7 +7,6 @@ inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vma
 becomes one larger batch of rays.
 """
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry import jax_queries, jax_sector
+from jaxdr.geometry import embree_scene, jax_queries, jax_sector
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 
 IMPLEMENTATIONS = ("embree", "warp", "jax")
@@ -67,7 +66,7 @@ class Crossings(NamedTuple):
 
 def _module(implementation: str) -> Any:
     if implementation == "auto":
-        implementation = "embree" if importlib.util.find_spec("embreex") else "warp"
+        implementation = "embree" if embree_scene.available() else "warp"
     if implementation == "jax":
         return jax_queries
     if implementation == "warp":
@@ -75,6 +74,7 @@ def _module(implementation: str) -> Any:
 
         return warp_queries
     if implementation == "embree":
+        embree_scene.library()  # here, where an error reaches the caller
         from jaxdr.geometry import embree_queries
 
         return embree_queries

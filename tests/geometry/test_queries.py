@@ -1,10 +1,12 @@
 """Closest hit, occlusion and all hits: `warp` and `jax` against each other, Embree and float64 arithmetic."""
 
+import sys
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry import queries, shapes
+from jaxdr.geometry import embree_scene, queries, shapes
 from jaxdr.geometry.queries import IMPLEMENTATIONS
 from jaxdr.transport.interaction import SurfacePoint, leave
 from tests.geometry.query_meshes import (
@@ -223,3 +225,12 @@ def test_an_empty_batch_of_rays(implementation):
     nothing = np.zeros((0, 3), np.float32)
     face, t = closest(*arrays(make("box")), nothing, nothing, implementation)
     assert face.shape == t.shape == (0,)
+
+
+def test_without_embree(monkeypatch):
+    """Warp takes its place, and who asks for it is told what to install."""
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    monkeypatch.setattr(embree_scene, "library", embree_scene.library.__wrapped__)
+    assert queries._module("auto").__name__.endswith("warp_queries")
+    with pytest.raises(ImportError, match="pip install"):
+        queries._module("embree")

@@ -159,8 +159,8 @@ def test_program_does_not_grow_with_depth(sampling, boundary):
 
 
 def test_program_does_not_grow_with_samples():
-    """8 x 8 pixels in chunks of four samples each: four chunks or sixteen."""
-    assert program(3, spp=16, chunk_size=256) == program(3, spp=64, chunk_size=256)
+    """8 x 8 pixels in chunks of sixteen samples each (images take four times as many as it says): four or sixteen."""
+    assert program(3, spp=64, chunk_size=256) == program(3, spp=256, chunk_size=256)
 
 
 def test_radiance_is_never_negative_nor_infinite():
