@@ -27,8 +27,10 @@ METHODS = {
     "LineSampling, antithetic": (jaxdr_side.estimates, ("LineSampling", {}, {"antithetic": True})),
 }
 FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS}  # samples per pixel
-MANY = {name: (16, 256, 4096) if name == "Mitsuba, unguided" else (16, 1024) for name in METHODS} | {
-    name: (4, 64, 256) for name in METHODS if not name.startswith("Mitsuba")
+MANY = {name: (4, 64) for name in METHODS} | {
+    "Mitsuba, unguided": (16, 256, 4096),
+    "Mitsuba, octree": (16, 1024),
+    LINES: (4, 64, 256, 1024),
 }
 COLUMNS = {"scene": ("scene", ""), "roughness": ("alpha", "")} | run.COLUMNS
 

@@ -109,7 +109,7 @@ def estimates(
     keys: int = 8,
     spp: int = 128,
     sampling: str = "emitter",
-    rays: str = "warp",
+    rays: str = "auto",
     max_depth: int = 2,
     more: tuple[str, ...] = (),
 ):

@@ -27,7 +27,7 @@ def inside_out(mesh: jd.Mesh) -> jd.Mesh:
 
 
 @partial(jax.jit, static_argnames=("spp", "max_depth", "sampling", "rays"))
-def image(scene, key, spp, max_depth, sampling="mis", rays="warp"):
+def image(scene, key, spp, max_depth, sampling="mis", rays="auto"):
     integrator = jd.PathTracer(max_depth=max_depth, boundary=None, sampling=sampling, rays=rays)
     return jd.render(scene, key, spp=spp, integrator=integrator)
 
