@@ -91,8 +91,9 @@ def chart(rows, path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    labels = {"embree": "embree", "warp": "warp", "jax": "jax", "embreex": "embreex itself, one thread"}
     figure, axes = plt.subplots(figsize=(5.6, 4))
-    for name, label in (("embree", "embree"), ("warp", "warp"), ("jax", "jax"), ("embreex", "embreex itself, one thread")):
+    for name, label in labels.items():
         axes.loglog([r["triangles"] for r in rows], [r[name] for r in rows], "o-", label=label)
     axes.set(xlabel="triangles", ylabel="closest hits, Mrays/s")
     axes.grid(True, alpha=0.3)

@@ -192,10 +192,9 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     def numbers(bounce):
         return given[bounce] if given is not None else uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
 
-    # Without MIS the last bounce needs no BSDF ray, if there is no delta lobe.
     throughput = jnp.ones_like(scatterer.point.position)
-    found_by_rays = settings.mis or packed.has_delta_lobes
-    if bounces == 1 and not found_by_rays:
+    last = bounces - ends_early(packed, settings)
+    if last == 0:
         return _stack(scatter_last(packed, scatterer, throughput, u, settings, near))
     state, added = scatter(packed, scatterer, throughput, u, settings, near)
     parts = [_stack(added)]
@@ -204,7 +203,6 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
         point, wi, throughput = state
         return scatter(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
 
-    last = bounces if found_by_rays else bounces - 1
     if last > 1:
         state, added = jax.lax.scan(step, state, jnp.arange(1, last))
         parts.append(added)
@@ -213,6 +211,11 @@ def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
         scatterer = Scatterer(packed, point, wi)
         parts.append(_stack(scatter_last(packed, scatterer, throughput, numbers(last), settings)))
     return jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
+
+
+def ends_early(packed: PackedScene, settings: PathSettings) -> bool:
+    """Whether the last bounce needs no BSDF ray: emitters are not found by rays, and there is no delta lobe."""
+    return not (settings.mis or packed.has_delta_lobes)
 
 
 def _stack(bounce: _Bounce) -> _Bounce:

@@ -1,4 +1,4 @@
-"""Scattered radiance of paths in value alone: no records, no derivative, and paths that have ended cost nothing."""
+"""Radiance of paths in value alone: no records, no derivative, and paths that have ended cost nothing."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings, scatter, scatter_last
+from jaxdr.transport.near_field import NearField
+from jaxdr.transport.path import PathSettings, ends_early, scatter, scatter_last
 from jaxdr.transport.sampler import path_numbers
 from jaxdr.transport.shading import Scatterer
 
@@ -19,13 +20,28 @@ BLOCK = 1 << 14  # paths that go on together: enough for all threads, few enough
 
 
 class _Paths(NamedTuple):
-    """Rows of paths at a vertex, and the numbers of the paths they belong to."""
+    """Rows of paths at a vertex, the random numbers there, and the numbers of the paths they belong to."""
 
     point: SurfacePoint
     wi: Float[Array, "N 3"]
     throughput: Float[Array, "N 3"]
     u: Float[Array, "N 4"]
     number: Int[Array, " N"]
+
+
+class FirstBounce(NamedTuple):
+    """What the first vertices of paths add, and where the paths go from there.
+
+    `near_light` and `near_beyond` are the shares of the light sample and of everything behind the next segment that the
+    first hit takes in material form.
+    """
+
+    emission: Float[Array, "*S N 3"]
+    light: Float[Array, "*S N 3"]
+    found: Float[Array, "*S N 3"]
+    near_light: Float[Array, "*S N"]
+    near_beyond: Float[Array, "*S N"]
+    following: tuple[SurfacePoint, Float[Array, "*S N 3"], Float[Array, "*S N 3"]]
 
 
 def arriving_radiance(
@@ -37,11 +53,56 @@ def arriving_radiance(
     settings: PathSettings,
 ) -> Float[Array, "N 3"]:
     """Radiance that rays of `direction` find, `first` being what they hit: that of `trace_paths`, detached."""
-    packed, first, direction = jax.tree.map(stop_gradient, (packed, first, direction))
+    packed, first, direction = stop_gradient((packed, first, direction))
     radiance, bounces = emitted(packed, first, -direction), settings.max_depth - 1
     if bounces == 0:
         return radiance
     return radiance + gathered_radiance(packed, first, direction, u, key, settings, bounces)
+
+
+def first_bounce(
+    packed: PackedScene,
+    first: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    u: Float[Array, "N 4"],
+    settings: PathSettings,
+    near: NearField | None,
+) -> FirstBounce:
+    """The first bounce of paths that `radiance_by_form` goes on with; `near` the other form of the first hits.
+
+    It may be mapped over several first hits that share their random numbers. `settings.max_depth` is at least 2.
+    """
+    packed, first, direction, near = stop_gradient((packed, first, direction, near))
+    emission, scatterer = emitted(packed, first, -direction), Scatterer(packed, first, -direction)
+    throughput = jnp.ones_like(direction)
+    if settings.max_depth == 2 and ends_early(packed, settings):
+        following, added = (
+            (first, direction, throughput),
+            scatter_last(packed, scatterer, throughput, u, settings, near),
+        )
+    else:
+        following, added = scatter(packed, scatterer, throughput, u, settings, near)
+    return FirstBounce(emission, added.light, added.emission, added.near_light, added.near_beyond, following)
+
+
+def radiance_by_form(
+    packed: PackedScene, begun: FirstBounce, key: PRNGKeyArray, settings: PathSettings
+) -> tuple[Float[Array, "*S N 3"], Float[Array, "*S N 3"]]:
+    """(radiance, what of it first hits take in material form) of paths after their first bounce, detached.
+
+    Paths of the same N share their random numbers.
+    """
+    packed, begun = stop_gradient((packed, begun))
+    beyond = jnp.zeros_like(begun.light)
+    if settings.max_depth > 2:
+        shape, count = begun.light.shape, begun.light.shape[-2]
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[len(shape) - 1 :]), begun.following)
+        stream = jnp.tile(jnp.arange(count), flat[1].shape[0] // count)
+        u = path_numbers(key, stream, 0, begun.light.dtype)
+        bounces = settings.max_depth - 2
+        beyond = _followed(packed, flat, u, key, settings, bounces, stream=stream, first=1).reshape(shape)
+    radiance = begun.emission + begun.light + begun.found + beyond
+    return radiance, begun.near_light[..., None] * begun.light + begun.near_beyond[..., None] * (begun.found + beyond)
 
 
 def gathered_radiance(
@@ -61,19 +122,28 @@ def gathered_radiance(
     ones are the same for paths of the same `stream` (by default all have their own). From bounce to bounce the rows of
     paths that go on are gathered in front, and blocks of rows are worked on as far as there are any.
     """
-    packed, point, direction = jax.tree.map(stop_gradient, (packed, point, direction))
+    packed, point, direction = stop_gradient((packed, point, direction))
+    start = (point, -direction, jnp.ones_like(direction))
+    return _followed(packed, start, u, key, settings, bounces, remaining, stream)
+
+
+def _followed(packed, start, u, key, settings, bounces: int, remaining=None, stream=None, first: int = 0):
+    """Light that paths gather in `bounces` bounces, the first of them number `first`.
+
+    `start`: their points there, directions back and throughputs.
+    """
     settings = settings._replace(attached=0.0)  # of values alone all forms are one
-    count = direction.shape[0]
+    count = u.shape[0]
     size = min(BLOCK, count)
     room = -(-count // size) * size
     remaining = jnp.full(count, bounces) if remaining is None else remaining
     stream = jnp.arange(count) if stream is None else stream
-    paths = _Paths(point, -direction, jnp.ones_like(direction), u, jnp.arange(count))
+    paths = _Paths(*start, u, jnp.arange(count))
     paths = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], room - count, axis=0)]), paths)
 
     def alive(paths, rows, number):
         """(rows of paths that scatter once more, in front, and how many there are)."""
-        goes_on = rows & paths.point.valid & (number < remaining[paths.number])
+        goes_on = rows & paths.point.valid & (number - first < remaining[paths.number])
         return jnp.nonzero(goes_on, size=room, fill_value=0)[0], goes_on.sum()
 
     def step(at_vertex, state, number):
@@ -105,10 +175,9 @@ def gathered_radiance(
         scatterer = Scatterer(packed, before.point, before.wi)
         return before, scatter_last(packed, scatterer, before.throughput, before.u, settings).light
 
-    # Without MIS the last bounce needs no BSDF ray, if there is no delta lobe.
-    ends_early = not (settings.mis or packed.has_delta_lobes)
-    state: Any = (paths, *alive(paths, jnp.arange(room) < count, 0), jnp.zeros_like(direction))
-    state = jax.lax.scan(partial(step, full), state, jnp.arange(bounces - ends_early))[0]
-    if ends_early:
-        state = step(last, state, bounces - 1)[0]
+    ends = ends_early(packed, settings)
+    state: Any = (paths, *alive(paths, jnp.arange(room) < count, first), jnp.zeros_like(start[1]))
+    state = jax.lax.scan(partial(step, full), state, first + jnp.arange(bounces - ends))[0]
+    if ends:
+        state = step(last, state, first + bounces - 1)[0]
     return state[-1]
