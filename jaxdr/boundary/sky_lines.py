@@ -9,10 +9,10 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import background_term, seen_edges
-from jaxdr.boundary.chords import LobeChords, lobe_rate
+from jaxdr.boundary.chords import LobeChords, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.silhouettes import PathSegments
-from jaxdr.geometry.vector import dot, orthonormal_basis
+from jaxdr.geometry.vector import dot
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
@@ -67,11 +67,10 @@ class SkyLines:
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
         scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
         centre = packed.environment_sampler.sample(u[:, :2])
-        s, t = orthonormal_basis(centre)
-        angle = math.pi * u[:, 2]
-        plane = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
-        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(angle)
-        drawn = LobeChords(centre, stop_gradient(packed.environment_sampler.pdf(centre)), plane, reach)
+        plane = random_across(centre, u[:, 2])
+        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
+        pdf = stop_gradient(jnp.asarray(packed.environment_sampler.pdf(centre)))
+        drawn = LobeChords(centre, pdf, plane, reach)
 
         apex = leave(scatterer.point, scatterer.normal)
         chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
