@@ -16,7 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.background import SeenEdges, background_point, seen_edges
-from jaxdr.boundary.chords import LobeChords, lobe_weight
+from jaxdr.boundary.chords import LobeChords, balance, lobe_weight
 from jaxdr.boundary.crossings import (
     BOUNDS,
     MOVES,
@@ -27,6 +27,7 @@ from jaxdr.boundary.crossings import (
     apex_moves,
     draw_lobe_chords,
     find_crossings,
+    sample_densities,
 )
 from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
 from jaxdr.boundary.texture_jumps import seam_jumps
@@ -34,7 +35,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import emitted, emitter_pdf
+from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance
 from jaxdr.transport.sampler import lattice
@@ -198,14 +199,11 @@ class AttachedLines:
 
     def _shares(self, seen: SeenEdges, sides: SurfacePoint) -> Float[Array, "2 C"]:
         """Share of the emitted light that the lobe's own samples account for, by the balance heuristic."""
-        density = self.paths.scatterer(seen.segment).pdf(seen.towards)
+        scatterer = self.paths.scatterer(seen.segment)
 
         def share(point):
-            offset = point.position - seen.apex
-            distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
-            cosine = jnp.abs(dot(point.normal, seen.towards))
-            total = density + emitter_pdf(self.detached, point, seen.towards, distance2, cosine)
-            return density / jnp.where(total > 0, total, 1.0)
+            emitters, lobe = sample_densities(self.detached, scatterer, point, seen.towards)
+            return balance(lobe, emitters)
 
         return jax.vmap(share)(sides)
 

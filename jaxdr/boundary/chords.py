@@ -48,6 +48,12 @@ def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Arr
     return jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
 
 
+def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """one / (one + two), 1 where both are zero: the share of one of two ways by the balance heuristic (Veach 1997)."""
+    either = one + two > 0
+    return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+
+
 class EmitterChords(NamedTuple):
     """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter."""
 

@@ -10,8 +10,10 @@ from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import leave
+from jaxdr.transport.emission import emitter_pdf
+from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
@@ -93,6 +95,19 @@ def draw_lobe_chords(
 def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
     """Half-length of geodesic chords (radians), `reach` of the lobes' widths."""
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
+
+
+def sample_densities(
+    packed: PackedScene, scatterer: Scatterer, point: SurfacePoint, towards: Float[Array, "C 3"]
+) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+    """Densities (solid angle) of emitter samples and of BSDF samples at `point`, seen in unit directions `towards`.
+
+    An invalid point is the environment. All arguments detached.
+    """
+    offset = point.position - scatterer.point.position
+    distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
+    cosine = jnp.abs(dot(point.normal, towards))
+    return emitter_pdf(packed, point, towards, distance2, cosine), scatterer.pdf(towards)
 
 
 def apex_moves(

@@ -9,7 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import background_term, seen_edges
-from jaxdr.boundary.chords import LobeChords, lobe_rate, random_across
+from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry.vector import dot
@@ -43,8 +43,7 @@ class SkyShare(NamedTuple):
         other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
         sampler = self.packed.environment_sampler
         rate = stop_gradient(sampler.pdf(towards)) * 2.0 * _extent(self.packed, towards) / math.pi * skies
-        either = rate + other > 0
-        return jnp.where(either, rate / jnp.where(either, rate + other, 1.0), 1.0)
+        return balance(rate, other)
 
 
 class SkyLines:
