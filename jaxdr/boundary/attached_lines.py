@@ -29,9 +29,9 @@ from jaxdr.boundary.crossings import (
     find_crossings,
     sample_densities,
 )
+from jaxdr.boundary.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
 from jaxdr.boundary.texture_jumps import seam_jumps
-from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -40,9 +40,7 @@ from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings, gathered_radiance
 from jaxdr.transport.sampler import lattice
 
-FLAT = 1e-6  # radians: faces that fold by less continue each other
 TOUCHING = 50.0  # how much further than from the edge in the image a ray beside it may end on an oblique surface
-SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is left to expect a jump from
 
 
 def folded_edges(packed: PackedScene, moving: Bool[Array, " S"], rays: str) -> RankedEdges:
@@ -54,10 +52,7 @@ def folded_edges(packed: PackedScene, moving: Bool[Array, " S"], rays: str) -> R
     if packed.uvs is not None:
         flat &= seam_jumps(packed, jnp.arange(flat.shape[0])) == 0
     rank = jnp.where(flat, 0, jnp.where(moving[edges.shape], MOVES, BOUNDS)).astype(packed.vertices.dtype)
-    # Which way faces look does not matter: no cones of their normals.
-    cone = jnp.zeros_like(edges.interior)
-    tree = queries.edge_tree(packed.vertices, edges.vertices, edges.opposite, cone, rank, packed.edge_counts, rays)
-    return RankedEdges(rank, tree)
+    return RankedEdges(rank, fold_tree(packed, rank, rays))
 
 
 class AttachedLines:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.folds import SMOOTH
 from jaxdr.boundary.texture_jumps import glow_jumps, seam_jumps
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.camera import View
@@ -133,7 +134,7 @@ def _importance(packed: PackedScene, moving, key):
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
-    crease = jump + typical * jnp.where(smooth[face0], 0.1, 1.0) * fold
+    crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.uvs is not None:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
         crease = crease + light * seam_jumps(packed, jnp.arange(face0.shape[0]))
