@@ -76,17 +76,13 @@ class AttachedLines:
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        packed, prepared, paths = self.packed, self.prepared, self.paths
-        lobes, apex = draw_lobe_chords(packed, paths, chosen, self.reach, key_chord)
-        chords = lobes.chords(apex, 2.0 * stop_gradient(packed.size()), folds=True)
+        lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
+        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()), folds=True)
         # How what is behind an edge moves does not matter.
-        moves = apex_moves(packed, prepared, paths, jnp.maximum(chosen.vertex, 0))
-        needed, rays = jnp.where(moves, BOUNDS, MOVES), self.settings.rays
-        assert prepared.folds is not None  # made wherever lobes may be narrow
-        found = find_crossings(
-            packed, prepared.folds, prepared.group, chosen, needed, apex, chords, key_seed, room, rays
-        )
-        return lobes, *found
+        needed = jnp.where(apex_moves(self, jnp.maximum(chosen.vertex, 0)), BOUNDS, MOVES)
+        folds = self.prepared.folds
+        assert folds is not None  # made wherever lobes may be narrow
+        return lobes, *find_crossings(self, folds, chosen, needed, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Expected contribution of crossings per motion of the edge: luminance. Only the noise depends on it."""

@@ -101,10 +101,7 @@ class EmitterLines:
         drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
         # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
         apex = leave(scatterer.point, scatterer.normal)
-        found = silhouette_crossings(
-            self.packed, self.prepared, self.paths, chosen, apex, drawn.chords, key_seed, room, self.settings.rays
-        )
-        return drawn, *found
+        return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: luminance per motion of the edge."""

@@ -61,10 +61,10 @@ class SkyLines:
 
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
-        packed, paths = self.packed, self.paths
+        packed = self.packed
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
-        scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
         centre = packed.environment_sampler.sample(u[:, :2])
         plane = random_across(centre, u[:, 2])
         reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
@@ -75,10 +75,7 @@ class SkyLines:
         chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
         rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
         chords = chords._replace(useful=chords.useful & rises)
-        found = silhouette_crossings(
-            packed, self.prepared, paths, chosen, apex, chords, key_seed, room, self.settings.rays
-        )
-        return drawn, *found
+        return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""
