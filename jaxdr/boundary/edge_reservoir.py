@@ -152,7 +152,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
         edge = jnp.maximum(edge, 0)
         start, end = table.ends[edge, 0], table.ends[edge, 1]
         _, crosses = may_cross(each, start, end - start, reach)
-        facing = (table.normals[edge] * each.direction[:, :, None]).sum(-1) > 0
+        facing = dot(table.normals[edge], each.direction[:, :, None]) > 0
         silhouette = ~table.interior[edge] | (facing[..., 0] != facing[..., 1])
         base = table.importance[edge]
         importance = jnp.where(silhouette, 1.0, base)
