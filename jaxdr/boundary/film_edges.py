@@ -323,11 +323,10 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
     one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
     near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
-    if packed.has_delta_lobes:
-        # What two mirrors show is not to be found in one direction.
+    if packed.has_delta_lobes:  # what two mirrors show is not to be found in one direction
         jump = _jump(detached, points, u, key_path, settings, near)
-        return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
-    jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
+    else:
+        jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
     return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
 
 
