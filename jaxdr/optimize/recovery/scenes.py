@@ -20,7 +20,7 @@ from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.scene.film import Film
-from jaxdr.scene.gltf import EXTENSIONS, load_gltf
+from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.lights import PointLight
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.scene import Scene, Shape
@@ -146,7 +146,7 @@ def load_scene(name: str, file: str, options: dict) -> Scene:
             return SCENES[name](**options)
         except (TypeError, ValueError) as problem:
             raise ValueError(f"options: {problem}") from None
-    reader = load_gltf if file.lower().endswith(EXTENSIONS) else load_mitsuba
+    reader = load_gltf if is_gltf(file) else load_mitsuba
     try:
         return reader(file, **options)
     except (TypeError, ValueError) as problem:
