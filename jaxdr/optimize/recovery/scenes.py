@@ -15,6 +15,7 @@ from jaxdr.geometry.load import load_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.geometry.shapes import plane, transformed
 from jaxdr.geometry.uvs import spherical_uvs
+from jaxdr.optimize.config import TARGET_SHAPES
 from jaxdr.scene.bsdf import Diffuse, RoughConductor, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
@@ -27,11 +28,7 @@ from jaxdr.scene.scene import Scene, Shape
 from jaxdr.scene.textures import Bitmap
 
 FLOOR = -0.6
-ROUND: dict[str, Callable[..., Mesh]] = {
-    "duck": shapes.duck,
-    "sphere": shapes.sphere,
-    "displaced_sphere": shapes.displaced_sphere,
-}
+ROUND = ("duck", "sphere", "displaced_sphere")  # of the `TARGET_SHAPES`, those whose first argument is subdivisions
 TEXTURES = ("patches", "plain")
 
 
@@ -56,7 +53,7 @@ def textured_object(
     _choice("shape", shape, ROUND)
     _choice("texture", texture, TEXTURES)
     _choice("shading", shading, ("flat", "smooth"))
-    made = load_mesh(mesh, shading=shading) if mesh else ROUND[shape](subdivisions)
+    made = load_mesh(mesh, shading=shading) if mesh else TARGET_SHAPES[shape](subdivisions)
     made = centred(made, size)
     made = made.smooth() if shading == "smooth" else made.flat()
     made = made if made.uvs is not None else spherical_uvs(made)
@@ -94,7 +91,7 @@ def glossy_object(
     Raises ValueError as the parts do.
     """
     _choice("shape", shape, ROUND)
-    made = centred(ROUND[shape](subdivisions), size).smooth()
+    made = centred(TARGET_SHAPES[shape](subdivisions), size).smooth()
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # the map's +y is the world's +z
     return Scene(
