@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from jaxdr.geometry import shapes
 from jaxdr.geometry.load import load_mesh
-from jaxdr.geometry.mesh import Mesh
-from jaxdr.geometry.shapes import plane, transformed
+from jaxdr.geometry.shapes import centred, plane, transformed
 from jaxdr.geometry.uvs import spherical_uvs
 from jaxdr.optimize.config import TARGET_SHAPES
 from jaxdr.scene.bsdf import Diffuse, RoughConductor, TwoSided
@@ -192,17 +191,6 @@ def procedural_sky(height: int, sun: float) -> Float[np.ndarray, "H W 3"]:
     blend = 1 / (1 + np.exp(-20 * up))
     disk = np.exp(-((np.maximum(1 - towards, 0) / (1 - math.cos(math.radians(10)))) ** 2))[..., None]
     return blend * sky + (1 - blend) * np.array([0.25, 0.2, 0.15]) + sun * disk * np.array([1.0, 0.9, 0.75])
-
-
-def centred(mesh: Mesh, size: float) -> Mesh:
-    """The mesh with its bounding box around the origin, the longest side `size` long. Raises ValueError for 0."""
-    if not size > 0:
-        raise ValueError(f"size must be positive, got {size}")
-    points = np.asarray(mesh.vertices, float)
-    low, high = points.min(0), points.max(0)
-    matrix = np.diag([*3 * [size / (high - low).max()], 1.0])
-    matrix[:3, 3] = -matrix[0, 0] * (low + high) / 2
-    return transformed(mesh, matrix)
 
 
 def _floor() -> Shape:
