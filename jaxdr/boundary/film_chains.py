@@ -248,9 +248,11 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
 def _report(lost, total):
     if not lost:  # under `vmap` the report is called for in any case
         return
+    # A power of ten: Python shows a warning once a place and text, and the number differs from call to call.
+    share = 10.0 ** math.ceil(math.log10(lost / total))
     warnings.warn(
-        f"jaxdr: {int(lost)} of {int(total)} edges seen in mirrors or through glass were not found again in {TRIALS} "
-        "trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
+        f"jaxdr: up to {100 * share:g} % of the edges seen in mirrors or through glass were not found again in "
+        f"{TRIALS} trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
         stacklevel=2,
     )
 
