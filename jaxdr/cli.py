@@ -29,7 +29,7 @@ from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
 from jaxdr.render import render
-from jaxdr.scene import gltf
+from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
@@ -79,10 +79,8 @@ def _render(options) -> int:
 
 def _settings(options) -> tuple[int, int]:
     """(samples per pixel, longest path in segments): the options', or the file's, or the defaults."""
-    path, variables = Path(options.scene), _variables(options)
-    asked = (
-        RenderSettings(None, None) if path.suffix.lower() in gltf.EXTENSIONS else mitsuba_settings(path, **variables)
-    )
+    path = Path(options.scene)
+    asked = RenderSettings(None, None) if is_gltf(path) else mitsuba_settings(path, **_variables(options))
     depth = options.max_depth or asked.max_depth or MAX_DEPTH
     if not options.max_depth and not 0 < depth <= DEEPEST:
         wanted = "without an end" if depth < 0 else f"of {depth} segments"
@@ -247,12 +245,12 @@ def _warning_lines() -> Iterator[None]:
 
 
 def _read_scene(path: Path, ignore_unsupported: bool, variables: dict) -> Scene:
-    if path.suffix.lower() not in gltf.EXTENSIONS:
+    if not is_gltf(path):
         return load_mitsuba(path, ignore_unsupported=ignore_unsupported, **variables)
     for name, value in variables.items():
         if name not in ("width", "height") or not isinstance(value, int) or value < 1:
             raise ValueError(f"--set {name}={value}: a glTF file takes width and height, whole pixels")
-    return gltf.load_gltf(path, ignore_unsupported=ignore_unsupported, **variables)
+    return load_gltf(path, ignore_unsupported=ignore_unsupported, **variables)
 
 
 class _UsageError(Exception):

@@ -211,12 +211,10 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     chunks = -(-spp * pixels // (integrator.chunk_size * (IMAGE_CHUNK if moving is None else 1)))
     chunks = min(chunks, spp)
     per_chunk = -(-spp // chunks)
-    with_boundary = moving is not None and moving.any and integrator.boundary is not None
     prepared = None
-    if with_boundary and moving is not None:
+    if moving is not None and moving.any and integrator.boundary is not None:
         _check_transmission(packed, integrator)
-        shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
-        check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
+        check_still_jumps(scene, moving.seen, integrator.primary == "fixed_ray", integrator.settings.attached)
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
         key, pilot_key = jax.random.split(key)
         prepared = _prepare(packed, moving, pilot_key, integrator)

@@ -38,30 +38,39 @@ COLUMNS = {
 }
 
 
-def reference(path, case, batches):
+def reference(path, case, quick):
     """The finite-difference reference; made once and kept under runs/."""
+    batches = 4 if quick else case.batches
     kept = common.scratch(STUDY) / f"reference_{case.name}_{case.step}_{batches}.npz"
     if not kept.exists():
         np.savez(kept, **common.in_fresh_process(mitsuba_peer.reference, path, case, batches))
     return dict(np.load(kept))
 
 
+def row_of(case, path, truth, estimates, setting, spp, positions, **labels):
+    """A row of a table: `labels` (`method` is one), errors and times of `SEEDS` calls at so many offsets each.
+
+    The calls are made in a fresh process.
+    """
+    offsets = [case.step * ((2 * k + 1) / positions - 1) for k in range(positions)]
+    images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
+    row = errors.statistics(images, truth["image"], truth["noise_variance"]) | labels
+    row |= {"spp": spp, "seconds": quantiles.median(seconds), "all_seconds": seconds, "first_call": first}
+    row["work"] = row["error"] ** 2 * row["seconds"]
+    print(f"  {case.name}, {row['method']}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s", flush=True)
+    return row
+
+
 def measure(case, method, oracle, quick, samples=None):
-    """The rows of one method on one case, a fresh process for every sample count."""
+    """The rows of one method on one case."""
     path = write_scene(case, oracle, common.scratch(STUDY) / case.name)
-    truth = reference(path, case, 4 if quick else case.batches)
+    truth = reference(path, case, quick)
     estimates, setting, counts, positions = METHODS[method]
     if quick:
         counts, positions = counts[:2], 2
     for spp in [n for n in counts if not samples or n in samples]:
         count = positions // 2 if spp >= LONG else positions
-        offsets = [case.step * ((2 * k + 1) / count - 1) for k in range(count)]
-        images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
-        row = errors.statistics(images, truth["image"], truth["noise_variance"])
-        row |= {"method": method, "spp": spp, "seconds": quantiles.median(seconds), "all_seconds": seconds}
-        row |= {"first_call": first, "work": row["error"] ** 2 * quantiles.median(seconds)}
-        print(f"  {method}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s", flush=True)
-        yield row
+        yield row_of(case, path, truth, estimates, setting, spp, count, method=method)
 
 
 def verdict(rows):
@@ -119,7 +128,6 @@ def main():
     folder = common.results(STUDY, options.quick)
 
     for case in (CASES[name] for name in options.case or CASES):
-        print(case.name, flush=True)
         file = folder / f"{case.name}.json"
         old = json.loads(file.read_text())["rows"] if file.exists() else []
         for method in options.method or METHODS:

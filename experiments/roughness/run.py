@@ -7,16 +7,15 @@ reference scene, all terms. Errors are measured as in `experiments/equal_time`. 
 """
 
 import json
-import statistics as quantiles
 
 from experiments import common
-from experiments.equal_time import errors, jaxdr_side, mitsuba_peer, run
+from experiments.equal_time import jaxdr_side, mitsuba_peer, run
 from experiments.roughness import scenes
 
 STUDY = "roughness"
 ALPHAS = {"ball": (0.02, 0.05, 0.1, 0.3, 0.6), "mirror_spot": (0.05, 0.3)}
 LADDERS = (0.05, 0.3)  # roughnesses for which error is charted against time
-POSITIONS, SEEDS = 4, 2
+POSITIONS = 4
 LINES, ATTACHED, KERNEL = "LineSampling", "LineSampling, attached", "KernelDensity"
 METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none"),
@@ -44,17 +43,10 @@ def written(name, alpha, oracle):
     return case, scenes.write_mirror_spot(alpha, oracle, common.scratch(STUDY) / case.name)
 
 
-def reference(case, path, quick):
-    """The finite differences, made once and kept under runs/."""
-    batches = 4 if quick else case.batches
-    return run.reference(path, case, batches)
-
-
 def measure(name, alpha, methods, options):
     """Rows of one scene and roughness."""
     case, path = written(name, alpha, options.oracle)
-    truth = reference(case, path, options.quick)
-    offsets = [case.step * ((2 * k + 1) / POSITIONS - 1) for k in range(POSITIONS)]
+    truth = run.reference(path, case, options.quick)
     for method in methods:
         estimates, setting = METHODS[method]
         if name == "ball" and method == "LineSampling, antithetic":
@@ -63,12 +55,8 @@ def measure(name, alpha, methods, options):
             continue  # a minute a call
         more = MANY[method] if alpha in LADDERS and name == "ball" and not options.quick else ()
         for spp in sorted({FEW[method], *more}):
-            images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, SEEDS)
-            row = errors.statistics(images, truth["image"], truth["noise_variance"])
-            row |= {"scene": name, "alpha": alpha, "method": method, "spp": spp, "seconds": quantiles.median(seconds)}
-            row |= {"first_call": first, "work": row["error"] ** 2 * row["seconds"]}
-            print(f"  {name} {alpha}, {method}, {spp} spp: {row['error']:.3f} in {row['seconds']:.3f} s", flush=True)
-            yield row
+            labels = {"scene": name, "alpha": alpha, "method": method}
+            yield run.row_of(case, path, truth, estimates, setting, spp, POSITIONS, **labels)
 
 
 def chart(rows, path):
@@ -114,7 +102,8 @@ def main():
     for name in options.scene or ALPHAS:
         for alpha in options.alpha or (ALPHAS[name][:1] if options.quick else ALPHAS[name]):
             if options.references:
-                reference(*written(name, alpha, options.oracle), options.quick)
+                case, path = written(name, alpha, options.oracle)
+                run.reference(path, case, options.quick)
                 continue
             for row in measure(name, alpha, options.method or METHODS, options):
                 key = ("scene", "alpha", "method", "spp")

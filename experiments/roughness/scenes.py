@@ -1,9 +1,6 @@
 """The scenes of the sweep: a black ball seen in a mirror under a constant sky; the reference scene with a mirror."""
 
-import dataclasses
-import re
-
-from experiments.equal_time.cases import Case, write_scene
+from experiments.equal_time.cases import Case, replaced_once, write_scene
 
 BALL = """<scene version="3.0.0">
     <integrator type="path"><integer name="max_depth" value="2"/></integrator>
@@ -60,9 +57,6 @@ def write_ball(alpha, folder):
 
 def write_mirror_spot(alpha, oracle, folder):
     """The reference scene with a box film and a mirror of this roughness; returns the path of the file."""
-    path = write_scene(dataclasses.replace(mirror_spot(alpha)), oracle, folder)
-    text, count = re.subn(r'(<float name="alpha" value=)"[^"]*"', rf'\1"{alpha}"', path.read_text())
-    if count != 1:
-        raise ValueError(f"{path}: {count} roughnesses, expected one")
-    path.write_text(text)
+    path = write_scene(mirror_spot(alpha), oracle, folder)
+    path.write_text(replaced_once(path.read_text(), r'(<float name="alpha" value=)"[^"]*"', rf'\1"{alpha}"', path))
     return path

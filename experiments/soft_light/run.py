@@ -7,10 +7,9 @@ The scene is `shadow_goathead` with its light scaled by 1/8 to 8; errors are mea
 
 import dataclasses
 import json
-import statistics as quantiles
 
 from experiments import common
-from experiments.equal_time import errors, run
+from experiments.equal_time import run
 from experiments.equal_time.cases import CASES, write_scene
 
 STUDY = "soft_light"
@@ -28,22 +27,13 @@ POSITIONS = 4
 
 def measure(size, oracle, quick):
     """Rows of all methods for one size of the light."""
-    case = dataclasses.replace(CASES["shadow_goathead"], name=f"light_{size:.3f}", light_scale=size)
+    case = dataclasses.replace(CASES["shadow_goathead"], name=f"light_{size:.3f}", batches=BATCHES, light_scale=size)
     path = write_scene(case, oracle, common.scratch(STUDY) / case.name)
-    truth = run.reference(path, case, 4 if quick else BATCHES)
-    offsets = [case.step * ((2 * k + 1) / POSITIONS - 1) for k in range(POSITIONS)]
+    truth = run.reference(path, case, quick)
     for method, counts in SAMPLES.items():
         estimates, setting, _, _ = run.METHODS[method]
         for spp in counts:
-            images, seconds, first = common.in_fresh_process(estimates, path, case, setting, spp, offsets, run.SEEDS)
-            row = errors.statistics(images, truth["image"], truth["noise_variance"])
-            row |= {"method": method, "light": size, "spp": spp, "seconds": quantiles.median(seconds)}
-            row |= {"first_call": first, "work": row["error"] ** 2 * row["seconds"]}
-            print(
-                f"  light x {size:.3f}, {method}, {spp} spp: error {row['error']:.3f} in {row['seconds']:.3f} s",
-                flush=True,
-            )
-            yield row
+            yield run.row_of(case, path, truth, estimates, setting, spp, POSITIONS, light=size, method=method)
 
 
 def chart(rows, path):

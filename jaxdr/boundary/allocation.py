@@ -68,6 +68,7 @@ def _pooled(table):
     for axis in (0, 1):
         padded = jnp.pad(table, [(half, half) if a == axis else (0, 0) for a in (0, 1)])
         size = table.shape[axis]
-        parts = [w * jax.lax.slice_in_dim(padded, k, k + size, axis=axis) for k, w in enumerate(weights)]
-        table = sum(parts)
+        table = jnp.zeros_like(table)
+        for k, weight in enumerate(weights):
+            table += weight * jax.lax.slice_in_dim(padded, k, k + size, axis=axis)
     return table

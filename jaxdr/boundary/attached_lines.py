@@ -16,7 +16,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.background import SeenEdges, background_point, seen_edges
-from jaxdr.boundary.chords import LobeChords, lobe_weight
+from jaxdr.boundary.chords import LobeChords, balance, lobe_weight
 from jaxdr.boundary.crossings import (
     BOUNDS,
     MOVES,
@@ -27,22 +27,21 @@ from jaxdr.boundary.crossings import (
     apex_moves,
     draw_lobe_chords,
     find_crossings,
+    sample_densities,
 )
+from jaxdr.boundary.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.silhouettes import BESIDE, PathSegments, horizon_normal
 from jaxdr.boundary.texture_jumps import seam_jumps
-from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import emitted, emitter_pdf
+from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, either, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import gathered_radiance
 from jaxdr.transport.sampler import lattice
 
-FLAT = 1e-6  # radians: faces that fold by less continue each other
 TOUCHING = 50.0  # how much further than from the edge in the image a ray beside it may end on an oblique surface
-SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is left to expect a jump from
 
 
 def folded_edges(packed: PackedScene, moving: Bool[Array, " S"], rays: str) -> RankedEdges:
@@ -54,10 +53,7 @@ def folded_edges(packed: PackedScene, moving: Bool[Array, " S"], rays: str) -> R
     if packed.uvs is not None:
         flat &= seam_jumps(packed, jnp.arange(flat.shape[0])) == 0
     rank = jnp.where(flat, 0, jnp.where(moving[edges.shape], MOVES, BOUNDS)).astype(packed.vertices.dtype)
-    # Which way faces look does not matter: no cones of their normals.
-    cone = jnp.zeros_like(edges.interior)
-    tree = queries.edge_tree(packed.vertices, edges.vertices, edges.opposite, cone, rank, packed.edge_counts, rays)
-    return RankedEdges(rank, tree)
+    return RankedEdges(rank, fold_tree(packed, rank, rays))
 
 
 class AttachedLines:
@@ -81,17 +77,13 @@ class AttachedLines:
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        packed, prepared, paths = self.packed, self.prepared, self.paths
-        lobes, apex = draw_lobe_chords(packed, paths, chosen, self.reach, key_chord)
-        chords = lobes.chords(apex, 2.0 * stop_gradient(packed.size()), folds=True)
+        lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
+        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()), folds=True)
         # How what is behind an edge moves does not matter.
-        moves = apex_moves(packed, prepared, paths, jnp.maximum(chosen.vertex, 0))
-        needed, rays = jnp.where(moves, BOUNDS, MOVES), self.settings.rays
-        assert prepared.folds is not None  # made wherever lobes may be narrow
-        found = find_crossings(
-            packed, prepared.folds, prepared.group, chosen, needed, apex, chords, key_seed, room, rays
-        )
-        return lobes, *found
+        needed = jnp.where(apex_moves(self, jnp.maximum(chosen.vertex, 0)), BOUNDS, MOVES)
+        folds = self.prepared.folds
+        assert folds is not None  # made wherever lobes may be narrow
+        return lobes, *find_crossings(self, folds, chosen, needed, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Expected contribution of crossings per motion of the edge: luminance. Only the noise depends on it."""
@@ -199,14 +191,11 @@ class AttachedLines:
 
     def _shares(self, seen: SeenEdges, sides: SurfacePoint) -> Float[Array, "2 C"]:
         """Share of the emitted light that the lobe's own samples account for, by the balance heuristic."""
-        density = self.paths.scatterer(seen.segment).pdf(seen.towards)
+        scatterer = self.paths.scatterer(seen.segment)
 
         def share(point):
-            offset = point.position - seen.apex
-            distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
-            cosine = jnp.abs(dot(point.normal, seen.towards))
-            total = density + emitter_pdf(self.detached, point, seen.towards, distance2, cosine)
-            return density / jnp.where(total > 0, total, 1.0)
+            emitters, lobe = sample_densities(self.detached, scatterer, point, seen.towards)
+            return balance(lobe, emitters)
 
         return jax.vmap(share)(sides)
 

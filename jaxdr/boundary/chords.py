@@ -41,6 +41,19 @@ class Chords(NamedTuple):
         return normalize(jnp.where(self.useful[:, None], across, 1.0))
 
 
+def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Array, "M 3"]:
+    """Unit vectors across unit `axis` vectors, whose angles are even over half a turn for even `u` in [0, 1)."""
+    s, t = orthonormal_basis(axis)
+    angle = math.pi * u
+    return jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
+
+
+def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """one / (one + two), 1 where both are zero: the share of one of two ways by the balance heuristic (Veach 1997)."""
+    either = one + two > 0
+    return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+
+
 class EmitterChords(NamedTuple):
     """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter."""
 
@@ -56,9 +69,7 @@ def emitter_chords(
     """Whole chords of emitters, in area measure: k = 1 / length, so that nothing depends on where the centre is."""
     sample, pdf = sample_emitting_surface(packed, u[:, :2])
     point, normal = stop_gradient(sample.position), stop_gradient(sample.normal)
-    s, t = orthonormal_basis(normal)
-    angle = math.pi * u[:, 2]
-    direction = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
+    direction = random_across(normal, u[:, 2])
     first, last, length = chord_inside(packed, group, sample.face, point, direction)
     useful = (length > 0) & (pdf > 0) & (dot(apex - point, normal) > 0)
     whole = jnp.where(useful, last - first, 1.0)
@@ -164,10 +175,7 @@ class LobeChords(NamedTuple):
 def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array, "M 3"]) -> LobeChords:
     """Chords in solid angle, of half-length `width` (radians), around BSDF-sampled directions."""
     centre = scatterer.sample(u[:, :2])
-    s, t = orthonormal_basis(centre)
-    angle = math.pi * u[:, 2]
-    plane = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
-    return LobeChords(centre, scatterer.sampled_pdf(centre, u[:, :2]), plane, width)
+    return LobeChords(centre, scatterer.sampled_pdf(centre, u[:, :2]), random_across(centre, u[:, 2]), width)
 
 
 def lobe_weight(

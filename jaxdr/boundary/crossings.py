@@ -10,8 +10,11 @@ from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import leave
+from jaxdr.transport.emission import emitter_pdf
+from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
@@ -67,7 +70,10 @@ class Lines(Protocol):
     """
 
     traces_paths: bool
+    packed: PackedScene
+    prepared: Prepared
     paths: PathSegments
+    settings: PathSettings
 
     def search(
         self, chosen: Chosen, key: Any, room: int
@@ -80,12 +86,10 @@ class Lines(Protocol):
     ) -> Float[Array, "C 3"]: ...
 
 
-def draw_lobe_chords(
-    packed: PackedScene, paths: PathSegments, chosen: Chosen, reach: float, key
-) -> tuple[LobeChords, Float[Array, "M 3"]]:
+def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:
     """(chords around BSDF-sampled directions, the apexes they are seen from); `reach` relative to the lobe's width."""
-    u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
-    scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
+    u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, lines.packed.vertices.dtype)[0]
+    scatterer = lines.paths.scatterer(jnp.maximum(chosen.vertex, 0))
     lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
     return lobes, leave(scatterer.point, scatterer.normal)
 
@@ -95,35 +99,46 @@ def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
-def apex_moves(
-    packed: PackedScene, prepared: Prepared, paths: PathSegments, vertex: Int[Array, " M"]
-) -> Bool[Array, " M"]:
+def sample_densities(
+    packed: PackedScene, scatterer: Scatterer, point: SurfacePoint, towards: Float[Array, "C 3"]
+) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+    """Densities (solid angle) of emitter samples and of BSDF samples at `point`, seen in unit directions `towards`.
+
+    An invalid point is the environment. All arguments detached.
+    """
+    offset = point.position - scatterer.point.position
+    distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
+    cosine = jnp.abs(dot(point.normal, towards))
+    return emitter_pdf(packed, point, towards, distance2, cosine), scatterer.pdf(towards)
+
+
+def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
     """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
+    paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
     if paths.vertices is None:
-        return prepared.moving[packed.face_shape[paths.table.apex_face[vertex]]]
-    moves = prepared.moving[packed.face_shape[paths.table.apex_face]].reshape(-1, paths.paths)
+        return moving[shape[paths.table.apex_face[vertex]]]
+    moves = moving[shape[paths.table.apex_face]].reshape(-1, paths.paths)
     return jax.lax.cummax(moves.astype(jnp.int32)).reshape(-1)[vertex] > 0
 
 
 def find_crossings(
-    packed: PackedScene,
+    lines: Lines,
     edges: RankedEdges,
-    group: Int[Array, " F"],
     chosen: Chosen,
     needed: Int[Array, " M"],
     apex: Float[Array, "M 3"],
     chords: Chords,
     key,
     room: int,
-    rays: str,
 ) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
     """(crossings of chords with visible edges of the rank `needed`, weight of the thinning, their number)."""
+    packed, group = lines.packed, lines.prepared.group
     vertex, table = jnp.maximum(chosen.vertex, 0), packed.edges
     needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
     found = queries.sector_crossings(
         edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, group,
         apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, rays,
+        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
     )  # fmt: skip
     valid = found.chord >= 0
     chord = jnp.where(valid, found.chord, 0)
@@ -132,17 +147,10 @@ def find_crossings(
 
 
 def silhouette_crossings(
-    packed: PackedScene,
-    prepared: Prepared,
-    paths: PathSegments,
-    chosen: Chosen,
-    apex: Float[Array, "M 3"],
-    chords: Chords,
-    key,
-    room: int,
-    rays: str,
+    lines: Lines, chosen: Chosen, apex: Float[Array, "M 3"], chords: Chords, key, room: int
 ) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
     """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number)."""
+    packed, prepared = lines.packed, lines.prepared
     vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
     bounded = chords.group != queries.UNBOUNDED
     # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
@@ -150,8 +158,8 @@ def silhouette_crossings(
     moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
         prepared.moving[shape].astype(jnp.int32), mode="drop"
     )
-    end_moves = apex_moves(packed, prepared, paths, vertex)
+    end_moves = apex_moves(lines, vertex)
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    return find_crossings(packed, prepared.edges, prepared.group, chosen, needed, apex, chords, key, room, rays)
+    return find_crossings(lines, prepared.edges, chosen, needed, apex, chords, key, room)

@@ -11,15 +11,13 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxdr.boundary.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.texture_jumps import seam_jumps
-from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import LEAF, EdgeTree
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene
 
 BLOCK = 2048  # bundles that go through the tree together: they wait for each other
-FLAT = 1e-6  # radians: faces that fold by less continue each other
-SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is left to expect a jump from
 BEYOND = 1.5  # how much further than what the ray hits edges are looked for: it may hit what is beside them
 MARGIN = 1.5  # how much further than allowed the first-order t of a crossing may be
 
@@ -65,12 +63,8 @@ def edge_table(packed: PackedScene, counts: Bool[Array, " E"], rays: str) -> Edg
     if packed.uvs is not None:
         jump = jump + seam_jumps(packed, jnp.arange(fold.shape[0]))
     importance = jnp.where(counts, jnp.where(edges.interior, jump, 1.0), 0.0)
-    # Which way faces look does not matter: no cones of their normals.
-    cone = jnp.zeros_like(edges.interior)
-    tree = queries.edge_tree(
-        packed.vertices, edges.vertices, edges.opposite, cone, importance, packed.edge_counts, rays
-    )
     ends = packed.vertices[edges.vertices]
+    tree = fold_tree(packed, importance, rays)
     return EdgeTable(ends, jnp.stack([n0, n1], 1), edges.interior, importance, tree)
 
 
@@ -158,7 +152,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
         edge = jnp.maximum(edge, 0)
         start, end = table.ends[edge, 0], table.ends[edge, 1]
         _, crosses = may_cross(each, start, end - start, reach)
-        facing = (table.normals[edge] * each.direction[:, :, None]).sum(-1) > 0
+        facing = dot(table.normals[edge], each.direction[:, :, None]) > 0
         silhouette = ~table.interior[edge] | (facing[..., 0] != facing[..., 1])
         base = table.importance[edge]
         importance = jnp.where(silhouette, 1.0, base)

@@ -10,18 +10,19 @@ from jaxtyping import Array, Float, Int
 from jaxdr.boundary.chords import (
     EmitterChords,
     angle_ratio,
+    balance,
     emitter_chords,
     emitter_rate,
     emitter_weight,
     lobe_rate,
 )
-from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, sample_densities, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import emitted, emitter_pdf, emitting_surface_pdf
+from jaxdr.transport.emission import emitted, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
@@ -79,14 +80,8 @@ class Centres(NamedTuple):
         ratio = angle_ratio(apex, position, normal, plane, ends[:, 1] - ends[:, 0])
         cosine, offset = dot(normal, towards), position - apex
         density = pdf * dot(offset, offset) / jnp.where(cosine == 0, 1.0, jnp.abs(cosine)) * emitters
-        mixed = _fraction(density, scatterer.pdf(towards) * lobes)
-        return _fraction(rate, other), mixed * ratio + 1.0 - mixed, ratio
-
-
-def _fraction(one, two):
-    """one / (one + two), 1 where both are zero."""
-    either = one + two > 0
-    return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+        mixed = balance(density, scatterer.pdf(towards) * lobes)
+        return balance(rate, other), mixed * ratio + 1.0 - mixed, ratio
 
 
 class EmitterLines:
@@ -106,10 +101,7 @@ class EmitterLines:
         drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
         # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
         apex = leave(scatterer.point, scatterer.normal)
-        found = silhouette_crossings(
-            self.packed, self.prepared, self.paths, chosen, apex, drawn.chords, key_seed, room, self.settings.rays
-        )
-        return drawn, *found
+        return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: luminance per motion of the edge."""
@@ -152,14 +144,8 @@ class EmitterLines:
     def _share(self, vertex: Int[Array, " C"], point: SurfacePoint) -> Float[Array, " C"]:
         """Share of the light from points of emitters that emitter samples account for in narrow lobes."""
         scatterer = self.paths.scatterer(vertex)
-        offset = point.position - scatterer.point.position
-        distance2 = dot(offset, offset)
-        distance2 = jnp.where(distance2 > 0, distance2, 1.0)
-        towards = offset / jnp.sqrt(distance2)[:, None]
-        detached = jax.tree.map(stop_gradient, self.packed)
-        density = emitter_pdf(detached, point, towards, distance2, jnp.abs(dot(point.normal, towards)))
-        total = density + scatterer.pdf(towards)
-        return density / jnp.where(total > 0, total, 1.0)
+        towards = normalize(point.position - scatterer.point.position)
+        return balance(*sample_densities(jax.tree.map(stop_gradient, self.packed), scatterer, point, towards))
 
 
 def _projected(lines: EmitterLines, found: Crossings, centre: SurfacePoint) -> Float[Array, "C 3"]:

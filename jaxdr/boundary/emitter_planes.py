@@ -85,7 +85,7 @@ def emitter_face_at(
     vertices = stop_gradient(packed.vertices)
     faces = face[:, None]
     if few_emitter_faces(packed):
-        faces = jnp.broadcast_to(packed.emitter_faces, (face.shape[0], packed.emitter_faces.shape[0]))
+        faces = jnp.broadcast_to(packed.emitter_faces[None], (face.shape[0], packed.emitter_faces.shape[0]))
     barycentric = affine_coordinates(vertices[packed.faces[faces]], point[:, None])
     depth = jnp.where(group[faces] == group[face][:, None], barycentric.min(-1), -jnp.inf)
     best = depth.argmax(-1)[:, None]

@@ -29,7 +29,7 @@ from jaxdr.scene.camera import Camera, View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.delta_chain import ChainSegments, delta_chain
-from jaxdr.transport.interaction import intersect, on_fixed_ray
+from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
 
@@ -248,9 +248,11 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
 def _report(lost, total):
     if not lost:  # under `vmap` the report is called for in any case
         return
+    # A power of ten: Python shows a warning once a place and text, and the number differs from call to call.
+    share = 10.0 ** math.ceil(math.log10(lost / total))
     warnings.warn(
-        f"jaxdr: {int(lost)} of {int(total)} edges seen in mirrors or through glass were not found again in {TRIALS} "
-        "trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
+        f"jaxdr: up to {100 * share:g} % of the edges seen in mirrors or through glass were not found again in "
+        f"{TRIALS} trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
         stacklevel=2,
     )
 
@@ -305,7 +307,8 @@ def _side(detached, table: EdgeTable, crossings: Crossings, view, film_points, u
     """What chains from film points beside crossings find."""
     start = table.ends[crossings.edge, 0]
     side = table.ends[crossings.edge, 1] - start
-    (chain,) = _segment(crossings, delta_chain(detached, view, film_points, u, settings.rays))
+    whole = delta_chain(detached, view, film_points, u, settings.rays)
+    (chain,) = _segment(crossings, whole)
     at = passes(chain.origin, chain.direction, start, side)
     neighbours = detached.edges.faces[crossings.edge]
     own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
@@ -313,16 +316,6 @@ def _side(detached, table: EdgeTable, crossings: Crossings, view, film_points, u
     clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
     ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
     meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached
-    radiance = _radiance(detached, view, film_points, u, key, settings)
+    first = on_fixed_ray(detached, whole.origin[0], whole.direction[0], whole.face[0])
+    radiance = trace_paths(detached, first, whole.direction[0], u, key, settings).radiance
     return _Side(radiance, volume(chain.origin, chain.direction, start, side), meets)
-
-
-def _radiance(detached, view: View, film_points, u, key, settings) -> Float[Array, "C 3"]:
-    """Radiance that arrives at film points, by the paths of these numbers."""
-    origin, direction = view.rays(film_points)
-    origin = jnp.broadcast_to(origin, direction.shape)
-    begin, reach = view.clipped(origin, direction)
-    active = jnp.ones(direction.shape[0], bool)
-    face = intersect(detached, begin, direction, active, settings.rays, reach)
-    first = on_fixed_ray(detached, origin, direction, face)
-    return trace_paths(detached, first, direction, u, key, settings).radiance

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.folds import SMOOTH
 from jaxdr.boundary.texture_jumps import glow_jumps, seam_jumps
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.camera import View
@@ -133,7 +134,7 @@ def _importance(packed: PackedScene, moving, key):
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
     typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
-    crease = jump + typical * jnp.where(smooth[face0], 0.1, 1.0) * fold
+    crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.uvs is not None:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
         crease = crease + light * seam_jumps(packed, jnp.arange(face0.shape[0]))
@@ -322,11 +323,10 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
     one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
     near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
-    if packed.has_delta_lobes:
-        # What two mirrors show is not to be found in one direction.
+    if packed.has_delta_lobes:  # what two mirrors show is not to be found in one direction
         jump = _jump(detached, points, u, key_path, settings, near)
-        return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
-    jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
+    else:
+        jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
     return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
 
 

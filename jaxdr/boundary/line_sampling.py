@@ -106,30 +106,28 @@ class LineSampling(eqx.Module):
             return total
         paths = PathSegments(packed, primary, record.direct, record.vertices)
         key_emitters, key_lobes = jax.random.split(key)
-        carries = luminance(paths.table.throughput)
+        throughput = luminance(paths.table.throughput)
+        # In narrow lobes attached lines find all that emitter samples do not account for.
+        wide = throughput if paths.narrow is None else jnp.where(paths.narrow, 0.0, throughput)
         emitters = lobes = skies = attached = None
         emitter_lines = EmitterLines(packed, prepared, paths, settings)
         lobe_lines = LobeLines(packed, prepared, paths, settings, self.reach)
         if packed.has_area_emitters:
-            emitters = self._spread(emitter_lines, carries, key_emitters)
+            emitters = self._spread(emitter_lines, throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
+            carries = wide
             if packed.environment is None:  # nothing is gathered behind the last bounce
-                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, carries, 0.0)
-            if paths.narrow is not None:
-                carries = jnp.where(paths.narrow, 0.0, carries)
+                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, wide, 0.0)
             lobes = self._spread(lobe_lines, carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
-            carries = luminance(paths.table.throughput)
-            if paths.narrow is not None:
-                carries = jnp.where(paths.narrow, 0.0, carries)
             sky_lines = SkyLines(packed, prepared, paths, settings)
-            skies = self._spread(sky_lines, carries, jax.random.fold_in(key, 3))
+            skies = self._spread(sky_lines, wide, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             sky_lines.both = lobe_lines.skies = SkyShare(packed, paths, self.reach, *numbers)
         if paths.narrow is not None:
             lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
-            carries = jnp.where(paths.narrow, luminance(paths.table.throughput), 0.0)
-            attached = self._spread(lines, carries, jax.random.fold_in(key, 2))
+            narrow = jnp.where(paths.narrow, throughput, 0.0)
+            attached = self._spread(lines, narrow, jax.random.fold_in(key, 2))
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
             emitter_lines.both = lobe_lines.both = both

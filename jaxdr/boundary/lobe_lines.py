@@ -34,12 +34,9 @@ class LobeLines:
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        lobes, apex = draw_lobe_chords(self.packed, self.paths, chosen, self.reach, key_chord)
+        lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
         chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
-        found = silhouette_crossings(
-            self.packed, self.prepared, self.paths, chosen, apex, chords, key_seed, room, self.settings.rays
-        )
-        return lobes, *found
+        return lobes, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""

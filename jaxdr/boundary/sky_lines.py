@@ -9,10 +9,10 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import background_term, seen_edges
-from jaxdr.boundary.chords import LobeChords, lobe_rate
+from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.silhouettes import PathSegments
-from jaxdr.geometry.vector import dot, orthonormal_basis
+from jaxdr.geometry.vector import dot
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
@@ -43,8 +43,7 @@ class SkyShare(NamedTuple):
         other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
         sampler = self.packed.environment_sampler
         rate = stop_gradient(sampler.pdf(towards)) * 2.0 * _extent(self.packed, towards) / math.pi * skies
-        either = rate + other > 0
-        return jnp.where(either, rate / jnp.where(either, rate + other, 1.0), 1.0)
+        return balance(rate, other)
 
 
 class SkyLines:
@@ -62,25 +61,21 @@ class SkyLines:
 
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
-        packed, paths = self.packed, self.paths
+        packed = self.packed
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
-        scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
         centre = packed.environment_sampler.sample(u[:, :2])
-        s, t = orthonormal_basis(centre)
-        angle = math.pi * u[:, 2]
-        plane = jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
-        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(angle)
-        drawn = LobeChords(centre, stop_gradient(packed.environment_sampler.pdf(centre)), plane, reach)
+        plane = random_across(centre, u[:, 2])
+        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
+        pdf = stop_gradient(jnp.asarray(packed.environment_sampler.pdf(centre)))
+        drawn = LobeChords(centre, pdf, plane, reach)
 
         apex = leave(scatterer.point, scatterer.normal)
         chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
         rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
         chords = chords._replace(useful=chords.useful & rises)
-        found = silhouette_crossings(
-            packed, self.prepared, paths, chosen, apex, chords, key_seed, room, self.settings.rays
-        )
-        return drawn, *found
+        return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""

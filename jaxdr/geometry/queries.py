@@ -317,5 +317,5 @@ def _sector_query(implementation, args, least_layer, capacity):
     nodes = len(EdgeTree._fields)
     tree, rest = EdgeTree(*args[:nodes]), args[nodes:]
     if implementation == "jax":
-        return tuple(jax_sector.sector_crossings(*rest, least_layer, capacity))
+        return tuple(jax_sector.sector_crossings(*rest, least_layer=least_layer, capacity=capacity))
     return tuple(_module(implementation).sector_crossings(tree, *rest, least_layer, capacity))

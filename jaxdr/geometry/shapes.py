@@ -226,6 +226,19 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     )
 
 
+def centred(mesh: Mesh, size: float) -> Mesh:
+    """The mesh with its bounding box around the origin, the longest side `size` long.
+
+    On the host, as `transformed`. Raises `ValueError` for a size that is not positive.
+    """
+    _require(size > 0, "size must be positive", size)
+    points = np.asarray(mesh.vertices, float)
+    low, high = points.min(0), points.max(0)
+    matrix = np.diag([*3 * [size / (high - low).max()], 1.0])
+    matrix[:3, 3] = -matrix[0, 0] * (low + high) / 2
+    return transformed(mesh, matrix)
+
+
 def _require(condition: bool | np.bool_, message: str, value) -> None:
     if not condition:
         raise ValueError(f"{message}, got {value}")

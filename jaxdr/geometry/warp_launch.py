@@ -56,9 +56,11 @@ def compact(kernel, leading: list, rest: list, total: int, seed: int, lists: lis
     if found[0] > capacity:
         every = int(found[1])
         probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
+        # A power of two: Python shows a warning once a place and text, and the number differs from call to call.
+        enough = 1 << (every // capacity).bit_length()
         warnings.warn(
-            f"jaxdr: {every} silhouettes near {total} segments exceed the capacity of {capacity}; "
-            f"thinned without bias to {probability:.0%}. A larger capacity, or less reach, avoids it.",
+            f"jaxdr: the silhouettes near {total} segments exceed the capacity of {capacity} and were thinned without "
+            f"bias. {enough} times the capacity, or less reach, avoids it.",
             stacklevel=2,
         )
         kept = _run(kernel, leading, rest, total, seed, probability, lists, counts, device)[0]

@@ -263,8 +263,8 @@ def _sector_crossings(
         found, inverse = compact(sector_kernels.sector_crossings, [bvh.id], rest, total, seed, lists, 6, device)
     if found[2] > 1e-3 * found[5]:
         warnings.warn(
-            f"jaxdr: before {found[2]} of {total} chords surfaces could not be counted (something that pierces "
-            "an emitter, or rounding); rays past each edge decided there",
+            f"jaxdr: before some of {total} chords surfaces could not be counted (something that pierces an emitter, "
+            "or rounding); rays past each edge decided there",
             stacklevel=2,
         )
     counts.assign(found[1:].astype(np.int32))

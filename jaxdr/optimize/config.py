@@ -212,14 +212,13 @@ class Optimizer:
 
 
 @dataclass(frozen=True)
-class Report:
-    """How often, in iterations: `pictures` and GLB snapshots, the `chamfer` distance, a `checkpoint`.
+class Reporting:
+    """How often, in iterations: `pictures` with GLB snapshots, a `checkpoint`.
 
-    Picture grids show `views` of the cameras; the Chamfer distance uses `chamfer_samples` points on each surface.
+    Picture grids show `views` of the cameras; Chamfer distances use `chamfer_samples` points on each surface.
     """
 
     pictures: int = 50
-    chamfer: int = 25
     checkpoint: int = 50
     views: int = 4
     chamfer_samples: int = 20_000
@@ -227,6 +226,13 @@ class Report:
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
             require(value >= 1, name, "must be at least 1", value)
+
+
+@dataclass(frozen=True)
+class Report(Reporting):
+    """And how often the `chamfer` distance."""
+
+    chamfer: int = 25
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
+from jaxdr.optimize.targets import rendered, target_views
 
 # Streams of random numbers under the run's seed.
 TARGETS, STEPS, PICTURES = 0, 1, 2
@@ -99,22 +100,11 @@ class _Run:
 
     def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
         """Target views: rendered, or read back when a run is resumed."""
-        if resume and self.folder.has_targets:
-            return self.folder.load_targets()
         mesh, spp = self.problem.target, self.config.samples.target
         image = view_renderer(self.problem.scene, mesh, self.problem.integrator)
         key = jax.random.fold_in(self.key, TARGETS)
-        targets = []
-        with Progress("render targets", len(self.problem.views)) as progress:
-            for i, pose in enumerate(self.poses()):
-                targets.append(np.asarray(image(mesh.vertices, pose, jax.random.fold_in(key, i), spp)))
-                if not np.isfinite(targets[-1]).all():
-                    raise NotFinite(f"the target image of view {i} is not finite")
-                progress.step()
-                if self.interruption.requested:
-                    raise Interrupted("stopped while rendering the target views, which will be rendered again")
-        self.folder.save_targets(np.stack(targets))
-        return np.stack(targets)
+        images = rendered(lambda *view: image(mesh.vertices, *view, spp), self.poses(), key, self.interruption)
+        return target_views(self.folder, resume, images)
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxdr.geometry.load import load_mesh
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.geometry.shapes import plane, rectangle, sphere, transformed
+from jaxdr.geometry.shapes import centred, plane, rectangle, sphere, transformed
 from jaxdr.integrator import PathTracer
 from jaxdr.optimize.config import TARGET_SHAPES, Cameras, Light, OptimizeConfig, Target
 from jaxdr.scene.bsdf import Diffuse, TwoSided
@@ -60,14 +60,7 @@ def build_target(target: Target) -> Mesh:
             raise ValueError(f"target.parameters: {problem}") from None
     # Rotations by a third of a turn or not at all: they keep the orientation of the faces.
     order = {"z": (0, 1, 2), "y": (2, 0, 1), "x": (1, 2, 0)}[target.up]
-    turn = np.eye(3)[list(order)]
-    points = np.asarray(mesh.vertices, float) @ turn.T
-    low, high = points.min(0), points.max(0)
-    scale = target.size / (high - low).max()
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * turn
-    matrix[:3, 3] = -scale * (low + high) / 2
-    mesh = transformed(mesh, matrix)
+    mesh = centred(transformed(mesh, np.eye(4)[[*order, 3]]), target.size)
     return mesh.smooth() if target.shading == "smooth" else mesh.flat()
 
 

@@ -36,6 +36,11 @@ FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: a
 Matrix = Float[np.ndarray, "4 4"]
 
 
+def is_gltf(path: str | os.PathLike) -> bool:
+    """Whether a file is one for `load_gltf`, by its name."""
+    return Path(path).suffix.lower() in EXTENSIONS
+
+
 def load_gltf(
     path: str | os.PathLike, *, width: int = 512, height: int | None = None, ignore_unsupported: bool = False
 ) -> Scene:
@@ -53,7 +58,7 @@ def load_gltf(
     Raises ValueError for a missing or damaged file.
     """
     path = Path(path)
-    if path.suffix.lower() not in EXTENSIONS:
+    if not is_gltf(path):
         raise ValueError(f"load_gltf: {path} has an unknown extension; known are {', '.join(EXTENSIONS)}")
     if not path.is_file():
         raise ValueError(f"load_gltf: there is no file {path}")

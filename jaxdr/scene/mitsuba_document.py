@@ -139,7 +139,7 @@ def read_xml(
 def _by_id(root: Element) -> dict[str, Element]:
     """Elements by id and alias; aliases are taken out of the tree."""
     found: dict[str, Element] = {}
-    for parent, element in list(_descendants(root)):
+    for parent, element in list(descendants(root)):
         if element.tag == "alias":
             parent.children.remove(element)
             element.check_attributes(("id", "as"))
@@ -157,10 +157,11 @@ def _by_id(root: Element) -> dict[str, Element]:
     return found
 
 
-def _descendants(element: Element) -> Iterator[tuple[Element, Element]]:
+def descendants(element: Element) -> Iterator[tuple[Element, Element]]:
+    """(parent, child) for every element inside, each before those inside of it."""
     for child in element.children:
         yield element, child
-        yield from _descendants(child)
+        yield from descendants(child)
 
 
 def _resolve(element: Element, by_id: dict[str, Element], parents: list[Element], done: set[int]) -> None:

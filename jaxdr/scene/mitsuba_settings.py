@@ -1,11 +1,10 @@
 """How a Mitsuba scene file wants its image to be made: what is no part of the scene."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxdr.scene.mitsuba_document import read_document
+from jaxdr.scene.mitsuba_document import descendants, read_document
 from jaxdr.scene.mitsuba_element import Element
 
 DIRECT = ("direct", "direct_projective")  # two segments by definition
@@ -25,22 +24,15 @@ def mitsuba_settings(path: str | os.PathLike, /, **variables: object) -> RenderS
     """
     root = read_document(Path(path), variables)
     depth = spp = None
-    for integrator in _nested(root, "integrator"):
-        if integrator.type not in ("aov", "moment"):  # these have another one inside
-            depth = 2 if integrator.type in DIRECT else _whole(integrator, "max_depth", -1)
+    for _, element in descendants(root):
+        if element.tag == "integrator" and element.type not in ("aov", "moment"):  # these have another one inside
+            depth = 2 if element.type in DIRECT else _whole(element, "max_depth", -1)
             break
-    for sensor in _nested(root, "sensor"):
-        for sampler in _nested(sensor, "sampler"):
-            spp = _whole(sampler, "sample_count", None)
-        break
+    sensors = [child for child in root.children if child.tag == "sensor"]
+    for _, element in descendants(sensors[0]) if sensors else ():
+        if element.tag == "sampler":
+            spp = _whole(element, "sample_count", None)
     return RenderSettings(depth, spp)
-
-
-def _nested(element: Element, tag: str) -> Iterator[Element]:
-    for child in element.children:
-        if child.tag == tag:
-            yield child
-            yield from _nested(child, tag)
 
 
 def _whole(element: Element, name: str, default: int | None) -> int | None:

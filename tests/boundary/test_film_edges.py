@@ -13,6 +13,7 @@ import jaxdr as jd
 from jaxdr.boundary.film_edges import edge_distribution
 from jaxdr.geometry.shapes import box, rectangle
 from jaxdr.scene.packed import pack
+from tests.references.central_differences import central
 from tests.references.polygon_shadow import irradiance
 
 SIZE = 16
@@ -75,16 +76,6 @@ def union_area(first, second, window=(0, 0, SIZE, SIZE)):
     return abs(signed_area(first)) + abs(signed_area(second)) - abs(signed_area(common))
 
 
-def derivative(function, corners, step=1e-5):
-    """Central differences of a function of corners."""
-    result = np.zeros_like(corners)
-    for index in np.ndindex(corners.shape):
-        shift = np.zeros_like(corners)
-        shift[index] = step
-        result[index] = (function(corners + shift) - function(corners - shift)) / (2 * step)
-    return result
-
-
 INTEGRATOR = jd.PathTracer(max_depth=1, edge_samples=4.0)
 
 
@@ -128,7 +119,7 @@ CASES = {
 def test_black_quadrangle_before_a_white_sky(case):
     corners = CASES[case]
     # The reference keeps the quadrangle's outline for corners that leave their plane: with thin triangles it is exact.
-    exact = -derivative(lambda c: abs(signed_area(outline(c))), corners)
+    exact = -central(lambda c: abs(signed_area(outline(c))), corners)
     assert_derivative(estimate(scene({"quad": corners}))["quad"], exact, 0.05)
 
 
@@ -146,7 +137,7 @@ def test_perimeter_times_velocity():
 def test_crop_window():
     """Edges outside of the window don't count, those across its border in part."""
     window = (5, 2, 6, 9)
-    exact = -derivative(lambda c: abs(signed_area(outline(c, window))), SQUARE)
+    exact = -central(lambda c: abs(signed_area(outline(c, window))), SQUARE)
     assert_derivative(estimate(scene({"quad": SQUARE}, crop=window))["quad"], exact, 0.05)
 
 
@@ -154,8 +145,8 @@ def test_partly_hidden_edges():
     """Two overlapping quadrangles at different distances: edges of the farther one count where they are seen."""
     near = SQUARE * [0.6, 0.5, 0.7] + [0.25, 0.15, 0.0]
     found = estimate(scene({"far": SQUARE, "near": near}))
-    assert_derivative(found["far"], -derivative(lambda c: union_area(c, near), SQUARE), 0.05)
-    assert_derivative(found["near"], -derivative(lambda c: union_area(SQUARE, c), near), 0.05)
+    assert_derivative(found["far"], -central(lambda c: union_area(c, near), SQUARE), 0.05)
+    assert_derivative(found["near"], -central(lambda c: union_area(SQUARE, c), near), 0.05)
 
 
 def test_hidden_edges_contribute_nothing():

@@ -1,5 +1,6 @@
 """Silhouettes that cut planar sectors: `warp` and `jax` against layers counted in float64, and against each other."""
 
+import warnings
 from functools import partial
 
 import jax
@@ -260,6 +261,18 @@ def test_thinning_is_unbiased(implementation):
     deviation = np.sqrt(every * (float(answer.weight) - 1.0))
     assert abs(kept - every) < 4 * deviation
     assert np.asarray(answer.counts)[0] == every
+
+
+def test_thinning_is_said_once():
+    """However often it happens and however many crossings there are: steps of an optimisation differ in that."""
+    mesh = SHAPES["bumps"]()
+    chords = random_chords(mesh)
+    room = round(0.7 * len(ask(mesh, *chords)[0]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        for size in (1.0, 1.02):
+            ask(mesh.with_vertices(size * mesh.vertices), *chords, capacity=room)
+    assert len(caught) == 1
 
 
 def test_duplicated_edges_cancel_or_count_once():

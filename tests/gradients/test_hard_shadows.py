@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxdr as jd
+from tests.references.central_differences import central
 
 SIZE = 16
 EYE = jd.look_at([0.3, -4.0, 1.6], [0.2, 0.4, 0.0], [0, 0, 1])
@@ -124,16 +125,6 @@ def check(rows, truth, precision=0.02):
         scale = np.abs(expected).max()
         assert np.all(error < precision * scale), (name, error / scale)
         assert np.all(np.abs(mean - expected) < 5 * error + 1e-3 * scale), (name, mean / scale, expected / scale)
-
-
-def central(function, at, step=1e-5):
-    """Derivatives by central differences."""
-    result = np.zeros_like(at)
-    for index in np.ndindex(at.shape):
-        shift = np.zeros_like(at)
-        shift[index] = step
-        result[index] = (function(at + shift) - function(at - shift)) / (2 * step)
-    return result
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.optimize.config import Cameras, Integrator, Samples, Vector, found_file, require
+from jaxdr.optimize.config import Cameras, Integrator, Reporting, Samples, Vector, found_file, require
 from jaxdr.optimize.recovery.parameters import Motion
 from jaxdr.optimize.recovery.scenes import check_options
 from jaxdr.optimize.strict_toml import build
@@ -154,21 +154,10 @@ class LevenbergMarquardt:
 
 
 @dataclass(frozen=True)
-class Report:
-    """How often, in iterations: `pictures`, `errors` of the parameters (where the target is known), a `checkpoint`.
+class Report(Reporting):
+    """And how often the `errors` of the parameters, where the target is known."""
 
-    Picture grids show `views` of the cameras; Chamfer distances use `chamfer_samples` points on each surface.
-    """
-
-    pictures: int = 50
     errors: int = 10
-    checkpoint: int = 50
-    views: int = 4
-    chamfer_samples: int = 20_000
-
-    def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 1, name, "must be at least 1", value)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.errors import Errors
 from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps
 from jaxdr.optimize.recovery.problem import build_problem
+from jaxdr.optimize.targets import rendered, target_views
 
 METHODS = {"adam": AdamSteps, "levenberg_marquardt": LeastSquaresSteps}
 # Streams of random numbers under the run's seed.
@@ -92,24 +93,11 @@ class _Run:
 
     def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
         """Target views: read, rendered, or read back when a run is resumed."""
-        if resume and self.folder.has_targets:
-            return self.folder.load_targets()
-        if self.problem.images is not None:
-            targets = list(self.problem.images)
-        else:
-            targets, image = [], jax.jit(self.problem.target_image, static_argnums=3)
-            key, spp = jax.random.fold_in(self.key, TARGETS), self.config.samples.target
-            with Progress("render targets", len(self.problem.views)) as progress:
-                for i, pose in enumerate(self.poses()):
-                    targets.append(np.asarray(image(self.problem.target, pose, jax.random.fold_in(key, i), spp)))
-                    progress.step()
-                    if self.interruption.requested:
-                        raise Interrupted("stopped while rendering the target views, which will be rendered again")
-        for i, target in enumerate(targets):
-            if not np.isfinite(target).all():
-                raise NotFinite(f"the target image of view {i} is not finite")
-        self.folder.save_targets(np.stack(targets))
-        return np.stack(targets)
+        images, scene, spp = self.problem.images, self.problem.target, self.config.samples.target
+        if images is None:
+            image, key = jax.jit(self.problem.target_image, static_argnums=3), jax.random.fold_in(self.key, TARGETS)
+            images = rendered(lambda *view: image(scene, *view, spp), self.poses(), key, self.interruption)
+        return target_views(self.folder, resume, images)
 
     def finish(self, state: Any, targets, iteration: int) -> dict:
         """Write result and summary."""

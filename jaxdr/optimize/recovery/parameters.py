@@ -19,8 +19,6 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.preconditioner import LargeSteps
 
-MOTIONS = ("rigid", "rotation", "translation", "angle")
-
 
 class Parametrization(eqx.Module):
     """A parameter as a function of latent numbers."""

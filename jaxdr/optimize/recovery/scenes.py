@@ -12,26 +12,22 @@ from jaxtyping import Float
 
 from jaxdr.geometry import shapes
 from jaxdr.geometry.load import load_mesh
-from jaxdr.geometry.mesh import Mesh
-from jaxdr.geometry.shapes import plane, transformed
+from jaxdr.geometry.shapes import centred, plane, transformed
 from jaxdr.geometry.uvs import spherical_uvs
+from jaxdr.optimize.config import TARGET_SHAPES
 from jaxdr.scene.bsdf import Diffuse, RoughConductor, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.scene.film import Film
-from jaxdr.scene.gltf import EXTENSIONS, load_gltf
+from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.lights import PointLight
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.scene import Scene, Shape
 from jaxdr.scene.textures import Bitmap
 
 FLOOR = -0.6
-ROUND: dict[str, Callable[..., Mesh]] = {
-    "duck": shapes.duck,
-    "sphere": shapes.sphere,
-    "displaced_sphere": shapes.displaced_sphere,
-}
+ROUND = ("duck", "sphere", "displaced_sphere")  # of the `TARGET_SHAPES`, those whose first argument is subdivisions
 TEXTURES = ("patches", "plain")
 
 
@@ -56,7 +52,7 @@ def textured_object(
     _choice("shape", shape, ROUND)
     _choice("texture", texture, TEXTURES)
     _choice("shading", shading, ("flat", "smooth"))
-    made = load_mesh(mesh, shading=shading) if mesh else ROUND[shape](subdivisions)
+    made = load_mesh(mesh, shading=shading) if mesh else TARGET_SHAPES[shape](subdivisions)
     made = centred(made, size)
     made = made.smooth() if shading == "smooth" else made.flat()
     made = made if made.uvs is not None else spherical_uvs(made)
@@ -94,7 +90,7 @@ def glossy_object(
     Raises ValueError as the parts do.
     """
     _choice("shape", shape, ROUND)
-    made = centred(ROUND[shape](subdivisions), size).smooth()
+    made = centred(TARGET_SHAPES[shape](subdivisions), size).smooth()
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # the map's +y is the world's +z
     return Scene(
@@ -146,7 +142,7 @@ def load_scene(name: str, file: str, options: dict) -> Scene:
             return SCENES[name](**options)
         except (TypeError, ValueError) as problem:
             raise ValueError(f"options: {problem}") from None
-    reader = load_gltf if file.lower().endswith(EXTENSIONS) else load_mitsuba
+    reader = load_gltf if is_gltf(file) else load_mitsuba
     try:
         return reader(file, **options)
     except (TypeError, ValueError) as problem:
@@ -195,17 +191,6 @@ def procedural_sky(height: int, sun: float) -> Float[np.ndarray, "H W 3"]:
     blend = 1 / (1 + np.exp(-20 * up))
     disk = np.exp(-((np.maximum(1 - towards, 0) / (1 - math.cos(math.radians(10)))) ** 2))[..., None]
     return blend * sky + (1 - blend) * np.array([0.25, 0.2, 0.15]) + sun * disk * np.array([1.0, 0.9, 0.75])
-
-
-def centred(mesh: Mesh, size: float) -> Mesh:
-    """The mesh with its bounding box around the origin, the longest side `size` long. Raises ValueError for 0."""
-    if not size > 0:
-        raise ValueError(f"size must be positive, got {size}")
-    points = np.asarray(mesh.vertices, float)
-    low, high = points.min(0), points.max(0)
-    matrix = np.diag([*3 * [size / (high - low).max()], 1.0])
-    matrix[:3, 3] = -matrix[0, 0] * (low + high) / 2
-    return transformed(mesh, matrix)
 
 
 def _floor() -> Shape:
