@@ -22,7 +22,8 @@ from jaxdr.scene.splat import splat
 from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
-from jaxdr.transport.path import PathSettings, trace_jump, trace_paths
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import first_bounce, first_bounce_of_jump, radiance_by_form
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
 
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
@@ -293,12 +294,15 @@ def _silhouettes(packed, distribution, count, key, settings, form) -> Float[Arra
     view, detached = points.view, jax.tree.map(stop_gradient, packed)
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
 
-    def radiance(first, direction):
+    def side(first, direction):
         near = _near_field(view, first) if form == "near" else None
-        record = trace_paths(detached, first, direction, u, key_path, settings, near)
-        return record.radiance, record.radiance if form == "material" else record.near
+        return first_bounce(detached, first, direction, u, settings, near)
 
-    total, near = jax.vmap(radiance)(points.first, points.direction)
+    first = points.first._replace(valid=points.first.valid & points.outline)
+    begun = jax.vmap(side)(first, points.direction)
+    total, near = radiance_by_form(detached, begun, key_path, settings)
+    if form == "material":
+        near = total
     seen, film_point = points.outline, points.film_point
     _, _, width, height = packed.camera.film.window
     image = jnp.zeros((height, width, 3), total.dtype)
@@ -321,13 +325,16 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     points = _edge_points(packed, distribution, distribution.creases, count, key_edge, settings)
     detached = jax.tree.map(stop_gradient, packed)
     u = lattice(key_first, 1, jnp.arange(count), 4, points.weight.dtype)[0]
-    one, two = (jax.tree.map(lambda x, side=side: x[side], points.first) for side in (1, 0))
+    seen = points.at_edge.all(0)
+    first = points.first._replace(valid=points.first.valid & seen)
+    one, two = (jax.tree.map(lambda x, side=side: x[side], first) for side in (1, 0))
     near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
     if packed.has_delta_lobes:  # what two mirrors show is not to be found in one direction
         jump = _jump(detached, points, u, key_path, settings, near)
     else:
-        jump = trace_jump(detached, one, two, points.direction[1], u, key_path, settings, near)
-    return _value(packed, points, points.at_edge.all(0), jump, points.film_point)
+        begun = first_bounce_of_jump(detached, one, two, points.direction[1], u, settings, near)
+        jump = radiance_by_form(detached, begun, key_path, settings)[0]
+    return _value(packed, points, seen, jump, points.film_point)
 
 
 def _jump(detached, points: _EdgePoints, u, key, settings, near) -> Float[Array, "n 3"]:
@@ -335,8 +342,9 @@ def _jump(detached, points: _EdgePoints, u, key, settings, near) -> Float[Array,
     sides = []
     for side, field in zip((1, 0), near or (None, None), strict=True):
         first = jax.tree.map(lambda x, side=side: x[side], points.first)
-        record = trace_paths(detached, first, points.direction[side], u, key, settings, field)
-        sides.append(record.radiance - record.near)
+        begun = first_bounce(detached, first, points.direction[side], u, settings, field)
+        radiance, near_radiance = radiance_by_form(detached, begun, key, settings)
+        sides.append(radiance - near_radiance)
     return sides[0] - sides[1]
 
 

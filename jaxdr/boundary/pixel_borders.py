@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import first_bounce, radiance_by_form
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 
 
@@ -48,7 +49,8 @@ def _flux(packed: PackedScene, axis: int, count: int, key, settings) -> Float[Ar
     face = intersect(detached, start, direction, jnp.ones(sides * count, bool), settings.rays, reach)
     first = on_fixed_ray(detached, origin, direction, face)
     near = NearField(still, first, jnp.ones_like(first.area))
-    radiance = trace_paths(detached, first, direction, u[:, 1:5], key_path, settings, near).near
+    begun = first_bounce(detached, first, direction, u[:, 1:5], settings, near)
+    radiance = radiance_by_form(detached, begun, key_path, settings)[1]
 
     moving = material_point(packed, first.face, first.barycentric, first.valid)
     ahead = jnp.asarray([0.0, 0.0, 1.0], dtype)

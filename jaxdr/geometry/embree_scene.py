@@ -6,6 +6,7 @@ which call the functions of the library at the addresses given here.
 
 import ctypes
 import functools
+import importlib
 
 import numpy as np
 
@@ -24,11 +25,11 @@ class _Library:
 
     def __init__(self):
         try:
-            from embreex import rtcore  # a handle on it finds what it is linked with
+            module = importlib.import_module("embreex.rtcore")  # a handle on it finds what it is linked with
         except ImportError as error:
             raise ImportError('rays="embree" needs the package embreex: pip install "embreex>=4.4"') from error
 
-        self.functions = ctypes.CDLL(rtcore.__file__)
+        self.functions = ctypes.CDLL(module.__file__)
         for name in ("rtcNewDevice", "rtcNewScene", "rtcNewGeometry", "rtcSetNewGeometryBuffer"):
             getattr(self.functions, name).restype = ctypes.c_void_p
         self.functions.rtcGetDeviceProperty.restype = ctypes.c_ssize_t

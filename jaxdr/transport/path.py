@@ -28,7 +28,7 @@ from jaxdr.transport.interaction import (
 )
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.sampler import uniform
-from jaxdr.transport.shading import Scatterer, ScatteringJump
+from jaxdr.transport.shading import Scatterer
 
 
 class Segments(NamedTuple):
@@ -157,30 +157,6 @@ def trace_paths(
         jax.tree.map(stop_gradient, scattered),
         parts.vertices,
     )
-
-
-def trace_jump(
-    packed: PackedScene,
-    one: SurfacePoint,
-    two: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
-    key: PRNGKeyArray,
-    settings: PathSettings,
-    near: tuple[NearField, NearField] | None = None,
-) -> Float[Array, "N 3"]:
-    """Radiance from points `one` less that from points `two` beside them, across a crease: one path for both.
-
-    With `near`, of the two sides, only the share that is not in material form.
-    """
-    radiance = emitted(packed, one, -direction) - emitted(packed, two, -direction)
-    bounces = settings.max_depth - 1
-    if bounces == 0:
-        return radiance
-    first, second = Scatterer(packed, one, -direction), Scatterer(packed, two, -direction)
-    jump = ScatteringJump(first, second, near, settings.attached)
-    parts = _gather(packed, jump, bounces, u, key, settings, None)
-    return radiance + parts.light.sum(0) + parts.emission.sum(0)
 
 
 def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:

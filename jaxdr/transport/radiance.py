@@ -14,7 +14,7 @@ from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.path import PathSettings, ends_early, scatter, scatter_last
 from jaxdr.transport.sampler import path_numbers
-from jaxdr.transport.shading import Scatterer
+from jaxdr.transport.shading import Scatterer, ScatteringJump
 
 BLOCK = 1 << 14  # paths that go on together: enough for all threads, few enough for what they need to stay in caches
 
@@ -70,16 +70,40 @@ def first_bounce(
 ) -> FirstBounce:
     """The first bounce of paths that `radiance_by_form` goes on with; `near` the other form of the first hits.
 
-    It may be mapped over several first hits that share their random numbers. `settings.max_depth` is at least 2.
+    It may be mapped over several first hits that share their random numbers.
     """
     packed, first, direction, near = stop_gradient((packed, first, direction, near))
     emission, scatterer = emitted(packed, first, -direction), Scatterer(packed, first, -direction)
-    throughput = jnp.ones_like(direction)
+    return _first_bounce(packed, emission, scatterer, -direction, u, settings, near)
+
+
+def first_bounce_of_jump(
+    packed: PackedScene,
+    one: SurfacePoint,
+    two: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    u: Float[Array, "N 4"],
+    settings: PathSettings,
+    near: tuple[NearField, NearField] | None,
+) -> FirstBounce:
+    """The same of the radiance from points `one` less that from `two` beside them, across a crease: a path for both.
+
+    With `near`, of the two sides, only the share that is not in material form.
+    """
+    packed, one, two, direction, near = stop_gradient((packed, one, two, direction, near))
+    emission = emitted(packed, one, -direction) - emitted(packed, two, -direction)
+    first, second = Scatterer(packed, one, -direction), Scatterer(packed, two, -direction)
+    jump = ScatteringJump(first, second, near, settings.attached)
+    return _first_bounce(packed, emission, jump, -direction, u, settings, None)
+
+
+def _first_bounce(packed, emission, scatterer, wi, u, settings, near) -> FirstBounce:
+    throughput, nothing = jnp.ones_like(wi), jnp.zeros_like(wi)
+    nowhere = (scatterer.point, wi, throughput)
+    if settings.max_depth == 1:
+        return FirstBounce(emission, nothing, nothing, nothing[:, 0], nothing[:, 0], nowhere)
     if settings.max_depth == 2 and ends_early(packed, settings):
-        following, added = (
-            (first, direction, throughput),
-            scatter_last(packed, scatterer, throughput, u, settings, near),
-        )
+        following, added = nowhere, scatter_last(packed, scatterer, throughput, u, settings, near)
     else:
         following, added = scatter(packed, scatterer, throughput, u, settings, near)
     return FirstBounce(emission, added.light, added.emission, added.near_light, added.near_beyond, following)
@@ -127,7 +151,17 @@ def gathered_radiance(
     return _followed(packed, start, u, key, settings, bounces, remaining, stream)
 
 
-def _followed(packed, start, u, key, settings, bounces: int, remaining=None, stream=None, first: int = 0):
+def _followed(
+    packed,
+    start: tuple[SurfacePoint, Array, Array],
+    u,
+    key,
+    settings,
+    bounces: int,
+    remaining=None,
+    stream=None,
+    first: int = 0,
+):
     """Light that paths gather in `bounces` bounces, the first of them number `first`.
 
     `start`: their points there, directions back and throughputs.
