@@ -1,5 +1,6 @@
 """Radiance of paths in value alone: no records, no derivative, and paths that have ended cost nothing."""
 
+import os
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,7 +17,8 @@ from jaxdr.transport.path import PathSettings, ends_early, scatter, scatter_last
 from jaxdr.transport.sampler import path_numbers
 from jaxdr.transport.shading import Scatterer, ScatteringJump
 
-BLOCK = 1 << 14  # paths that go on together: enough for all threads, few enough for what they need to stay in caches
+# Paths that go on together: enough for all threads of the ray queries, few enough for what they need to stay in caches.
+BLOCK = 8192 * max(2, os.cpu_count() or 1)
 
 
 class _Paths(NamedTuple):
