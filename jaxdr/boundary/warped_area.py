@@ -67,7 +67,7 @@ class WarpedArea(eqx.Module):
     samples: int = eqx.field(static=True, default=8)
     boundary_power: float = eqx.field(static=True, default=3.0)
     debias: bool = eqx.field(static=True, default=True)
-    spread: float = eqx.field(static=True, default=1.0)
+    spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
 
     def __check_init__(self):
