@@ -1,7 +1,7 @@
 """The continuous velocity of a warped area: its divergence, and what it is at the boundary."""
 
 import dataclasses
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +21,9 @@ from jaxdr.boundary.continuous_velocity import (
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.boundary.warped_area import Hidden, displacement
 from jaxdr.geometry.shapes import box
-from jaxdr.geometry.vector import orthonormal_basis
+from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import pack
-from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.interaction import material_point
 from tests.gradients.floor_point import BOX, HALF_PLANE, scene, sheet
 
 BLOCKER, FLOOR, LAMP = range(3)  # shapes are in the order of their names
@@ -42,54 +42,52 @@ def random_ends(count: int, infinite: bool) -> SegmentEnds:
     away = target - apex
     normal = away + 0.0 if infinite else away + 2.0 * rng.standard_normal((count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    none = jnp.zeros(count, jnp.int32)
-    corners = jnp.zeros((count, 3, 3))
-    far = jnp.full(count, infinite)
-    return SegmentEnds(jnp.asarray(apex), none, jnp.asarray(target), jnp.asarray(normal), none, corners, far)
+    none, far = np.zeros(count, np.int32), np.full(count, infinite)
+    return SegmentEnds(apex, none, target, normal, none, np.zeros((count, 3, 3)), far)
 
 
-def around(kernel: Kernel, ends: SegmentEnds, samples: int, key) -> Auxiliary:
+def around(packed, faces, kernel: Kernel, ends: SegmentEnds, samples: int, key, infinite: bool) -> Auxiliary:
     """Auxiliary points of targets on planes without an end, or at infinity."""
-    with jax.enable_x64(False):
-        packed, _, faces = under_a_blocker("box")
-    infinite = bool(ends.infinite.all())
     active = jnp.ones(ends.infinite.shape, bool)
     return draw_auxiliary(packed, faces.normal, ends, active, kernel, samples, 1, key, "jax", False, infinite)
+
+
+def in_float64(ends: SegmentEnds) -> SegmentEnds:
+    return jax.tree.map(lambda a: jnp.asarray(a, float) if a.dtype.kind == "f" else jnp.asarray(a), ends)
 
 
 @pytest.mark.parametrize("infinite", [False, True], ids=["plane", "infinity"])
 @pytest.mark.parametrize("name", KERNELS)
 def test_divergence_against_finite_differences(name, infinite):
     """Of the velocity as a function of the target, with the auxiliary points held fixed, in float64."""
-    with jax.enable_x64(True):
-        kernel, ends = KERNELS[name], random_ends(40, infinite)
-        points = around(kernel, ends, 8, jax.random.key(0))
-        rng = np.random.default_rng(1)
-        boundary = jnp.asarray(10.0 ** rng.uniform(-4, 0, points.there.shape))
-        velocity = jnp.asarray(rng.standard_normal(points.position.shape))
-        field = velocity_field(kernel, ends, points, boundary, False, infinite)
-        found = (field.divergence * velocity).sum((1, 2, 3))
+    kernel, ends, key = KERNELS[name], random_ends(40, infinite), jax.random.key(0)
+    packed, _, faces = under_a_blocker("box")
 
-        def mean(target):
-            moved = shares_of(log_weights(kernel, ends, points, boundary, target, infinite))
-            mean = (moved[..., None] * velocity).sum((1, 2))
-            if infinite:
-                out = (target - ends.apex) / jnp.linalg.norm(target - ends.apex, axis=1, keepdims=True)
-                mean = mean - (mean * out).sum(1, keepdims=True) * out
-            return mean
+    def both(ends):
+        points = around(packed, faces, kernel, ends, 8, key, infinite)
+        boundary = 10.0 ** jax.random.uniform(key, points.there.shape, float, -4.0, 0.0)
+        velocity = jax.random.normal(key, points.position.shape, float)
+        field = velocity_field(kernel, ends, points, boundary, False, infinite)
 
         def at(offset):
             target = ends.target + offset
+            away = target - ends.apex
             if infinite:
-                length = [jnp.linalg.norm(p - ends.apex, axis=1, keepdims=True) for p in (ends.target, target)]
-                target = ends.apex + length[0] / length[1] * (target - ends.apex)
-            return mean(target)
+                away = away * (norm(ends.target - ends.apex) / norm(away))[:, None]
+                target = ends.apex + away
+            shares = shares_of(log_weights(kernel, ends, points, boundary, target, infinite))
+            mean = (shares[..., None] * velocity).sum((1, 2))
+            return mean - dot(mean, normalize(away))[:, None] * normalize(away) if infinite else mean
 
         expected, step = 0.0, 1e-7
         for tangent in orthonormal_basis(ends.normal):
-            expected += (tangent * (at(step * tangent) - at(-step * tangent))).sum(1) / (2 * step)
-        assert np.abs(expected).max() > 1
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+            expected += dot(tangent, at(step * tangent) - at(-step * tangent)) / (2 * step)
+        return (field.divergence * velocity).sum((1, 2, 3)), expected
+
+    with jax.enable_x64(True):
+        found, expected = jax.jit(both)(in_float64(ends))
+    assert found.dtype == np.float64 and np.abs(expected).max() > 1
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
 
 def smooth_velocity(position):
@@ -98,42 +96,44 @@ def smooth_velocity(position):
 
 @pytest.mark.parametrize("infinite", [False, True], ids=["plane", "infinity"])
 def test_divergence_of_the_mean_velocity(infinite):
-    """With few auxiliary points: exact once the change of their density counts, and wrong without."""
-    with jax.enable_x64(True):
-        kernel, count, keys = KERNELS["path space"], 4, 40_000
-        ends = random_ends(count, infinite)
-        ends = jax.tree.map(lambda a: jnp.repeat(a, keys, axis=0), ends)
-        key = jax.random.key(2)
+    """With few auxiliary points: exact once the change of their density counts, and wrong without.
 
-        def test_function(position):
-            return 0.02 + 0.5 * (1 + jnp.sin(8 * position.sum(-1)))
+    The velocities are smooth here, so the points may move along with the target, and their density does not change.
+    """
+    kernel, count, draws, key = KERNELS["path space"], 4, 20_000, jax.random.key(2)
+    packed, _, faces = under_a_blocker("box")
+    repeated = jax.tree.map(lambda a: np.repeat(a, draws, axis=0), random_ends(count, infinite))
+
+    def both(ends):
+        def drawn(target):
+            away = normalize(target - ends.apex)
+            moved = dataclasses.replace(ends, target=target, normal=away if infinite else ends.normal)
+            points = around(packed, faces, kernel, moved, 2, key, infinite)
+            boundary = 0.02 + 0.5 * (1 + jnp.sin(8 * points.position.sum(-1)))
+            return moved, points, boundary, smooth_velocity(points.position)
 
         def mean(target):
-            """The points move along with the target: their distribution around it stays."""
-            moved = SegmentEnds(ends.apex, ends.face, target, ends.normal, ends.face, ends.corners, ends.infinite)
-            if infinite:
-                away = target - ends.apex
-                out = away / jnp.linalg.norm(away, axis=1, keepdims=True)
-                moved = SegmentEnds(ends.apex, ends.face, target, out, ends.face, ends.corners, ends.infinite)
-            points = around(kernel, moved, 2, key)
-            boundary = test_function(points.position)
+            moved, points, boundary, velocity = drawn(target)
             shares = shares_of(log_weights(kernel, moved, points, boundary, target, infinite))
-            mean = (shares[..., None] * smooth_velocity(points.position)).sum((1, 2))
-            return mean - (mean * moved.normal).sum(1, keepdims=True) * moved.normal if infinite else mean
+            mean = (shares[..., None] * velocity).sum((1, 2))
+            return mean - dot(mean, moved.normal)[:, None] * moved.normal if infinite else mean
 
         expected, step = 0.0, 1e-5
         for tangent in orthonormal_basis(ends.normal):
-            expected += (tangent * (mean(ends.target + step * tangent) - mean(ends.target - step * tangent))).sum(1)
-        expected = expected / (2 * step)
-        points = around(kernel, ends, 2, key)
-        velocity, boundary = smooth_velocity(points.position), test_function(points.position)
-        rows = {}
+            expected += dot(tangent, mean(ends.target + step * tangent) - mean(ends.target - step * tangent))
+        _, points, boundary, velocity = drawn(ends.target)
+        errors = {}
         for debias in (True, False):
             field = velocity_field(kernel, ends, points, boundary, debias, infinite)
-            difference = ((field.divergence * velocity).sum((1, 2, 3)) - expected).reshape(count, keys)
-            rows[debias] = np.abs(difference.mean(1)) / (difference.std(1) / keys**0.5)
-        assert np.all(rows[True] < 4.5), rows
-        assert rows[False].max() > 8, "the test can tell nothing"
+            found = (field.divergence * velocity).sum((1, 2, 3))
+            errors[debias] = (found - expected / (2 * step)).reshape(count, draws)
+        return errors
+
+    with jax.enable_x64(True):
+        errors = jax.jit(both)(in_float64(repeated))
+    deviations = {k: np.abs(e.mean(1)) / (e.std(1) / draws**0.5) for k, e in errors.items()}
+    assert np.all(deviations[True] < 4.5), deviations
+    assert deviations[False].max() > 6, "the test can tell nothing"
 
 
 @cache
@@ -145,42 +145,40 @@ def under_a_blocker(name):
     return packed, material_point(packed, *one), connect_faces(packed)
 
 
-def mean_velocity(name, kernel, place, tangent, keys=400, samples=8):
+def mean_velocity(name, place, tangent, keys=400):
     """v at a point of the light for a motion of all vertices [V, 3]: mean and standard error over draws."""
-    packed, apex, faces = under_a_blocker(name)
+    packed, _, _ = under_a_blocker(name)
     first = packed.first_face[LAMP]
     light = np.asarray(packed.vertices)[np.asarray(packed.faces)[first : first + 2]]
     half = int(np.argmax([_inside(corners, place) for corners in light]))
-    rows = jnp.zeros(keys, jnp.int32)
+    place, tangent = np.asarray(place, np.float32), np.asarray(tangent, np.float32)
+    v = np.asarray(_velocities(*under_a_blocker(name), place, first + half, light[half], tangent, keys), float)
+    return v.mean(0), v.std(0) / keys**0.5
 
-    def rep(a):
-        return jnp.broadcast_to(jnp.asarray(a, packed.vertices.dtype), (keys, *np.shape(a)))
 
-    ends = SegmentEnds(
-        rep(apex.position[0]), rows, rep(place), rep([0.0, 0.0, -1.0]), rows + first + half, rep(light[half]), rows < 0
-    )
-    active = rows == 0
-    points = draw_auxiliary(
-        packed, faces.normal, ends, active, kernel, samples, 2, jax.random.key(7), "warp", True, False
-    )
-    apexes = SurfacePoint(*(None if a is None else jnp.repeat(a, keys, axis=0) for a in apex))
-    occluders = find_occluders(packed, faces, apexes, ends, points, kernel, "warp")
+@partial(jax.jit, static_argnames="keys")
+def _velocities(packed, apex, faces, place, face, corners, tangent, keys):
+    kernel, samples, room = WARPED.kernel, WARPED.samples, WARPED.projections
+    apex = jax.tree.map(lambda a: jnp.repeat(a, keys, axis=0), apex)
+    down = jnp.asarray([0.0, 0.0, -1.0])
+    target, normal, corners, face = (jnp.broadcast_to(a, (keys, *jnp.shape(a))) for a in (place, down, corners, face))
+    ends = SegmentEnds(apex.position, apex.face, target, normal, face, corners, jnp.zeros(keys, bool))
+    options = kernel, samples, room, jax.random.key(7), "warp", True, False
+    points = draw_auxiliary(packed, faces.normal, ends, jnp.ones(keys, bool), *options)
+    occluders = find_occluders(packed, faces, apex, ends, points, kernel, "warp")
     field = velocity_field(kernel, ends, points, occluders.boundary, True, False)
-    flat = [points.position, points.face, points.barycentric, occluders.face, occluders.barycentric]
-    seen = Hidden(*(a.reshape(-1, *a.shape[3:]) for a in flat))
-    count = keys * samples * 2
+    table = points.position, points.face, points.barycentric, occluders.face, occluders.barycentric
+    seen = Hidden(*(a.reshape(-1, *a.shape[3:]) for a in table))
 
     def moved(vertices):
         of = dataclasses.replace(packed, vertices=vertices)
-        corners = vertices[packed.faces[apex.face[0]]]
-        at = jnp.broadcast_to((corners * apex.barycentric[0][:, None]).sum(0), (count, 3))
-        return displacement(of, at, jnp.zeros(count, bool), seen)
+        at = material_point(of, apex.face, apex.barycentric, apex.valid).position
+        at = jnp.repeat(at, samples * room, axis=0)
+        return displacement(of, at, jnp.zeros(at.shape[0], bool), seen)
 
-    v = jax.jvp(moved, (packed.vertices,), (jnp.asarray(tangent, packed.vertices.dtype),))[1]
-    hidden = (occluders.hidden & points.there)[..., None]
-    v = jnp.where(hidden, v.reshape(points.position.shape), 0.0)
-    v = np.asarray((field.share[..., None] * v).sum((1, 2)), float)
-    return v.mean(0), v.std(0) / keys**0.5
+    v = jax.jvp(moved, (packed.vertices,), (tangent,))[1].reshape(points.position.shape)
+    v = jnp.where((occluders.hidden & points.there)[..., None], v, 0.0)
+    return (field.share[..., None] * v).sum((1, 2))
 
 
 def _inside(corners, place):
@@ -199,17 +197,17 @@ def translation(name, shape, axis):
     return tangent
 
 
+WARPED = jd.WarpedArea(sigma0=0.02)
 # Where the boundary is at x > 0 on the light, and its velocity along x for translations along x of what moves.
 AT = {"half plane": (0.3, {BLOCKER: 2.0, LAMP: -1.0, FLOOR: -1.0}), "box": (0.4, {BLOCKER: 1.2 / 0.45})}
 
 
 @pytest.mark.parametrize(("name", "shape"), [(name, shape) for name in AT for shape in AT[name][1]])
 def test_velocity_is_that_of_the_boundary_where_it_is_approached(name, shape):
-    kernel = jd.WarpedArea(sigma0=0.02).kernel
     place, exact = AT[name][0], AT[name][1][shape]
     errors = []
     for gap in (0.02, 0.005, 0.001, 0.0001):
-        mean, deviation = mean_velocity(name, kernel, [place + gap, 0.1, 1.2], translation(name, shape, 0))
+        mean, deviation = mean_velocity(name, [place + gap, 0.1, 1.2], translation(name, shape, 0))
         errors.append(abs(mean[0] - exact) / abs(exact))
         assert np.all(deviation < 0.05 * abs(exact))
         assert abs(mean[1]) < 0.05 * abs(exact) and mean[2] == 0
@@ -218,13 +216,12 @@ def test_velocity_is_that_of_the_boundary_where_it_is_approached(name, shape):
 
 
 def test_velocity_vanishes_far_from_boundaries_and_at_the_edge_of_the_light():
-    kernel = jd.WarpedArea(sigma0=0.02).kernel
     moves = translation("half plane", BLOCKER, 0)
-    far = mean_velocity("half plane", kernel, [1.0, 0.1, 1.2], moves)[0]
+    far = mean_velocity("half plane", [1.0, 0.1, 1.2], moves)[0]
     assert np.abs(far).max() < 0.01
     along = translation("half plane", BLOCKER, 1)
-    inside = mean_velocity("half plane", kernel, [0.31, 1.0, 1.2], along)[0][1]
-    at_edge = mean_velocity("half plane", kernel, [0.31, 1.4999, 1.2], along)[0][1]
+    inside = mean_velocity("half plane", [0.31, 1.0, 1.2], along)[0][1]
+    at_edge = mean_velocity("half plane", [0.31, 1.4999, 1.2], along)[0][1]
     assert abs(at_edge) < 0.5 * abs(inside), (at_edge, inside)
 
 
