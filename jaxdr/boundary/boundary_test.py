@@ -25,12 +25,16 @@ class Faces(NamedTuple):
 
 
 class Occluders(NamedTuple):
-    """Where auxiliary points are hidden, by which point of which face, and the boundary-test function B."""
+    """Where auxiliary points are hidden, by which point of which face, and the boundary-test function B.
+
+    `own`: by the face that the apex lies in, behind its horizon; None where that hides no light.
+    """
 
     hidden: Bool[Array, "N Q C"]
     face: Int[Array, "N Q C"]
     barycentric: Float[Array, "N Q C 3"]
     boundary: Float[Array, "N Q C"]
+    own: Bool[Array, "N Q C"] | None
 
 
 def connect_faces(packed: PackedScene) -> Faces:
@@ -60,8 +64,9 @@ def find_occluders(
       no f, or another one, so nothing may flow over it.
     - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
       vanishes: distances to silhouette edges of the face that is hit count as those to open edges do.
-    - Points on the other side of their surface (back-facing) have no velocity, nor have those below the horizon of
-      the apex: f vanishes where they begin. The former have their own B^dist.
+    - Points on the other side of their surface (back-facing) have no velocity and their own B^dist. Nor have those
+      below the horizon of the apex: f vanishes where they begin. Where normals are interpolated it does not, and the
+      plane of the apex's own face hides them.
     """
     full = points.there.shape
     row = jnp.broadcast_to(jnp.arange(full[0])[:, None, None], full).reshape(-1)
@@ -76,7 +81,8 @@ def find_occluders(
     facing = -dot(normal, offset)
     shown = -dot(ends.normal, ends.target - ends.apex)[row]
     alike = infinite | (facing * shown > 0)
-    above = dot(origin.normal, offset) * dot(apex.normal, ends.target - ends.apex)[row] > 0
+    height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, ends.target - ends.apex))[row]
+    above = height > 0
 
     corners = packed.vertices[packed.faces[face]]
     end = position + (OFFSET * jnp.abs(corners).max((1, 2)) * jnp.sign(facing))[:, None] * normal
@@ -93,7 +99,13 @@ def find_occluders(
     boundary = jnp.where(infinite, 1.0, _to_fixed_edges(packed, faces, face, barycentric, width))
     boundary = jnp.where(alike, boundary, jnp.minimum(boundary, back))
     boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position), boundary)
-    return Occluders(*(a.reshape(*full, *a.shape[1:]) for a in (hidden, hit, at, boundary)))
+    own = None
+    if packed.normals is not None:
+        own = there & alike & ~above
+        boundary = jnp.where(own, -height / jnp.where(length > 0, length, 1.0), boundary)
+        hidden, hit = hidden | own, jnp.where(own, origin.face, hit)
+    found = hidden, hit, at, boundary, own
+    return Occluders(*(None if a is None else a.reshape(*full, *a.shape[1:]) for a in found))
 
 
 def _to_sides(packed: PackedScene, face, barycentric):

@@ -26,13 +26,17 @@ Measure = Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
 
 
 class Hidden(NamedTuple):
-    """Auxiliary points (material points of their surface) and the material points that hide them; detached."""
+    """Auxiliary points (material points of their surface) and the material points that hide them; detached.
+
+    `own`: hidden by the plane of the apex's own face, `occluder`; None where there are none.
+    """
 
     position: Float[Array, "*n 3"]
     face: Int[Array, "*n"]
     barycentric: Float[Array, "*n 3"]
     occluder: Int[Array, "*n"]
     on_occluder: Float[Array, "*n 3"]
+    own: Bool[Array, "*n"] | None = None
 
 
 class WarpedArea(eqx.Module):
@@ -147,7 +151,7 @@ class WarpedArea(eqx.Module):
         return jax.lax.map(jax.checkpoint(of_bounce), jnp.arange(bounces)).sum(0)
 
     def _bounce_term(self, packed, fixed, faces, paths, measure, index, kinds, key, settings):
-        """f div v + grad f . v of N segments, summed over the auxiliary points that are hidden (the others are still)."""
+        """f div v + grad f . v of N segments, summed over the hidden auxiliary points (the others are still)."""
         finite, infinite = kinds
         ends = jax.tree.map(stop_gradient, paths.ends(index))
         f = measure(index, ends)
@@ -172,12 +176,14 @@ class WarpedArea(eqx.Module):
         rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
         slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
         used = hidden.sum()
-        table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric)
+        table = Hidden(
+            points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, occluders.own
+        )
         per_segment = points.there.shape[1] * points.there.shape[2]
 
         def terms(slot, number):
             row = slot // per_segment
-            seen, far = Hidden(*(t.reshape(-1, *t.shape[3:])[slot] for t in table)), ends.infinite[row]
+            seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], table), ends.infinite[row]
             apex = paths.apex_towards(index[row], seen.position)
             apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
             moved = displacement(packed, apex, far, seen)
@@ -203,8 +209,25 @@ def displacement(
     reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
     offset, far = seen.position - stop_gradient(apex), infinite[:, None]
     projected = jnp.where(far, norm(offset)[:, None] * normalize(towards), apex + reach[:, None] * towards)
-    moved = projected - jnp.where(far, packed.turned(offset), material)
+    material = jnp.where(far, packed.turned(offset), material)
+    moved = projected - material
+    if seen.own is not None:
+        moved = jnp.where(seen.own[:, None], _horizon(before, stop_gradient(normal), material, offset, far), moved)
     return moved - stop_gradient(moved)
+
+
+def _horizon(corners, normal, material, offset, far):
+    """How the plane of the apex's face moves over the material points, across its trace in their plane (or sphere).
+
+    The apex stays in that plane, so its own motion does not count.
+    """
+    plane = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    across = stop_gradient(plane)
+    normal = normalize(jnp.where(far, offset, normal))
+    across = across - dot(across, normal)[:, None] * normal
+    squared = dot(across, across)
+    height = dot(plane, material - jnp.where(far, 0.0, corners[:, 0]))
+    return across * (-height / jnp.where(squared > 0, squared, 1.0))[:, None]
 
 
 def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[Array, "N 1"]]:

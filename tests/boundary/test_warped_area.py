@@ -34,7 +34,7 @@ KERNELS = {
 }
 
 
-def random_ends(count: int, infinite: bool) -> SegmentEnds:
+def random_ends(count: int, infinite: bool) -> dict:
     """Apexes and targets some distance away, on planes at a slant or at infinity."""
     rng = np.random.default_rng(5)
     apex, target = rng.standard_normal((2, count, 3))
@@ -43,7 +43,15 @@ def random_ends(count: int, infinite: bool) -> SegmentEnds:
     normal = away + 0.0 if infinite else away + 2.0 * rng.standard_normal((count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     none, far = np.zeros(count, np.int32), np.full(count, infinite)
-    return SegmentEnds(apex, none, target, normal, none, np.zeros((count, 3, 3)), far)
+    return {
+        "apex": apex,
+        "apex_face": none,
+        "target": target,
+        "normal": normal,
+        "face": none,
+        "corners": np.zeros((count, 3, 3)),
+        "infinite": far,
+    }
 
 
 def around(packed, faces, kernel: Kernel, ends: SegmentEnds, samples: int, key, infinite: bool) -> Auxiliary:
@@ -52,8 +60,8 @@ def around(packed, faces, kernel: Kernel, ends: SegmentEnds, samples: int, key, 
     return draw_auxiliary(packed, faces.normal, ends, active, kernel, samples, 1, key, "jax", False, infinite)
 
 
-def in_float64(ends: SegmentEnds) -> SegmentEnds:
-    return jax.tree.map(lambda a: jnp.asarray(a, float) if a.dtype.kind == "f" else jnp.asarray(a), ends)
+def in_float64(ends: dict) -> SegmentEnds:
+    return SegmentEnds(**{k: jnp.asarray(a, float) if a.dtype.kind == "f" else jnp.asarray(a) for k, a in ends.items()})
 
 
 @pytest.mark.parametrize("infinite", [False, True], ids=["plane", "infinity"])
