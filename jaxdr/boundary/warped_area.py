@@ -57,12 +57,13 @@ class WarpedArea(eqx.Module):
 
     - `boundary_power` (1): power of the boundary-test function B in the kernel (Eq. 15). With 1 the kernel has no
       singularity at the boundary, and v does not reach the boundary's velocity.
-    - `debias` (False): the divergence is exactly that of the mean velocity for any number of auxiliary points.
+    - `debias` (False): the divergence is exactly that of the mean velocity for any number of auxiliary points. Without,
+      a quarter to two thirds of the term are missing with 8 of them.
     - `spread`: scale of the auxiliary points' density in kernel widths; the paper draws from a Gaussian of unnamed
       width, whose tail is thinner than the kernel's.
 
-    The derivative is as good as v is at the boundary: of a straight one a share of 2^-samples is missing, somewhat more
-    where its corners are sharp. Direct light is weighted by emitter sampling alone, without MIS.
+    The derivative is as good as v is at the boundary: of a straight one 1 % is missing with 8 auxiliary points (0.1 %
+    with 16), somewhat more at corners. Direct light is weighted by emitter sampling alone, without MIS.
     """
 
     distance: Literal["path_space", "exponential"] = eqx.field(static=True, default="path_space")
