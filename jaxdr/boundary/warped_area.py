@@ -58,7 +58,7 @@ class WarpedArea(eqx.Module):
     - `boundary_power` (1): power of the boundary-test function B in the kernel (Eq. 15). With 1 the kernel has no
       singularity at the boundary, and v does not reach the boundary's velocity.
     - `debias` (False): the divergence is exactly that of the mean velocity for any number of auxiliary points. Without,
-      a quarter to two thirds of the term are missing with 8 of them.
+      a quarter to three quarters of the term are missing with 8.
     - `spread`: scale of the auxiliary points' density in kernel widths; the paper draws from a Gaussian of unnamed
       width, whose tail is thinner than the kernel's.
 

@@ -93,7 +93,7 @@ def test_divergence_against_finite_differences(name, infinite):
         return (field.divergence * velocity).sum((1, 2, 3)), expected
 
     with jax.enable_x64(True):
-        found, expected = jax.jit(both)(in_float64(ends))
+        found, expected = jax.device_get(jax.jit(both)(in_float64(ends)))
     assert found.dtype == np.float64 and np.abs(expected).max() > 1
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
@@ -138,7 +138,7 @@ def test_divergence_of_the_mean_velocity(infinite):
         return errors
 
     with jax.enable_x64(True):
-        errors = jax.jit(both)(in_float64(repeated))
+        errors = jax.device_get(jax.jit(both)(in_float64(repeated)))
     deviations = {k: np.abs(e.mean(1)) / (e.std(1) / draws**0.5) for k, e in errors.items()}
     assert np.all(deviations[True] < 4.5), deviations
     assert deviations[False].max() > 6, "the test can tell nothing"
