@@ -6,8 +6,8 @@ import pytest
 
 import jaxdr as jd
 from tests.gradients import test_environment_shadow as environment
+from tests.gradients import test_indirect_shadow as indirect
 from tests.gradients.floor_point import BOX, HALF_PLANE, QUADRANGLE, estimates, exact, mean_and_error, scene, sheet
-from tests.gradients.test_indirect_shadow import check_under_a_panel
 
 # Wider than the default, for less noise.
 WIDE, WIDER = jd.WarpedArea(sigma0=0.03), jd.WarpedArea(sigma0=0.1)
@@ -27,19 +27,23 @@ def test_every_derivative_is_the_closed_form(blocker, boundary, spp):
 
     What the floor's height does is noisier: the point slides three times as far along the camera ray.
     """
-    truth = exact(blocker)[1]
-    rows = estimates(scene(blocker), boundary, keys=8, spp=spp)[1]
-    scale = np.abs(truth["blocker.vertices"]).max()
-    for name, true in truth.items():
-        mean, deviation = (x / scale for x in mean_and_error(rows[name]))
-        assert deviation.max() < (0.15 if name == "floor.height" else 0.04), (name, deviation)
-        assert np.all(np.abs(mean - true / scale) < 0.02 + 4 * deviation), (name, mean, deviation, true / scale)
+    check(estimates(scene(blocker), boundary, keys=8, spp=spp)[1], exact(blocker)[1])
 
 
 @pytest.mark.slow
 def test_light_from_a_surface():
     """The same derivative where the light is a lit panel: the target of a BSDF-sampled segment."""
-    check_under_a_panel(sheet(HALF_PLANE, 0.1), WIDER)
+    blocker = sheet(HALF_PLANE, 0.1)
+    check(indirect.estimates(blocker, WIDER, keys=8)[1], exact(blocker)[1])
+
+
+def check(rows, truth):
+    """Errors relative to the largest entry of the blocker's derivative."""
+    scale = np.abs(truth["blocker.vertices"]).max()
+    for name, found in rows.items():
+        true, (mean, deviation) = truth[name] / scale, (x / scale for x in mean_and_error(found))
+        assert deviation.max() < (0.15 if name == "floor.height" else 0.04), (name, deviation)
+        assert np.all(np.abs(mean - true) < 0.02 + 4 * deviation), (name, mean, deviation, true)
 
 
 @pytest.mark.slow
