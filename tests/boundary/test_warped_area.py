@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.boundary_test import connect_faces, find_occluders
+from jaxdr.boundary.occluders import connect_faces, find_occluders
 from jaxdr.boundary.continuous_velocity import (
     Auxiliary,
     Kernel,
