@@ -10,8 +10,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
 from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
+from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene

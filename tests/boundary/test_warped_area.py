@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.occluders import connect_faces, find_occluders
 from jaxdr.boundary.continuous_velocity import (
     Auxiliary,
     Kernel,
@@ -18,6 +17,7 @@ from jaxdr.boundary.continuous_velocity import (
     shares_of,
     velocity_field,
 )
+from jaxdr.boundary.occluders import connect_faces, find_occluders
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.boundary.warped_area import Hidden, displacement
 from jaxdr.geometry.shapes import box
