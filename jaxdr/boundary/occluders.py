@@ -104,8 +104,9 @@ def find_occluders(
         own = there & alike & ~above
         boundary = jnp.where(own, -height / jnp.where(length > 0, length, 1.0), boundary)
         hidden, hit = hidden | own, jnp.where(own, origin.face, hit)
-    found = hidden, hit, at, boundary, own
-    return Occluders(*(None if a is None else a.reshape(*full, *a.shape[1:]) for a in found))
+        own = own.reshape(full)
+    hidden, hit, boundary = (a.reshape(full) for a in (hidden, hit, boundary))
+    return Occluders(hidden, hit, at.reshape(*full, 3), boundary, own)
 
 
 def _to_sides(packed: PackedScene, face, barycentric):

@@ -195,12 +195,17 @@ def projections(
     The nearest `capacity` of them and how many there are; with `warp` a warning tells where there are more. `shape` is
     the number in `face_shape`; a depth of zero leaves a point out.
     """
-    if implementation == "warp":
-        from jaxdr.geometry import warp_projections as module
-    else:
-        module = _module(implementation)
+    module = _projection_module(implementation)
     query = _over_rays(lambda *args: tuple(module.projections(*args, capacity)), 3)
     return Projections(*query(*_discrete(vertices, faces, face_shape, point, normal, depth, shape)))
+
+
+def _projection_module(implementation: str) -> Any:
+    if implementation != "warp":
+        return _module(implementation)
+    from jaxdr.geometry import warp_projections
+
+    return warp_projections
 
 
 def edge_candidates(
