@@ -79,7 +79,6 @@ def assert_transposed(pushed, pulled, scene, tolerance):
         jd.KernelDensity(0.05, kernel="point", points=512),
         jd.LineSampling(),
         jd.WarpedArea(sigma0=0.05),
-        jd.WarpedArea("exponential", sigma0=0.05),
     ],
     ids=str,
 )
