@@ -5,10 +5,12 @@ from typing import Any
 
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
+from jaxdr.boundary.warped_area import WarpedArea
 
 # By the names that configs and the command line use.
 ESTIMATORS: dict[str, Callable[..., Any]] = {
     "KernelDensity": KernelDensity,
     "LineSampling": LineSampling,
+    "WarpedArea": WarpedArea,
     "none": lambda: None,  # interior term only
 }

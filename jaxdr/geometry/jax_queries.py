@@ -109,6 +109,31 @@ def all_hits(vertices, faces, origin, direction, t_max, capacity):
     return jax.lax.scan(visit, start, _blocks(faces))[0]
 
 
+def projections(vertices, faces, face_shape, point, normal, depth, shape, capacity):
+    """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
+    begin = point - depth[:, None] * normal
+
+    def visit(kept, block):
+        index, source, (f, of) = block
+        t = _crossings(vertices, f, begin, normal, 2.0 * depth)
+        here = (t < MISS) & (index == source)[None] & (of[None] == shape[:, None])
+        height = jnp.where(here, t - depth[:, None], MISS)
+        count = kept[2] + here.sum(1, dtype=jnp.int32)
+        face = jnp.broadcast_to(index[None], t.shape)
+        height, face = jnp.concatenate([kept[1], height], 1), jnp.concatenate([kept[0], face], 1)
+        order = jnp.argsort(jnp.abs(height), axis=1)[:, :capacity]
+        height, face = jnp.take_along_axis(height, order, 1), jnp.take_along_axis(face, order, 1)
+        return (jnp.where(height < MISS, face, -1), height, count), None
+
+    n = point.shape[0]
+    start = (
+        jnp.full((n, capacity), -1, jnp.int32),
+        jnp.full((n, capacity), MISS, jnp.float32),
+        jnp.zeros(n, jnp.int32),
+    )
+    return jax.lax.scan(visit, start, _blocks(faces, face_shape))[0]
+
+
 def _side_of_faces(vertices, opposite, p0, p1, plane, apex):
     """[N, B]: +1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0.
 

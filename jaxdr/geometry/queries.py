@@ -37,6 +37,17 @@ class AllHits(NamedTuple):
     count: Int[Array, " N"]
 
 
+class Projections(NamedTuple):
+    """Where lines through points cross a shape: `face`, -1 for none, and signed `height` over the point.
+
+    The nearest to the point, sorted; `count` counts all of them, also those beyond the capacity.
+    """
+
+    face: Int[Array, "N C"]
+    height: Float[Array, "N C"]
+    count: Int[Array, " N"]
+
+
 class Candidates(NamedTuple):
     """Compacted (segment, element) pairs; unused slots have `segment` -1.
 
@@ -176,6 +187,35 @@ def all_hits(
     module = _module(implementation)
     query = _over_rays(lambda *args: tuple(module.all_hits(*args, capacity)), 2)
     return AllHits(*query(*_discrete(vertices, faces, origin, direction, t_max)))
+
+
+def projections(
+    vertices: Float[Array, "V 3"],
+    faces: Int[Array, "F 3"],
+    face_shape: Int[Array, " F"],
+    point: Float[Array, "N 3"],
+    normal: Float[Array, "N 3"],
+    depth: Float[Array, " N"],
+    shape: Int[Array, " N"],
+    capacity: int,
+    implementation: str = "warp",
+) -> Projections:
+    """All projections of points onto the faces of a shape along unit normals, no further away than `depth`.
+
+    The nearest `capacity` of them and how many there are; with `warp` a warning tells where there are more. `shape` is
+    the number in `face_shape`; a depth of zero leaves a point out.
+    """
+    module = _projection_module(implementation)
+    query = _over_rays(lambda *args: tuple(module.projections(*args, capacity)), 3)
+    return Projections(*query(*_discrete(vertices, faces, face_shape, point, normal, depth, shape)))
+
+
+def _projection_module(implementation: str) -> Any:
+    if implementation != "warp":
+        return _module(implementation)
+    from jaxdr.geometry import warp_projections
+
+    return warp_projections
 
 
 def edge_candidates(

@@ -72,7 +72,15 @@ def assert_transposed(pushed, pulled, scene, tolerance):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "boundary", [None, BOUNDARY, jd.KernelDensity(0.05, kernel="point", points=512), jd.LineSampling()], ids=str
+    "boundary",
+    [
+        None,
+        BOUNDARY,
+        jd.KernelDensity(0.05, kernel="point", points=512),
+        jd.LineSampling(),
+        jd.WarpedArea(sigma0=0.05),
+    ],
+    ids=str,
 )
 def test_reverse_mode_is_the_transpose_of_forward_mode(boundary):
     """Every parameter at once: vertices of all shapes, camera, reflectances, radiances."""

@@ -64,6 +64,7 @@ def differences():
     [
         pytest.param(jd.KernelDensity(), marks=pytest.mark.slow, id="kernel density"),
         pytest.param(jd.LineSampling(), marks=pytest.mark.slow, id="lines"),
+        pytest.param(jd.WarpedArea(sigma0=0.01), marks=pytest.mark.slow, id="warped area"),
     ],
 )
 def test_terminator_of_a_coarse_ball(boundary):

@@ -1,0 +1,146 @@
+"""What hides auxiliary points from an apex, and how near they are to the boundary of what it sees (Xu et al. 2023)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.continuous_velocity import Auxiliary, Kernel
+from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import OFFSET, SurfacePoint, detached_barycentric, leave
+
+
+class Faces(NamedTuple):
+    """Unit normals of all faces (detached) and the faces behind their sides.
+
+    Side k is opposite of corner k; -1 where there is no other face or more than one.
+    """
+
+    normal: Float[Array, "F 3"]
+    behind: Int[Array, "F 3"]
+
+
+class Occluders(NamedTuple):
+    """Where auxiliary points are hidden, by which point of which face, and the boundary-test function B.
+
+    `own`: by the face that the apex lies in, behind its horizon; None where that hides no light.
+    """
+
+    hidden: Bool[Array, "N Q C"]
+    face: Int[Array, "N Q C"]
+    barycentric: Float[Array, "N Q C 3"]
+    boundary: Float[Array, "N Q C"]
+    own: Bool[Array, "N Q C"] | None
+
+
+def connect_faces(packed: PackedScene) -> Faces:
+    """Neighbours of all faces, from the edges."""
+    behind = jnp.full(packed.faces.shape, -1, jnp.int32)
+    faces, opposite, interior = packed.edges.faces, packed.edges.opposite, packed.edges.interior
+    for k in (0, 1):
+        face = jnp.where(interior, faces[:, k], packed.faces.shape[0])
+        corners = packed.faces[jnp.maximum(faces[:, k], 0)]
+        side = jnp.argmax(corners == opposite[:, k, None], axis=1)
+        behind = behind.at[face, side].set(faces[:, 1 - k], mode="drop")
+    return Faces(jax.lax.stop_gradient(normalize(packed.face_normals())), behind)
+
+
+def find_occluders(
+    packed: PackedScene,
+    faces: Faces,
+    apex: SurfacePoint,
+    ends: SegmentEnds,
+    points: Auxiliary,
+    kernel: Kernel,
+    rays: str,
+) -> Occluders:
+    """One ray from each apex to each auxiliary point on the side of the surface that the target shows; all detached.
+
+    - Seen points have no velocity, and B = 1, less near an open edge or a crease of their surface: beyond it there is
+      no f, or another one, so nothing may flow over it.
+    - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
+      vanishes: distances to silhouette edges of the face that is hit count as those to open edges do.
+    - Points on the other side of their surface (back-facing) have no velocity and their own B^dist. Nor have those
+      below the horizon of the apex: f vanishes where they begin. Where normals are interpolated it does not, and the
+      plane of the apex's own face hides them.
+    """
+    full = points.there.shape
+    row = jnp.broadcast_to(jnp.arange(full[0])[:, None, None], full).reshape(-1)
+    face, barycentric = points.face.reshape(-1), points.barycentric.reshape(-1, 3)
+    position, there = points.position.reshape(-1, 3), points.there.reshape(-1)
+    origin = jax.tree.map(lambda a: a[row], apex)
+    infinite, target_normal = ends.infinite[row], ends.normal[row]
+    offset = position - origin.position
+    length = norm(offset)
+
+    normal = jnp.where(infinite[:, None], -target_normal, faces.normal[face])
+    facing = -dot(normal, offset)
+    shown = -dot(ends.normal, ends.target - ends.apex)[row]
+    alike = infinite | (facing * shown > 0)
+    height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, ends.target - ends.apex))[row]
+    above = height > 0
+
+    corners = packed.vertices[packed.faces[face]]
+    end = position + (OFFSET * jnp.abs(corners).max((1, 2)) * jnp.sign(facing))[:, None] * normal
+    start = leave(origin, offset)
+    end = jnp.where(infinite[:, None], start + 2.0 * packed.size() * normalize(offset), end)
+    reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
+    hit = queries.closest_hit(packed.vertices, packed.faces, start, end - start, reach, rays).face
+    hidden = hit >= 0
+    hit = jnp.where(hidden, hit, 0)
+    at = detached_barycentric(packed, start, end - start, hit)
+
+    back = jnp.abs(facing) / jnp.where(length > 0, length, 1.0)
+    width = kernel.sigma * norm(ends.target - ends.apex)[row]
+    boundary = jnp.where(infinite, 1.0, _to_fixed_edges(packed, faces, face, barycentric, width))
+    boundary = jnp.where(alike, boundary, jnp.minimum(boundary, back))
+    boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position), boundary)
+    own = None
+    if packed.normals is not None:
+        own = there & alike & ~above
+        boundary = jnp.where(own, -height / jnp.where(length > 0, length, 1.0), boundary)
+        hidden, hit = hidden | own, jnp.where(own, origin.face, hit)
+        own = own.reshape(full)
+    hidden, hit, boundary = (a.reshape(full) for a in (hidden, hit, boundary))
+    return Occluders(hidden, hit, at.reshape(*full, 3), boundary, own)
+
+
+def _to_sides(packed: PackedScene, face, barycentric):
+    """Distances of points on faces to the three sides."""
+    corners = packed.vertices[packed.faces[face]]
+    a, b, c = (corners[:, k] for k in range(3))
+    lengths = norm(jnp.stack([c - b, a - c, b - a], 1))
+    return barycentric * norm(jnp.cross(b - a, c - a))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
+
+
+def _to_fixed_edges(packed: PackedScene, faces: Faces, face, barycentric, width):
+    """Distance to open edges and creases of the surface in kernel widths, at most 1; further the smoother the crease.
+
+    Measured against the jump of the normal: on a mesh that approximates a smooth surface no edge is near.
+    """
+    behind = faces.behind[face]
+    jump = norm(faces.normal[jnp.maximum(behind, 0)] - faces.normal[face][:, None])
+    jump = jnp.where(behind >= 0, jump, 1.0)
+    share = _to_sides(packed, face, barycentric) / (width[:, None] * jnp.maximum(jump, 1e-6))
+    return jnp.minimum(share.min(-1), 1.0)
+
+
+def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex):
+    """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
+    corners = packed.vertices[packed.faces[face]]
+    position = (corners * barycentric[..., None]).sum(1)
+    offset = position - apex
+    length = norm(offset)
+    length = jnp.where(length > 0, length, 1.0)
+    behind = faces.behind[face]
+    slope = dot(faces.normal[face], offset)
+    # A point on side k for each of the sides: the corner after k.
+    on_side = jnp.roll(corners, -1, axis=1) - apex[:, None]
+    neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
+    ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0)
+    to_side = jnp.where(ends_here, _to_sides(packed, face, barycentric), jnp.inf).min(-1)
+    return jnp.minimum(jnp.abs(slope), to_side) / length

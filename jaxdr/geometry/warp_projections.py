@@ -1,0 +1,106 @@
+"""Projections of points onto a shape along a line, by Warp: every crossing of the line near the point."""
+
+import sys
+import warnings
+
+import numpy as np
+import warp as wp
+
+from jaxdr.geometry.warp_kernels import MISS, directed_volume
+from jaxdr.geometry.warp_launch import Call, launch, on_host
+from jaxdr.geometry.warp_queries import _cache
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def projections_kernel(
+    bvh: wp.uint64,
+    start: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    face_shape: wp.array(dtype=int),
+    point: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    depth: wp.array(dtype=float),
+    shape: wp.array(dtype=int),
+    face: wp.array2d(dtype=int),
+    height: wp.array2d(dtype=float),
+    count: wp.array(dtype=int),
+):
+    """Faces of a shape that a line crosses within `depth` of a point; the nearest are kept, sorted (insertion sort)."""
+    i = start + wp.tid()
+    count[i] = 0
+    if depth[i] <= 0.0:
+        return
+    begin = point[i] - depth[i] * normal[i]
+    o = wp.vec3d(begin)
+    d = wp.vec3d(normal[i])
+    capacity = face.shape[1]
+    found = int(0)
+    f = int(0)
+    query = wp.bvh_query_ray(bvh, begin, normal[i])
+    while wp.bvh_query_next(query, f, 2.0 * depth[i]):
+        if face_shape[f] == shape[i]:
+            v = faces[f]
+            a = wp.vec3d(vertices[v[0]]) - o
+            b = wp.vec3d(vertices[v[1]]) - o
+            c = wp.vec3d(vertices[v[2]]) - o
+            u0 = directed_volume(d, b, c, v[1], v[2])
+            u1 = directed_volume(d, c, a, v[2], v[0])
+            u2 = directed_volume(d, a, b, v[0], v[1])
+            zero = wp.float64(0.0)
+            inside = (u0 >= zero and u1 >= zero and u2 >= zero) or (u0 <= zero and u1 <= zero and u2 <= zero)
+            if inside and u0 + u1 + u2 != zero:
+                n = wp.cross(b - a, c - a)
+                h = wp.float32(wp.dot(a, n) / wp.dot(d, n)) - depth[i]
+                if wp.abs(h) < depth[i]:
+                    slot = wp.min(found, capacity)
+                    found += 1
+                    while slot > 0 and wp.abs(height[i, slot - 1]) > wp.abs(h):
+                        if slot < capacity:
+                            height[i, slot] = height[i, slot - 1]
+                            face[i, slot] = face[i, slot - 1]
+                        slot -= 1
+                    if slot < capacity:
+                        height[i, slot] = h
+                        face[i, slot] = f
+    count[i] = found
+
+
+def _projections(
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    face_shape: wp.array(dtype=int),
+    point: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    depth: wp.array(dtype=float),
+    shape: wp.array(dtype=int),
+    face: wp.array2d(dtype=int),
+    height: wp.array2d(dtype=float),
+    count: wp.array(dtype=int),
+):
+    face.fill_(-1)
+    height.fill_(MISS)
+    cache = _cache("faces", vertices.device)
+    with cache.lock:
+        bvh = cache.find([on_host(vertices)], [on_host(faces)])
+        arrays = [vertices, faces, face_shape, point, normal, depth, shape, face, height, count]
+        launch(projections_kernel, point.shape[0], [bvh.id], arrays, vertices.device)
+    over = int(np.count_nonzero(on_host(count) > face.shape[1]))
+    if over:
+        warnings.warn(
+            f"jaxdr: {over} of {point.shape[0]} auxiliary points have more projections onto their shape than the "
+            f"{face.shape[1]} that there is room for; the furthest were left out. More room avoids it.",
+            stacklevel=2,
+        )
+
+
+_projections_call = Call(_projections, 3, sys.modules[__name__])
+
+
+def projections(vertices, faces, face_shape, point, normal, depth, shape, capacity):
+    """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
+    n = point.shape[0]
+    dims = {"face": (n, capacity), "height": (n, capacity), "count": n}
+    return _projections_call(vertices, faces, face_shape, point, normal, depth, shape, output_dims=dims)
