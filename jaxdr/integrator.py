@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.geometry.queries import IMPLEMENTATIONS
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.bidirectional import BidirectionalSettings
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 
@@ -90,7 +91,69 @@ class PathTracer(eqx.Module):
         return self.edge_samples
 
     @property
+    def paths_at_once(self) -> int:
+        """Paths in a chunk."""
+        return self.chunk_size
+
+    @property
     def settings(self) -> PathSettings:
         """What the path tracer itself needs."""
         attached = getattr(self.boundary, "attached", 0.0)
         return PathSettings(self.max_depth, self.sampling == "mis", self.rays, attached)
+
+
+HEURISTICS = {"balance": 1, "power": 2}  # the powers of densities that weights are shares of
+
+
+class BidirectionalPathTracer(eqx.Module):
+    """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`; every field is static.
+
+    Paths from the camera and from emitters are joined in all ways: caustics and light from behind corners cost a
+    fraction of the samples, everything else some more time each.
+
+    Its derivative is the interior term alone, of paths whose vertices are all material points. In what moves nothing
+    (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment) that is the whole
+    derivative. In what does (vertices, camera, positions and directions of lights) visibility changes are missing,
+    silhouettes and creases in the image too, as for `PathTracer(boundary=None)`; first hits are material points, so
+    the pixel filter is differentiated and has to be Gaussian where surfaces move in the image. Paths over delta lobes
+    do not move with what bends them: derivatives by anything that moves, by the index of smooth glass or by normals of
+    mirrors raise ValueError in scenes with delta lobes.
+
+    - `max_depth`: longest path in segments, as `PathTracer` counts.
+    - `heuristic`: "balance" or "power" (2) combination of all strategies.
+    - `boundary`: None; estimators of visibility changes come with `PathTracer`.
+    - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample; memory is
+      proportional to it and independent of the samples per pixel, but there is a sample of every pixel at least.
+    - `rays`: implementation of the ray queries, "warp" (CPU, CUDA) or "jax".
+    """
+
+    max_depth: int = eqx.field(static=True, default=3)
+    heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
+    boundary: None = eqx.field(static=True, default=None)
+    chunk_size: int = eqx.field(static=True, default=1 << 18)
+    rays: str = eqx.field(static=True, default="warp")
+
+    def __check_init__(self):
+        name = "BidirectionalPathTracer"
+        if self.max_depth < 1:
+            raise ValueError(f"{name}: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
+        for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", IMPLEMENTATIONS)):
+            if getattr(self, field) not in known:
+                raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")
+        if self.boundary is not None:
+            raise ValueError(
+                f"{name}: boundary must be None: visibility changes of connected subpaths have no derivative yet; for "
+                f"derivatives by what moves take PathTracer(boundary={type(self.boundary).__name__}(...))"
+            )
+        if self.chunk_size < 1:
+            raise ValueError(f"{name}: chunk_size must be positive")
+
+    @property
+    def paths_at_once(self) -> int:
+        """Pairs of subpaths in a chunk."""
+        return max(1, self.chunk_size // max(1, (self.max_depth - 1) * (self.max_depth + 2) // 2))
+
+    @property
+    def settings(self) -> BidirectionalSettings:
+        """What the tracer itself needs."""
+        return BidirectionalSettings(self.max_depth, HEURISTICS[self.heuristic], self.rays)
