@@ -72,7 +72,7 @@ def found_emission(packed: PackedScene, camera: Subpath, power: int) -> tuple[Fl
     sampled, leaving = jnp.zeros_like(vertex.density), jnp.zeros_like(vertex.density)
     if packed.environment is not None:
         sampled = shares.environment * packed.environment_sampler.pdf(-vertex.back)
-        leaving = disk_pdf(packed)
+        leaving = jnp.full_like(leaving, disk_pdf(packed))
     if packed.has_area_emitters:
         sampled = jnp.where(valid, shares.surfaces * emitting_surface_pdf(packed, vertex.point), sampled)
         leaving = jnp.where(valid, surface_emission_pdf(vertex.point, vertex.back), leaving)
