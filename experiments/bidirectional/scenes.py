@@ -96,7 +96,6 @@ def environment():
     bodies |= {"metal": jd.Shape(sphere(3, 0.5, (0.55, 0.2, 0.5)), jd.RoughConductor(0.15, "Cu"))}
     floor = jd.Shape(rectangle(4.0, 4.0), jd.Diffuse(0.5))
     turned = np.eye(4)[[0, 2, 1, 3]]  # the map's y is up
-    turned[2] *= 1.0
     camera = _camera([0, -4.0, 1.8], [0, 0, 0.3], 32)
     return jd.Scene(bodies | {"floor": floor}, camera, jd.EnvironmentMap(sky, turned))
 

@@ -43,6 +43,21 @@ def ball(bsdf, at=(0.0, 0.2, 0.6), radius=0.45, smooth=True) -> dict[str, jd.Sha
     return {"ball": jd.Shape(mesh, bsdf)}
 
 
+def zoo() -> dict[str, jd.Shape]:
+    """Balls of many kinds."""
+    bumps = jd.Bitmap(BUMPS)
+    kinds = [
+        jd.Plastic((0.5, 0.2, 0.2)),
+        jd.TwoSided(jd.Mask(0.6, jd.Diffuse(0.7))),
+        jd.ThinDielectric(1.5),
+        jd.NormalMap(bumps, jd.Plastic(0.5)),
+        jd.Principled(0.6, 0.3, 0.4),
+        jd.Dielectric(1.5),
+    ]
+    places = [(-0.6, 0.2, 0.4), (0.0, 0.6, 0.5), (0.6, 0.2, 0.4), (-0.3, -0.3, 1.0), (0.3, -0.2, 1.0), (0.1, -0.5, 0.4)]
+    return {f"{i}": ball(kinds[i], places[i], 0.3)["ball"] for i in range(len(kinds))}
+
+
 def textured_lamp() -> jd.Shape:
     mesh = facing_down(1.2, 1.2, (0.1, 0.0, 1.8))
     uvs = np.asarray(mesh.vertices)[:, :2] / 1.2
@@ -77,6 +92,7 @@ def scenes() -> dict:
     parallel = jd.Orthographic(across, jd.Film(8, 8, jd.Tent()))
     bumpy, shine = (ball(jd.NormalMap(jd.Bitmap(BUMPS), bsdf)) for bsdf in (jd.RoughConductor(0.3), jd.Plastic(0.5)))
     return {
+        "zoo": (lambda: jd.Scene(floor() | zoo() | {"lamp": textured_lamp()}, thin, SKY, LIGHTS), 4),
         "room": (lambda: jd.Scene(room() | ball(jd.Diffuse(0.8)) | {"lamp": lamp()}, camera()), 4),
         "principled": (lambda: jd.Scene(room() | ball(jd.Principled(0.6, 0.3, 0.4)) | {"lamp": textured_lamp()}, camera()), 4),
         "rough_glass": (lambda: jd.Scene(room() | ball(jd.RoughDielectric(0.3, 1.5)) | {"lamp": lamp()}, camera()), 4),

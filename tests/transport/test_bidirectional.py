@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr import integrator as integrators
 from jaxdr.geometry.shapes import rectangle
 from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
@@ -84,25 +85,21 @@ def point_irradiance(x):
 SQUARE = np.array([[-0.2, -0.3, 1.9], [-0.2, 0.3, 1.9], [0.4, 0.3, 1.9], [0.4, -0.3, 1.9]])
 
 
-@pytest.mark.parametrize("kind", ["point", "area", "sky", "far"])
+@pytest.mark.parametrize("kind", ["lights", "area"])
 def test_floor_seen_by_each_strategy(kind):
     """Direct light in closed form from light subpaths alone, (2, 1), from emitter samples and from what rays meet."""
-    shapes = {"floor": jd.Shape(rectangle(4.0, 4.0), jd.Diffuse(RGB))}
-    lights, sky, area = {}, None, kind in ("area", "sky")
+    shapes, lights = {"floor": jd.Shape(rectangle(4.0, 4.0), jd.Diffuse(RGB))}, {}
     if kind == "area":
         shapes["lamp"] = lamp()
-        x = floor_points(each=2)
+        x = floor_points(each=6)
         exact = np.array([8.0 * irradiance(p, UP, SQUARE) for p in x.reshape(-1, 3)]).reshape(4, 4, -1, 1)
-    elif kind == "sky":
-        sky, exact = jd.ConstantEnvironment(1.5), np.full((4, 4, 1, 1), 1.5 * np.pi)
-    elif kind == "point":
-        lights, exact = {"point": LIGHTS["point"]}, point_irradiance(floor_points())
     else:
-        lights, exact = {"far": LIGHTS["far"]}, np.full((4, 4, 1, 1), 0.7 / np.sqrt(1 + 0.16 + 0.25))
+        lights = {name: LIGHTS[name] for name in ("point", "far")}
+        exact = point_irradiance(floor_points()) + 0.7 / np.sqrt(1 + 0.16 + 0.25)
     exact = RGB / np.pi * exact.mean(2)
-    scene = jd.Scene(shapes, straight_down(), sky, lights)
+    scene = jd.Scene(shapes, straight_down(), None, lights)
     found = np.stack([strategy_images(scene, key, 4096, 2) for key in jax.random.split(jax.random.key(1), 8)])
-    for number, name in enumerate(names(area, 2)):
+    for number, name in enumerate(names(kind == "area", 2)):
         if sum(name) == 3:
             ratio = found[:, number] / exact
             for values in (ratio, ratio.mean((1, 2, 3))):
@@ -111,12 +108,7 @@ def test_floor_seen_by_each_strategy(kind):
                 assert np.abs(mean - 1.0).max() < 5 * error.max() + 5e-4, (name, mean)
 
 
-EMITTERS = {
-    "sky": ({}, SKY, {}),
-    "textured": ({"lamp": textured_lamp()}, None, {}),
-    "spot": ({}, None, {"spot": LIGHTS["spot"]}),
-    "projector": ({}, None, {"slides": LIGHTS["slides"]}),
-}
+EMITTERS = {"area": ({"lamp": textured_lamp()}, SKY, {}), "lights": ({}, None, LIGHTS)}
 
 
 @pytest.mark.parametrize("kind", EMITTERS)
@@ -124,19 +116,18 @@ def test_direct_light_by_all_strategies(kind):
     """Pixel by pixel, unweighted, on a floor with a ball of rough glass."""
     extra, sky, lights = EMITTERS[kind]
     scene = jd.Scene(floor() | ball(jd.RoughDielectric(0.5, 1.5)) | extra, camera(4), sky, lights)
-    area = bool(extra) or sky is not None
-    found = np.stack([strategy_images(scene, key, 2048, 2) for key in jax.random.split(jax.random.key(2), 12)])
-    by_name = dict(zip(names(area, 2), found.swapaxes(0, 1), strict=True))
-    for name in [(2, 1)] + ([(0, 3)] if kind == "textured" else []):
+    found = np.stack([strategy_images(scene, key, 1024, 2) for key in jax.random.split(jax.random.key(2), 12)])
+    by_name = dict(zip(names(kind == "area", 2), found.swapaxes(0, 1), strict=True))
+    for name in [(2, 1)] + ([(0, 3)] if kind == "area" else []):
         z, error = z_scores(by_name[1, 2].mean(-1), by_name[name].mean(-1))
-        assert error.mean() < 0.02
+        assert error.mean() < 0.04
         assert np.abs(z).max() < 5.0, (name, z)
 
 
 def test_paths_of_one_length_by_all_strategies():
     """Mean over the image, unweighted: (0, 5), (1, 4), (2, 3), (3, 2), (4, 1) and the shorter ones."""
     scene = jd.Scene(room() | ball(jd.RoughDielectric(0.6, 1.5)) | {"lamp": lamp(size=1.5)}, camera(4))
-    found = np.stack([strategy_images(scene, key, 2048, 4) for key in jax.random.split(jax.random.key(3), 16)])
+    found = np.stack([strategy_images(scene, key, 1024, 4) for key in jax.random.split(jax.random.key(3), 16)])
     means = dict(zip(names(True, 4), found.mean((2, 3, 4)).T, strict=True))
     for length in (2, 3, 4):
         every = {name: value for name, value in means.items() if sum(name) == length + 1}
@@ -144,11 +135,13 @@ def test_paths_of_one_length_by_all_strategies():
         one = every.pop((1, length))
         for name, other in every.items():
             z, error = z_scores(one, other)
-            assert error < 0.05 and np.abs(z) < 4.5, (name, one.mean(), other.mean(), z)
+            assert error < 0.06 and np.abs(z) < 4.5, (name, one.mean(), other.mean(), z)
 
 
-@pytest.mark.parametrize("power", [1, 2])
-@pytest.mark.parametrize("kind", ["area", "sky"])
+@pytest.mark.parametrize(
+    ("kind", "power"),
+    [("sky", 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("area", 1), ("area", 2), ("sky", 1)))],
+)
 def test_weights_add_up_to_one(kind, power):
     """Those of the five strategies that find one path of four segments."""
     bodies = floor() | ball(jd.RoughDielectric(0.6, 1.5))
@@ -156,14 +149,18 @@ def test_weights_add_up_to_one(kind, power):
     scene = scene or jd.Scene(bodies, camera(), SKY)
     with jax.enable_x64(True):
         scene = jax.tree.map(lambda x: jnp.asarray(x, float) if jnp.issubdtype(x.dtype, jnp.floating) else x, scene)
-        total, count = _sum_of_weights(scene, power)
-    assert count > 300
+        weights, used = jax.jit(_weights, static_argnums=1)(scene, power)
+    total, count = np.asarray(weights).sum(0)[np.asarray(used)], int(used.sum())
+    # They share the path fairly: none is always (next to) nothing.
+    assert (np.asarray(weights)[:, np.asarray(used)].max(1) > 0.05).all()
+    assert count > 200
     np.testing.assert_allclose(total, 1.0, rtol=1e-6)
 
 
-def _sum_of_weights(scene, power):
+def _weights(scene, power):
+    """Weights of the strategies, [5, N], for N paths, and which of these all strategies can find."""
     packed, keys = pack(scene), jax.random.split(jax.random.key(4), 4)
-    primary = primary_samples(packed, jnp.arange(64), keys[0], "warp", "fixed")
+    primary = primary_samples(packed, jnp.arange(1024), keys[0], "warp", "fixed")
     paths = primary.u.shape[0]
     u = jnp.asarray(uniform(keys[1], (paths, 4), float))
     sample = sample_emitter(packed, u[:, :2])
@@ -205,12 +202,10 @@ def _sum_of_weights(scene, power):
     ]
     densities = jnp.stack([v.density for v in (z1, c2, c3, c4, y1, y2, y3)])
     used = (densities > 0).all(0) & z1.point.valid & y1.point.valid & y2.point.valid
-    # They share the path fairly: none is always (next to) nothing.
-    assert all(np.asarray(w)[np.asarray(used)].max() > 0.05 for w in weights)
-    return np.asarray(sum(weights))[np.asarray(used)], int(used.sum())
+    return jnp.stack(weights), used
 
 
-QUICK = ("rough_glass", "glass", "lights_and_sky", "lens", "shine")
+QUICK = ("zoo",)
 
 
 def compare(name, keys, spp, heuristic="balance"):
@@ -226,17 +221,137 @@ def compare(name, keys, spp, heuristic="balance"):
 
 @pytest.mark.parametrize("name", QUICK)
 def test_same_image_as_the_path_tracer(name):
-    means, pixels, error = compare(name, 12, 128, "power" if name in ("glass", "lens") else "balance")
+    means, pixels, error = compare(name, 12, 128, "power")
     assert error.max() < 0.02
     assert np.abs(means).max() < 4.5, means
     assert np.sqrt((pixels**2).mean()) < 1.35, pixels
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("heuristic", jd.integrator.HEURISTICS)
+@pytest.mark.parametrize("heuristic", integrators.HEURISTICS)
 @pytest.mark.parametrize("name", scenes())
 def test_same_image_as_the_path_tracer_everywhere(name, heuristic):
     means, pixels, error = compare(name, 32, 1024, heuristic)
     assert error.max() < 0.02
     assert np.abs(means).max() < 4.0, means
     assert np.sqrt((pixels**2).mean()) < 1.25, pixels
+
+
+def floor_scene(light=None, film_filter=None, extra=None):
+    """Nothing but an even floor in view: no visibility changes."""
+    shapes = {"floor": jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(RGB))} | (extra or {})
+    view = jd.Perspective(jd.look_at([0.3, 0.0, 2.0], [0.3, 0.2, 0], UP), 30.0, jd.Film(4, 4, film_filter or jd.Gaussian()))
+    return jd.Scene(shapes, view, None, {} if light is None else {"point": light})
+
+
+def test_derivative_by_materials_and_lights():
+    """Direct light is the product of reflectance and radiance: along both at once, its derivative is twice itself."""
+    scene = floor_scene(extra={"lamp": lamp(at=(0.1, 0.0, 2.5))})
+    wanted = ("floor.bsdf.reflectance", "lamp.emitter.radiance")
+    values = {name: scene.parameters()[name] for name in wanted}
+
+    @jax.jit
+    def both(key):
+        def image(values):
+            return jd.render(scene.replace(values), key, 512, jd.BidirectionalPathTracer(2))
+
+        return jax.jvp(image, (values,), (values,))
+
+    found = [both(key) for key in jax.random.split(jax.random.key(7), 6)]
+    image, derivative = (np.stack([f[k].mean((0, 1)) for f in found]) for k in (0, 1))
+    z, error = z_scores(2 * image, derivative)
+    assert error.max() < 0.01 and np.abs(z).max() < 5.0, (image.mean(0), derivative.mean(0))
+
+
+def test_derivative_by_what_moves():
+    """Light, camera and a floor that tilts, all of it in view: material points, and the moving filter."""
+    scene = floor_scene(jd.PointLight([0.5, 0.2, 1.2], 1.0))
+    parameters = scene.parameters()
+    floor_points_ = np.asarray(parameters["floor.vertices"])
+    tilt = np.zeros_like(floor_points_)
+    tilt[:, 2] = 0.3 * floor_points_[:, 0]
+    push = np.zeros((4, 4))
+    push[:3, 3] = [0.2, -0.3, 0.1]
+    motion = {"floor.vertices": tilt, "camera.to_world": push, "point.position": np.array([0.3, -0.5, 0.4])}
+    motion = {name: jnp.asarray(value, float) for name, value in motion.items()}
+    values = {name: parameters[name] for name in motion}
+
+    def moved(step):
+        return scene.replace({name: values[name] + step * motion[name] for name in motion})
+
+    step, exact = 0.02, []
+    for sign in (1, -1):
+        exact.append(images(moved(sign * step), jax.random.split(jax.random.key(8), 2), 2048, jd.PathTracer(2, None)))
+    exact = np.asarray(exact[0] - exact[1], float).mean((0, -1)) / (2 * step)
+
+    @jax.jit
+    def derivative(key):
+        def image(step):
+            return jd.render(moved(step), key, 1024, jd.BidirectionalPathTracer(2))
+
+        return jax.jvp(image, (0.0,), (1.0,))[1].mean(-1)
+
+    found = np.stack([derivative(key) for key in jax.random.split(jax.random.key(9), 8)])
+    mean, error = found.mean(0), found.std(0, ddof=1) / np.sqrt(len(found))
+    assert error.max() < 0.1 * np.abs(exact).max()
+    assert np.abs(mean - exact).max() < 5 * error.max(), (mean, exact, error)
+
+
+def test_keys_chunks_and_precision():
+    """A batch of keys, several chunks, and float64 with the same numbers."""
+    scene = jd.Scene(floor() | {"lamp": lamp()}, camera(4), jd.ConstantEnvironment(0.3))
+    keys = jax.random.split(jax.random.key(10), 2)
+    integrator = jd.BidirectionalPathTracer(3)
+    found = jax.jit(jax.vmap(lambda key: jd.render(scene, key, 16, integrator)))(keys)
+    np.testing.assert_allclose(found, images(scene, keys, 16, integrator), rtol=1e-4, atol=1e-6)
+    chunked = jd.BidirectionalPathTracer(3, chunk_size=4 * 4 * 5 * 6)  # six samples each: the last chunk is not full
+    np.testing.assert_allclose(images(scene, keys, 16, chunked).mean(), found.mean(), rtol=0.2)
+    with jax.enable_x64(True):
+        double = jax.tree.map(lambda x: jnp.asarray(x, float) if jnp.issubdtype(x.dtype, jnp.floating) else x, scene)
+        image = jd.render(double, keys[0], 16, integrator)
+        assert image.dtype == jnp.float64
+        np.testing.assert_allclose(image, found[0], rtol=1e-3, atol=1e-4)
+
+
+def test_emitters_seen_directly():
+    """Paths of one segment come from the camera alone; without emitters it is dark."""
+    scene = jd.Scene(floor(), camera(4), jd.ConstantEnvironment(0.3))
+    keys = jax.random.split(jax.random.key(11), 1)
+    one, two = (np.asarray(images(scene, keys, 4, tracer(1))) for tracer in (jd.PathTracer, jd.BidirectionalPathTracer))
+    np.testing.assert_array_equal(one, two)
+    dark = jd.Scene(floor(), camera(4))
+    for depth in (1, 2):
+        assert not np.asarray(images(dark, keys, 4, jd.BidirectionalPathTracer(depth))).any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"max_depth": 0}, "max_depth must be at least 1"),
+        ({"boundary": jd.KernelDensity()}, r"take PathTracer\(boundary=KernelDensity"),
+        ({"rays": "optix"}, "rays must be one of"),
+        ({"chunk_size": 0}, "chunk_size must be positive"),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    with pytest.raises(ValueError, match=message):
+        jd.BidirectionalPathTracer(**settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "scene", "message"),
+    [
+        ("floor.vertices", floor_scene(film_filter=jd.Box()), "differentiates the pixel filter .* use Gaussian"),
+        ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
+        ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
+        ("point.position", floor_scene(jd.PointLight([0, 0, 1]), extra=ball(jd.Conductor())), "do not move with mirrors"),
+    ],
+)
+def test_what_has_no_derivative(name, scene, message):
+    value = scene.parameters()[name]
+
+    def image(value):
+        return jd.render(scene.replace({name: value}), jax.random.key(0), 1, jd.BidirectionalPathTracer(3))
+
+    with pytest.raises(ValueError, match=message):
+        jax.eval_shape(lambda v: jax.jvp(image, (v,), (v,)), value)
