@@ -245,7 +245,9 @@ def _check_motion(packed: PackedScene, moving: Moving) -> None:
     """Raises ValueError for what a `BidirectionalPathTracer` does not move."""
     name, remedy = "BidirectionalPathTracer", "take PathTracer(boundary=None) for the interior term of what moves"
     if packed.has_delta_lobes and (any(moving.seen) or any(moving.lights)):
-        raise ValueError(f"render: paths of a {name} over delta lobes do not move with mirrors and smooth glass; {remedy}")
+        raise ValueError(
+            f"render: paths of a {name} over delta lobes do not move with mirrors and smooth glass; {remedy}"
+        )
     pixel_filter = packed.camera.film.filter
     if any(moving.seen) and not pixel_filter.smooth:
         raise ValueError(

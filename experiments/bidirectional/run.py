@@ -15,8 +15,8 @@ from experiments import common
 from experiments.bidirectional.scenes import SCENES
 
 STUDY = "bidirectional"
-SPP = 32  # of the bidirectional path tracer; the path tracer gets as many as fit into its time
-ROUNDS, REFERENCE_ROUNDS, REFERENCE_SPP = 24, 16, 512
+SPP = 16  # of the bidirectional path tracer; the path tracer gets as many as fit into its time
+ROUNDS, REFERENCE_ROUNDS, REFERENCE_SPP = 16, 8, 256
 COLUMNS = {
     "scene": ("scene", "s"),
     "segments": ("depth", "d"),
@@ -28,7 +28,7 @@ COLUMNS = {
     "BDPT error": ("bidirectional_error", ".4f"),
     "error, PT / BDPT, at equal time": ("ratio", ".2f"),
     "z of the mean": ("mean_z", ".2f"),
-    "rms z of pixels": ("pixel_z", ".2f"),
+    "rms z of blocks": ("block_z", ".2f"),
 }
 
 
@@ -67,7 +67,6 @@ def measure(name, rounds, reference_rounds, reference_spp):
     errors = [np.sqrt(max(((images - reference) ** 2).mean() - noise, 0.0)) / reference.mean() for images in (one, two)]
     seconds = [statistics.median(s) for s in (one_seconds, two_seconds)]
     apart = statistics.median(a / b for a, b in zip(one_seconds, two_seconds, strict=True))
-    # Means over the image, and blocks of 4 x 4 pixels, of the path tracer and of all bidirectional images.
     means, pixels = z_scores(one, truth)
     return {
         "scene": name,
@@ -80,7 +79,7 @@ def measure(name, rounds, reference_rounds, reference_spp):
         "bidirectional_error": errors[1],
         "ratio": errors[0] / errors[1] * np.sqrt(apart),
         "mean_z": means,
-        "pixel_z": pixels,
+        "block_z": pixels,
     }
 
 

@@ -47,12 +47,16 @@ def cornell():
     """Two diffuse bodies in a box, a lamp at the ceiling."""
     bodies = _body(sphere(3, 0.35, (-0.4, 0.2, 0.35)), jd.Diffuse(0.7))
     bodies["box"] = jd.Shape(box((0.5, 0.5, 1.0), (0.4, 0.4, 0.5)), jd.Diffuse(0.7))
-    return jd.Scene(_box_walls() | bodies | {"lamp": _lamp(0.5, (0, 0, 1.98), 4.0)}, _camera([0, -3.6, 1], [0, 0, 1], 36))
+    return jd.Scene(
+        _box_walls() | bodies | {"lamp": _lamp(0.5, (0, 0, 1.98), 4.0)}, _camera([0, -3.6, 1], [0, 0, 1], 36)
+    )
 
 
 def hidden_lamp():
     """The same box, lit from behind a screen that lets light reach the ceiling alone."""
-    lamp = jd.Shape(transformed(rectangle(0.3, 0.3), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1.0]])))
+    lamp = jd.Shape(
+        transformed(rectangle(0.3, 0.3), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1.0]]))
+    )
     lamp = jd.Shape(lamp.mesh, jd.Diffuse(0.0), jd.AreaEmitter(60.0))
     screen = jd.Shape(rectangle(0.9, 0.9, (0, 0, 1.35)), jd.TwoSided(jd.Diffuse(0.5)))
     bodies = _body(sphere(3, 0.35, (-0.4, 0.2, 0.35)), jd.Diffuse(0.7))
@@ -66,11 +70,12 @@ def rough_glass():
 
 
 def caustic():
-    """A small lamp above a ball of smooth glass and a diffuse floor: nothing but its caustic in view, and its shadow."""
+    """A small lamp above a ball of smooth glass over a diffuse floor: its caustic and its shadow."""
     body = _body(sphere(4, 0.5, (0, 0, 1.0)), jd.Dielectric(1.5))
     floor = jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(0.6))
     return jd.Scene(
-        body | {"floor": floor, "lamp": _lamp(0.2, (0.8, 0.3, 3.0), 6.0)}, _camera([0.4, -2.2, 1.6], [-0.3, -0.1, 0.1], 40)
+        body | {"floor": floor, "lamp": _lamp(0.2, (0.8, 0.3, 3.0), 6.0)},
+        _camera([0.4, -2.2, 1.6], [-0.3, -0.1, 0.1], 40),
     )
 
 
@@ -78,7 +83,7 @@ def mirror_caustic():
     """A ring of metal on a diffuse floor, a small lamp beside."""
     angle = np.linspace(0, 2 * np.pi, 97)[:-1]
     ring = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), 0 * angle], -1)
-    vertices = np.concatenate([ring, ring + [0, 0, 0.4]])
+    vertices = np.concatenate([ring, ring + np.array([0, 0, 0.4])])
     i, j = np.arange(96), (np.arange(96) + 1) % 96
     faces = np.concatenate([np.stack([i, j, j + 96], -1), np.stack([i, j + 96, i + 96], -1)])
     body = _body(jd.Mesh(vertices, faces), jd.TwoSided(jd.Conductor("Al")))

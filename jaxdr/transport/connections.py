@@ -63,7 +63,9 @@ def ends(packed: PackedScene, subpath: Subpath, count: int) -> Ends:
     return Ends(vertex, Scatterer(packed, vertex.point, vertex.back), subpath.density.shape[1])
 
 
-def found_emission(packed: PackedScene, camera: Subpath, power: int) -> tuple[Float[Array, "B N 3"], Float[Array, "B N"]]:
+def found_emission(
+    packed: PackedScene, camera: Subpath, power: int
+) -> tuple[Float[Array, "B N 3"], Float[Array, "B N"]]:
     """s = 0: (what emitters contribute that camera subpaths meet at x_1, x_2, ..., weights of the strategy)."""
     bounces, paths = camera.density.shape
     vertex = camera.vertices(bounces)
@@ -112,7 +114,7 @@ def with_emitters(packed: PackedScene, camera: Ends, u: Float[Array, "C 2"], pow
 
 
 def with_each_other(camera: Ends, light: Ends, pairs: list[tuple[int, int]], power: int) -> Connections:
-    """s > 1, t > 1: vertices x_1 + i of camera subpaths with x_1 + j of subpaths from emitters, for (i, j) of `pairs`."""
+    """s > 1, t > 1: vertices x_1 + i from the camera with x_1 + j from emitters, for (i, j) of `pairs`."""
     seen = camera.rows([i for i, _ in pairs])
     lit = light.rows([j for _, j in pairs])
     z, y = seen.vertex, lit.vertex

@@ -94,9 +94,7 @@ def camera_start(packed: PackedScene, primary: PrimarySamples) -> Subpath:
     return Subpath(first, -primary.direction, throughput, density, jnp.zeros_like(density), joined)
 
 
-def light_start(
-    packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2"], power: int, rays: str
-) -> Subpath:
+def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2"], power: int, rays: str) -> Subpath:
     """What rays from emitter samples hit, as x_1 of subpaths from emitters."""
     ray = light_rays(packed, sample, u)
     emits = (ray.pdf > 0) & (sample.pdf > 0)

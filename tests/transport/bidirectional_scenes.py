@@ -94,9 +94,15 @@ def scenes() -> dict:
     return {
         "zoo": (lambda: jd.Scene(floor() | zoo() | {"lamp": textured_lamp()}, thin, SKY, LIGHTS), 4),
         "room": (lambda: jd.Scene(room() | ball(jd.Diffuse(0.8)) | {"lamp": lamp()}, camera()), 4),
-        "principled": (lambda: jd.Scene(room() | ball(jd.Principled(0.6, 0.3, 0.4)) | {"lamp": textured_lamp()}, camera()), 4),
+        "principled": (
+            lambda: jd.Scene(room() | ball(jd.Principled(0.6, 0.3, 0.4)) | {"lamp": textured_lamp()}, camera()),
+            4,
+        ),
         "rough_glass": (lambda: jd.Scene(room() | ball(jd.RoughDielectric(0.3, 1.5)) | {"lamp": lamp()}, camera()), 4),
-        "glass": (lambda: jd.Scene(room() | ball(jd.Dielectric(1.5), smooth=False) | {"lamp": lamp(size=1.0)}, camera()), 5),
+        "glass": (
+            lambda: jd.Scene(room() | ball(jd.Dielectric(1.5), smooth=False) | {"lamp": lamp(size=1.0)}, camera()),
+            5,
+        ),
         "smooth_glass": (lambda: jd.Scene(room() | ball(jd.Dielectric(1.5)) | {"lamp": lamp(size=1.0)}, camera()), 5),
         "mirror": (lambda: jd.Scene(floor() | ball(jd.Conductor("Al")) | {"lamp": lamp(size=1.0)}, camera(), dim), 4),
         "plastic": (lambda: jd.Scene(floor() | ball(jd.Plastic((0.5, 0.2, 0.2))) | {"lamp": lamp()}, camera(), sky), 4),
@@ -105,7 +111,10 @@ def scenes() -> dict:
         "map": (lambda: jd.Scene(floor() | ball(jd.RoughConductor(0.2)), camera(), SKY), 4),
         "sky_glass": (lambda: jd.Scene(floor() | ball(jd.RoughDielectric(0.2, 1.5)), camera(), SKY), 4),
         "lights": (lambda: jd.Scene(floor() | ball(jd.RoughPlastic(0.5)), camera(), None, LIGHTS), 4),
-        "lights_and_sky": (lambda: jd.Scene(floor() | ball(jd.Dielectric(1.4)) | {"lamp": lamp()}, camera(), SKY, LIGHTS), 4),
+        "lights_and_sky": (
+            lambda: jd.Scene(floor() | ball(jd.Dielectric(1.4)) | {"lamp": lamp()}, camera(), SKY, LIGHTS),
+            4,
+        ),
         "lens": (lambda: jd.Scene(room() | ball(jd.Diffuse(0.8)) | {"lamp": lamp()}, thin), 4),
         "parallel": (lambda: jd.Scene(floor() | ball(jd.RoughConductor(0.3)) | {"lamp": lamp()}, parallel, dim), 4),
         "bumpy": (lambda: jd.Scene(floor() | bumpy, camera(), SKY, {"point": LIGHTS["point"]}), 4),

@@ -240,7 +240,9 @@ def test_same_image_as_the_path_tracer_everywhere(name, heuristic):
 def floor_scene(light=None, film_filter=None, extra=None):
     """Nothing but an even floor in view: no visibility changes."""
     shapes = {"floor": jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(RGB))} | (extra or {})
-    view = jd.Perspective(jd.look_at([0.3, 0.0, 2.0], [0.3, 0.2, 0], UP), 30.0, jd.Film(4, 4, film_filter or jd.Gaussian()))
+    view = jd.Perspective(
+        jd.look_at([0.3, 0.0, 2.0], [0.3, 0.2, 0], UP), 30.0, jd.Film(4, 4, film_filter or jd.Gaussian())
+    )
     return jd.Scene(shapes, view, None, {} if light is None else {"point": light})
 
 
@@ -344,7 +346,11 @@ def test_settings_are_checked(settings, message):
         ("floor.vertices", floor_scene(film_filter=jd.Box()), "differentiates the pixel filter .* use Gaussian"),
         ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
         ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
-        ("point.position", floor_scene(jd.PointLight([0, 0, 1]), extra=ball(jd.Conductor())), "do not move with mirrors"),
+        (
+            "point.position",
+            floor_scene(jd.PointLight([0, 0, 1]), extra=ball(jd.Conductor())),
+            "do not move with mirrors",
+        ),
     ],
 )
 def test_what_has_no_derivative(name, scene, message):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.scene.sampling import uniform_sphere
 
+
 class DeltaLight(eqx.Module):
     """A light without area: no ray meets it, its shadows are hard.
 
