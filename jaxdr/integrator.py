@@ -109,7 +109,9 @@ class BidirectionalPathTracer(eqx.Module):
     """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`; every field is static.
 
     Paths from the camera and from emitters are joined in all ways: caustics and light from behind corners cost a
-    fraction of the samples, everything else some more time each.
+    fraction of the samples, everything else some more time each. One thing more is in the image: light of points,
+    spots, projectors and from one direction that mirrors and smooth glass throw onto surfaces. No path from the camera
+    finds it, so that `PathTracer` leaves it out.
 
     Its derivative is the interior term alone, of paths whose vertices are all material points. In what moves nothing
     (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment) that is the whole

@@ -21,7 +21,19 @@ from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.subpaths import camera_start, extend, light_start, trace_on
 from tests.references.polygon_shadow import irradiance
-from tests.transport.bidirectional_scenes import LIGHTS, SKY, UP, ball, camera, floor, lamp, room, scenes, textured_lamp
+from tests.transport.bidirectional_scenes import (
+    LIGHTS,
+    SKY,
+    UP,
+    ball,
+    camera,
+    facing_down,
+    floor,
+    lamp,
+    room,
+    scenes,
+    textured_lamp,
+)
 
 RGB = np.array([0.2, 0.5, 0.8])
 
@@ -104,7 +116,7 @@ def test_floor_seen_by_each_strategy(kind):
             ratio = found[:, number] / exact
             for values in (ratio, ratio.mean((1, 2, 3))):
                 mean, error = values.mean(0), values.std(0, ddof=1) / np.sqrt(8)
-                assert error.max() < (0.1 if values is ratio else 0.015), name
+                assert error.max() < (0.12 if values is ratio else 0.015), name
                 assert np.abs(mean - 1.0).max() < 5 * error.max() + 5e-4, (name, mean)
 
 
@@ -138,6 +150,40 @@ def test_paths_of_one_length_by_all_strategies():
             assert error < 0.06 and np.abs(z) < 4.5, (name, one.mean(), other.mean(), z)
 
 
+def refracted_irradiance(r, above, below, eta):
+    """At distances r from the axis on a floor under water, `below` its surface, from a light of intensity 1 `above`."""
+    angle = np.linspace(0.0, 0.2, 20001)[1:]
+    inside = np.arcsin(np.sin(angle) / eta)
+    places = above * np.tan(angle) + below * np.tan(inside)
+    s, p = np.sin(angle - inside) / np.sin(angle + inside), np.tan(angle - inside) / np.tan(angle + inside)
+    flux = (1.0 - 0.5 * (s**2 + p**2)) * np.sin(angle)
+    return np.interp(r, places, flux / (places * np.gradient(places, angle)))
+
+
+@pytest.mark.parametrize("kind", ["mirror", "water"])
+def test_caustic_of_a_point(kind):
+    """Over one delta lobe, in closed form: only subpaths from the light find it, the path tracer never."""
+    beam = {"light": jd.SpotLight([0.3, 0.2, 1.6], [0, 0, -1], np.pi, 3.0, 2.9)}
+    steps = 0.02 * (np.arange(4) - 1.5)
+    radius = np.hypot(*np.meshgrid(steps, steps))
+    if kind == "water":
+        surface = jd.Shape(rectangle(6.0, 6.0, (0, 0, 1.0)), jd.Dielectric(1.33, 1.0))
+        shapes = {"floor": jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(RGB)), "surface": surface}
+        at, target, exact = 0.9, 0.0, refracted_irradiance(radius, 0.6, 1.0, 1.33)
+    else:
+        ceiling = jd.Shape(facing_down(6.0, 6.0, (0, 0, 2.0)), jd.Diffuse(RGB))
+        shapes = {"ceiling": ceiling, "mirror": jd.Shape(rectangle(6.0, 6.0), jd.Conductor())}
+        at, target, exact = 1.0, 2.0, 3.6 / (3.6**2 + radius**2) ** 1.5
+    matrix = jd.look_at([0.3, 0.2, at], [0.3, 0.2, target], [0, 1, 0]) @ np.diag([0.04, 0.04, 1.0, 1.0])
+    scene = jd.Scene(shapes, jd.Orthographic(matrix, jd.Film(4, 4, jd.Box())), None, beam)
+    found = np.asarray(images(scene, jax.random.split(jax.random.key(12), 8), 2048, jd.BidirectionalPathTracer(3)))
+    ratio = found / (RGB * exact[..., None])
+    for values in (ratio, ratio.mean((1, 2, 3))):
+        error = values.std(0, ddof=1) / np.sqrt(8)
+        assert error.max() < (0.05 if values is ratio else 0.01)
+        assert np.abs(values.mean(0) - 1.0).max() < 5 * error.max(), values.mean(0)
+
+
 @pytest.mark.parametrize(
     ("kind", "power"),
     [("sky", 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("area", 1), ("area", 2), ("sky", 1)))],
@@ -154,7 +200,7 @@ def test_weights_add_up_to_one(kind, power):
     # They share the path fairly: none is always (next to) nothing.
     assert (np.asarray(weights)[:, np.asarray(used)].max(1) > 0.05).all()
     assert count > 200
-    np.testing.assert_allclose(total, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(total, 1.0, rtol=3e-4)  # rays start off the surfaces
 
 
 def _weights(scene, power):
