@@ -70,12 +70,12 @@ def rough_glass():
 
 
 def caustic():
-    """A small lamp above a ball of smooth glass over a diffuse floor: its caustic and its shadow."""
+    """A small lamp above a ball of smooth glass over a diffuse floor: in view is the caustic in its shadow alone."""
     body = _body(sphere(4, 0.5, (0, 0, 1.0)), jd.Dielectric(1.5))
     floor = jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(0.6))
     return jd.Scene(
         body | {"floor": floor, "lamp": _lamp(0.2, (0.8, 0.3, 3.0), 6.0)},
-        _camera([0.4, -2.2, 1.6], [-0.3, -0.1, 0.1], 40),
+        _camera([-0.4, -1.2, 0.9], [-0.4, -0.15, 0.0], 36),
     )
 
 

@@ -24,7 +24,7 @@ from jaxdr.transport.emission import (
 from jaxdr.transport.interaction import leave
 from jaxdr.transport.light_rays import disk_pdf, emission_pdf, surface_emission_pdf
 from jaxdr.transport.shading import Scatterer
-from jaxdr.transport.subpaths import Subpath, quotient, relative_densities
+from jaxdr.transport.subpaths import LARGEST, Subpath, quotient, relative_densities
 
 
 class Connections(NamedTuple):
@@ -102,7 +102,7 @@ def with_emitters(packed: PackedScene, camera: Ends, u: Float[Array, "C 2"], pow
 
     found = scatterer.pdf(towards) * stop_gradient(jnp.maximum(cosine, 0.0) / distance2)
     found = found if delta is None else jnp.where(delta, 0.0, found)
-    fewer = jnp.minimum(quotient(found, sample.pdf), 1e18) ** power
+    fewer = jnp.minimum(quotient(found, sample.pdf) ** power, LARGEST)
     reached = emission_pdf(packed, sample, -towards) * jnp.abs(dot(point.normal, towards)) / distance2
     reverse = scatterer.seen_from(towards).pdf(vertex.back)
     more = relative_densities(quotient(reached, vertex.density), vertex.joined, reverse, vertex.shorter, power)
