@@ -174,7 +174,7 @@ def test_render_with_an_integrator(name, integrator, monkeypatch):
 
     monkeypatch.setattr(cli, "render", render)
     assert cli.main(["render", "scene.xml", "-o", "out.npy", "--integrator", name, "--max-depth", "4"]) == 0
-    assert asked == [integrator(4, None)]
+    assert asked == [integrator(4, boundary=None)]
 
 
 def test_render_a_glb_under_a_white_sky(workplace, capsys):
