@@ -13,6 +13,7 @@ from jaxdr.geometry.load import save_mesh as save_mesh
 from jaxdr.geometry.mesh import Mesh as Mesh
 from jaxdr.images import load_image as load_image
 from jaxdr.images import write_image as write_image
+from jaxdr.integrator import BidirectionalPathTracer as BidirectionalPathTracer
 from jaxdr.integrator import PathTracer as PathTracer
 from jaxdr.optimize import losses as losses
 from jaxdr.optimize.adam import adam_uniform as adam_uniform

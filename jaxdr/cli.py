@@ -21,14 +21,14 @@ from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
-from jaxdr.integrator import PathTracer
+from jaxdr.integrator import BidirectionalPathTracer, PathTracer
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
-from jaxdr.render import render
+from jaxdr.render import Integrator, render
 from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings
@@ -38,6 +38,7 @@ from jaxdr.scene.scene import Scene
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
 DEEPEST = 16  # segments of paths that a file wants to be longer, or without an end: there is no Russian roulette
+INTEGRATORS = {"path": PathTracer, "bdpt": BidirectionalPathTracer}
 PASS = 1 << 24  # paths of an image between two steps of the progress bar
 
 
@@ -68,7 +69,7 @@ def _render(options) -> int:
         check_image_path(path)
     scene = _load_scene(options)
     spp, depth = _settings(options)
-    image = _finite(_in_passes(scene, key, spp, PathTracer(max_depth=depth, boundary=None)))
+    image = _finite(_in_passes(scene, key, spp, INTEGRATORS[options.integrator](max_depth=depth, boundary=None)))
     found = render_aovs(scene, key, spp=spp, names=aovs) if aovs else {}
     found = {name: _finite(values.reshape(*values.shape[:2], -1)) for name, values in found.items()}
     for path, values in ((output, image), *((aovs[name], values) for name, values in found.items())):
@@ -89,7 +90,7 @@ def _settings(options) -> tuple[int, int]:
     return options.spp or asked.spp or SAMPLES, depth
 
 
-def _in_passes(scene: Scene, key, spp: int, tracer: PathTracer) -> np.ndarray:
+def _in_passes(scene: Scene, key, spp: int, tracer: Integrator) -> np.ndarray:
     """The image; one of many paths as the mean of several, with a progress bar."""
     film = scene.camera.film
     each = min(spp, max(1, PASS // (film.width * film.height)))
@@ -294,6 +295,8 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
         if name == "render":
+            what = "path tracer (default), or bidirectional one: for caustics and light from behind corners"
+            command.add_argument("--integrator", choices=INTEGRATORS, default="path", help=what)
             what = f"what is seen, in files beside the image, separated by commas: {', '.join(NAMES)}"
             command.add_argument("--aov", type=_aov_names, default=[], metavar="NAME,...", help=what)
         if name == "gradient":

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.bidirectional import BidirectionalSettings
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 
@@ -49,7 +50,8 @@ class PathTracer(eqx.Module):
       not attached cancels. Give `spp` as an even number.
     - `edge_samples`: points on silhouettes, and as many on creases, in the image per path sample. None: 1/8 for direct
       light, 1 with indirect light, whose noise does not cancel between the two sides of a silhouette.
-    - `chunk_size`: paths traced at once; memory is proportional to it and independent of the samples per pixel.
+    - `chunk_size`: paths traced at once, four times as many in images that nobody differentiates; memory is
+      proportional to it and independent of the samples per pixel.
     - `rays`: implementation of the ray queries, "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
     """
@@ -90,8 +92,74 @@ class PathTracer(eqx.Module):
             return 0.125 if self.max_depth <= 2 else 1.0
         return self.edge_samples
 
+    def paths_at_once(self, differentiated: bool) -> int:
+        """Paths in a chunk: more in an image that nobody differentiates, which keeps nothing of them.
+
+        So those that go on fill blocks for longer.
+        """
+        return self.chunk_size if differentiated else 4 * self.chunk_size
+
     @property
     def settings(self) -> PathSettings:
         """What the path tracer itself needs."""
         attached = getattr(self.boundary, "attached", 0.0)
         return PathSettings(self.max_depth, self.sampling == "mis", self.rays, attached)
+
+
+HEURISTICS = {"balance": 1, "power": 2}  # the powers of densities that weights are shares of
+
+
+class BidirectionalPathTracer(eqx.Module):
+    """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`; every field is static.
+
+    Paths from the camera and from emitters are joined in all ways: caustics and light from behind corners cost a
+    fraction of the samples, everything else some more time each. One thing more is in the image: light of points,
+    spots, projectors and from one direction that mirrors and smooth glass throw onto surfaces. No path from the camera
+    finds it, so that `PathTracer` leaves it out.
+
+    Its derivative is the interior term alone, of paths whose vertices are all material points. In what moves nothing
+    (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment) that is the whole
+    derivative. In what does (vertices, camera, positions and directions of lights) visibility changes are missing,
+    silhouettes and creases in the image too, as for `PathTracer(boundary=None)`; first hits are material points, so
+    the pixel filter is differentiated and has to be Gaussian where surfaces move in the image. Paths over delta lobes
+    do not move with what bends them: derivatives by anything that moves, by the index of smooth glass or by normals of
+    mirrors raise ValueError in scenes with delta lobes.
+
+    - `max_depth`: longest path in segments, as `PathTracer` counts.
+    - `heuristic`: "balance" or "power" (2) combination of all strategies.
+    - `boundary`: None; estimators of visibility changes come with `PathTracer`.
+    - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample; memory is
+      proportional to it and independent of the samples per pixel, but there is a sample of every pixel at least.
+    - `rays`: as of `PathTracer`.
+    """
+
+    max_depth: int = eqx.field(static=True, default=3)
+    heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
+    boundary: BoundaryEstimator | None = eqx.field(static=True, default=None)
+    chunk_size: int = eqx.field(static=True, default=1 << 18)
+    rays: str = eqx.field(static=True, default="auto")
+
+    def __check_init__(self):
+        name = "BidirectionalPathTracer"
+        if self.max_depth < 1:
+            raise ValueError(f"{name}: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
+        for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES)):
+            if getattr(self, field) not in known:
+                raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")
+        if self.boundary is not None:
+            raise ValueError(
+                f"{name}: boundary must be None: visibility changes of connected subpaths have no derivative yet; for "
+                f"derivatives by what moves take PathTracer(boundary={type(self.boundary).__name__}(...))"
+            )
+        if self.chunk_size < 1:
+            raise ValueError(f"{name}: chunk_size must be positive")
+
+    def paths_at_once(self, differentiated: bool) -> int:
+        """Pairs of subpaths in a chunk."""
+        del differentiated
+        return max(1, self.chunk_size // max(1, (self.max_depth - 1) * (self.max_depth + 2) // 2))
+
+    @property
+    def settings(self) -> BidirectionalSettings:
+        """What the tracer itself needs."""
+        return BidirectionalSettings(self.max_depth, HEURISTICS[self.heuristic], self.rays)

@@ -27,19 +27,21 @@ from jaxdr.boundary.hard_shadows import (
 from jaxdr.boundary.pixel_borders import pixel_border_term
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
-from jaxdr.integrator import PathTracer
+from jaxdr.integrator import BidirectionalPathTracer, PathTracer
 from jaxdr.scene.bsdf import BSDF, NormalMap
 from jaxdr.scene.bsdf.base import only_delta
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
+from jaxdr.transport.bidirectional import bidirectional_image
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
 from jaxdr.transport.radiance import arriving_radiance
 
+Integrator = PathTracer | BidirectionalPathTracer
+
 # Parameters of lights without area that move their shadows.
 PLACES = ("position", "direction", "to_world", "fov")
-IMAGE_CHUNK = 4  # times the paths of a chunk at once for images that nobody differentiates
 
 
 class Moving(NamedTuple):
@@ -82,11 +84,11 @@ class Plan(NamedTuple):
     structure: Any  # a jax.tree_util.PyTreeDef
     is_float: tuple[bool, ...]
     spp: int
-    integrator: PathTracer
+    integrator: Integrator
 
 
 def render(
-    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: PathTracer | None = None
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None
 ) -> Float[Array, "H W 3"]:
     """Image [H, W, 3] of a scene, linear RGB, row 0 at the top; differentiable in every float parameter of the scene.
 
@@ -98,12 +100,12 @@ def render(
     integrator = PathTracer() if integrator is None else integrator
     if not isinstance(scene, Scene):
         raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
-    if not isinstance(integrator, PathTracer):
+    if not isinstance(integrator, Integrator):
         raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
     pixel_filter = scene.camera.film.filter
-    if integrator.primary == "material" and not pixel_filter.smooth:
+    if isinstance(integrator, PathTracer) and integrator.primary == "material" and not pixel_filter.smooth:
         raise ValueError(
             'render: primary="material" differentiates the pixel filter, and a '
             f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
@@ -115,7 +117,7 @@ def render(
 
 
 def derivative_terms(
-    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: PathTracer | None = None, moving: Moving | None = None
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None, moving: Moving | None = None
 ) -> dict[str, Float[Array, "H W 3"]]:
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
@@ -199,7 +201,7 @@ def _bends(active: BSDF) -> bool:
     return own or (inner is not None and _bends(inner))
 
 
-def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Moving | None) -> dict:
+def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None) -> dict:
     """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel.
 
     Without `moving` the terms are those of an image that nobody differentiates: the interior's value alone.
@@ -207,12 +209,15 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     packed = pack(scene)
     _, _, width, height = scene.camera.film.window
     pixels = width * height
-    # Images keep nothing of their paths, and those that go on should fill blocks for long.
-    chunks = -(-spp * pixels // (integrator.chunk_size * (IMAGE_CHUNK if moving is None else 1)))
+    chunks = -(-spp * pixels // integrator.paths_at_once(differentiated=moving is not None))
     chunks = min(chunks, spp)
     per_chunk = -(-spp // chunks)
-    prepared = None
-    if moving is not None and moving.any and integrator.boundary is not None:
+    prepared, material = None, False
+    if isinstance(integrator, BidirectionalPathTracer):
+        if moving is not None and moving.any:
+            _check_motion(packed, moving)
+            material = any(moving.seen)
+    elif moving is not None and moving.any and integrator.boundary is not None:
         _check_transmission(packed, integrator)
         check_still_jumps(scene, moving.seen, integrator.primary == "fixed_ray", integrator.settings.attached)
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
@@ -222,9 +227,13 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
+        key_chunk = jax.random.fold_in(key_chunks, index)
+        if isinstance(integrator, BidirectionalPathTracer):
+            settings = integrator.settings
+            return {"interior": bidirectional_image(packed, samples, key_film, key_chunk, spp, settings, material)}
         if moving is None:
-            return _image_chunk(packed, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
-        return _chunk(packed, prepared, samples, key_film, jax.random.fold_in(key_chunks, index), spp, integrator)
+            return _image_chunk(packed, samples, key_film, key_chunk, spp, integrator)
+        return _chunk(packed, prepared, samples, key_film, key_chunk, spp, integrator)
 
     if chunks == 1:
         return chunk(packed, 0)
@@ -235,6 +244,21 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
     start = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(chunk, packed, 0))
     return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
+
+
+def _check_motion(packed: PackedScene, moving: Moving) -> None:
+    """Raises ValueError for what a `BidirectionalPathTracer` does not move."""
+    name, remedy = "BidirectionalPathTracer", "take PathTracer(boundary=None) for the interior term of what moves"
+    if packed.has_delta_lobes and (any(moving.seen) or any(moving.lights)):
+        raise ValueError(
+            f"render: paths of a {name} over delta lobes do not move with mirrors and smooth glass; {remedy}"
+        )
+    pixel_filter = packed.camera.film.filter
+    if any(moving.seen) and not pixel_filter.smooth:
+        raise ValueError(
+            f"render: a {name} differentiates the pixel filter where surfaces move, and a "
+            f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian, or {remedy}"
+        )
 
 
 def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:

@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+import jaxdr as jd
 from jaxdr import cli
 from jaxdr.images import load_image
 from jaxdr.optimize import loop, phase
@@ -161,6 +162,19 @@ def test_what_a_scene_has_and_jaxdr_has_not(workplace, scenes, capsys):
     captured = capsys.readouterr()
     assert captured.out == "out.npy\n"
     assert [line[:29] for line in captured.err.splitlines()] == ["jaxdr: warning: hairy.xml, li"] * 2
+
+
+@pytest.mark.parametrize("name, integrator", [("bdpt", jd.BidirectionalPathTracer), ("path", jd.PathTracer)])
+def test_render_with_an_integrator(name, integrator, monkeypatch):
+    asked = []
+
+    def render(scene, key, spp, integrator):
+        asked.append(integrator)
+        return jnp.zeros((6, 8, 3))
+
+    monkeypatch.setattr(cli, "render", render)
+    assert cli.main(["render", "scene.xml", "-o", "out.npy", "--integrator", name, "--max-depth", "4"]) == 0
+    assert asked == [integrator(4, boundary=None)]
 
 
 def test_render_a_glb_under_a_white_sky(workplace, capsys):

@@ -71,9 +71,8 @@ def measure(path, case, size, spp, rounds, profile):
     if not profile:
         return row, [], 0.0
     from experiments.forward_cost.profile import report
-    from jaxdr.render import IMAGE_CHUNK
 
-    samples = max(1, IMAGE_CHUNK * tracer.chunk_size // (size * size))
+    samples = max(1, tracer.paths_at_once(differentiated=False) // (size * size))
     return row, *report(scene, tracer.settings, samples)
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import detached_barycentric
 from jaxdr.transport.sampler import uniform
@@ -128,7 +128,7 @@ def draw_auxiliary(
     face = jnp.where(there, found.face, 0).reshape(-1)
     origin, direction = jnp.repeat(flat, capacity, axis=0), jnp.repeat(along, capacity, axis=0)
     barycentric = detached_barycentric(packed, origin, direction, face)
-    position = (packed.vertices[packed.faces[face]] * barycentric[..., None]).sum(1)
+    position = interpolate(packed.vertices[packed.faces[face]], barycentric)
     slant = jnp.abs(dot(normals[face], direction))
     full = (n, samples, capacity)
     there = there.reshape(full) & (slant.reshape(full) > 0)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.continuous_velocity import Auxiliary, Kernel
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import OFFSET, SurfacePoint, detached_barycentric, leave
 
@@ -132,7 +132,7 @@ def _to_fixed_edges(packed: PackedScene, faces: Faces, face, barycentric, width)
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex):
     """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
     corners = packed.vertices[packed.faces[face]]
-    position = (corners * barycentric[..., None]).sum(1)
+    position = interpolate(corners, barycentric)
     offset = position - apex
     length = norm(offset)
     length = jnp.where(length > 0, length, 1.0)

@@ -13,7 +13,7 @@ from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
 from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates
-from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import on_fixed_ray
@@ -202,10 +202,10 @@ def displacement(
 ) -> Float[Array, "C 3"]:
     """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8)."""
     corners = packed.vertices[packed.faces[seen.face]]
-    material = (corners * seen.barycentric[..., None]).sum(1)
+    material = interpolate(corners, seen.barycentric)
     normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     before = packed.vertices[packed.faces[seen.occluder]]
-    towards = (before * seen.on_occluder[..., None]).sum(1) - apex
+    towards = interpolate(before, seen.on_occluder) - apex
     slope = dot(normal, towards)
     reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
     offset, far = seen.position - stop_gradient(apex), infinite[:, None]
@@ -285,7 +285,7 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
             there = number < table.target_face.shape[0]
             number = jnp.where(there, number, 0)
             corners = packed.vertices[packed.faces[table.target_face[number]]]
-            end = (corners * table.target_barycentric[number][..., None]).sum(1)
+            end = interpolate(corners, table.target_barycentric[number])
             normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
             infinite, direction = table.infinite[number], table.direction[number]
             beyond = SegmentEnds(position, ends.face, end, normal, table.target_face[number], corners, infinite)

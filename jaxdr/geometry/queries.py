@@ -198,11 +198,11 @@ def projections(
     depth: Float[Array, " N"],
     shape: Int[Array, " N"],
     capacity: int,
-    implementation: str = "warp",
+    implementation: str = "auto",
 ) -> Projections:
     """All projections of points onto the faces of a shape along unit normals, no further away than `depth`.
 
-    The nearest `capacity` of them and how many there are; with `warp` a warning tells where there are more. `shape` is
+    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more. `shape` is
     the number in `face_shape`; a depth of zero leaves a point out.
     """
     module = _projection_module(implementation)
@@ -211,7 +211,7 @@ def projections(
 
 
 def _projection_module(implementation: str) -> Any:
-    if implementation != "warp":
+    if implementation not in ("auto", "embree", "warp"):
         return _module(implementation)
     from jaxdr.geometry import warp_projections
 

@@ -9,12 +9,17 @@ from jaxtyping import Array, Float
 from jaxdr.scene.film import Film
 
 
-def splat(film: Film, points: Float[Array, "n 2"], values: Float[Array, "n 3"]) -> Float[Array, "H W 3"]:
-    """Image of the rendered window: each value weighted with the filter density around its (detached) point."""
+def splat(
+    film: Film, points: Float[Array, "n 2"], values: Float[Array, "n 3"], moving: bool = False
+) -> Float[Array, "H W 3"]:
+    """Image of the rendered window: each value weighted with the filter density around its point.
+
+    The points are detached unless `moving`; which pixels they reach always is.
+    """
     x0, y0, width, height = film.window
-    points = stop_gradient(points)
+    points = points if moving else stop_gradient(points)
     span = math.ceil(2 * film.filter.radius)
-    first = jnp.floor(points - film.filter.radius + 0.5)  # lowest pixel whose filter can reach the point
+    first = jnp.floor(stop_gradient(points) - film.filter.radius + 0.5)  # lowest pixel whose filter can reach the point
     offsets = jnp.stack(jnp.meshgrid(jnp.arange(span), jnp.arange(span), indexing="ij"), -1).reshape(-1, 2)
     pixel = first[:, None] + offsets[None].astype(points.dtype)
     weight = film.filter.pdf(points[:, None] - pixel - 0.5)

@@ -1,5 +1,9 @@
 """BSDFs of a packed scene, at surface points."""
 
+import copy
+from collections.abc import Callable
+
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
@@ -23,19 +27,40 @@ class Scatterer:
     """
 
     def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
-        self.point = point
+        self._packed, self.point = packed, point
         shape = packed.face_shape[point.face]
+        self._two_sided = packed.two_sided[shape]
+        self.groups = bsdfs_at(packed, point, shape)
+        self._turn_to(wi)
+
+    def _turn_to(self, wi) -> None:
+        """Set the frame and everything else that depends on `wi`."""
+        packed, point = self._packed, self.point
         behind = stop_gradient(dot(point.normal, wi)) < 0
-        turned = behind & packed.two_sided[shape]
+        turned = behind & self._two_sided
         flip = jnp.where(turned, -1.0, 1.0)[:, None].astype(wi.dtype)
         self.normal = flip * point.normal
         tangents = tangents_along_u(packed, point) if packed.tangential else None
         self.to_local, self.to_world = local_frame(flip * point.shading_normal, tangents)
-        self.wi = self.to_local(wi)
+        self.wi, self._mirrored = self.to_local(wi), None
         if packed.normals is not None:
             below = (self.wi[:, 2:] < 0) != (behind & ~turned)[:, None]
+            self._mirrored = below[:, 0]
             self.wi = jnp.where(below, self.wi * jnp.asarray([1.0, 1.0, -1.0], wi.dtype), self.wi)
-        self.groups = bsdfs_at(packed, point, shape)
+
+    def seen_from(self, wi: Float[Array, "N 3"]) -> "Scatterer":
+        """The same points for other directions `wi`."""
+        other = copy.copy(self)
+        other._turn_to(wi)
+        return other
+
+    def rows(self, pick: Callable[[Array], Array], wi: Float[Array, "M 3"]) -> "Scatterer":
+        """M of the points, of which `pick` takes every array's rows, for directions `wi`: nothing is looked up anew."""
+        other = copy.copy(self)
+        picked = jax.tree.map(pick, (self.point, self._two_sided, self.groups))
+        other.point, other._two_sided, other.groups = picked
+        other._turn_to(wi)
+        return other
 
     def _combine(self, values) -> Array:
         """The value of the group each point belongs to."""
@@ -72,9 +97,28 @@ class Scatterer:
 
     def sample_delta(self, u: Float[Array, "N 2"]) -> DeltaSample:
         """The delta lobes that `u` chooses, world directions; differentiable."""
-        chosen = [bsdf.sample_delta(self.wi, u) if bsdf.delta else no_delta(self.wi) for bsdf, _ in self.groups]
+        return self._chosen([bsdf.sample_delta(self.wi, u) if bsdf.delta else None for bsdf, _ in self.groups])
+
+    def adjoint_delta(self, u: Float[Array, "N 2"]) -> DeltaSample:
+        """The same for light that arrives from `wi` and leaves towards `wo`: see `BSDF.adjoint_delta`."""
+        return self._chosen([bsdf.adjoint_delta(self.wi, u) if bsdf.delta else None for bsdf, _ in self.groups])
+
+    def _chosen(self, samples: list[DeltaSample | None]) -> DeltaSample:
+        chosen = [no_delta(self.wi) if sample is None else sample for sample in samples]
         local = DeltaSample(*(self._combine(list(values)) for values in zip(*chosen, strict=True)))
         return local._replace(wo=self.to_world(local.wo))
+
+    def delta_reverses(self, onwards: "Scatterer", wo: Float[Array, "N 3"]) -> Bool[Array, " N"]:
+        """Whether delta lobes from `wi` to `wo` are also lobes from `wo` to `wi`; `onwards` is this, seen from `wo`.
+
+        They are not where an interpolated normal faces away from either direction.
+        """
+        local = self.to_local(wo)
+        found = [bsdf.delta_reverses(self.wi, local) for bsdf, _ in self.groups]
+        reverses = self._combine([r.astype(wo.dtype) for r in found]) > 0
+        if self._mirrored is None or onwards._mirrored is None:
+            return reverses
+        return reverses & ~self._mirrored & ~onwards._mirrored
 
     def sampled_pdf(self, wo: Float[Array, "N 3"], u: Float[Array, "N 2"]) -> Float[Array, " N"]:
         """`pdf` of the directions that `sample` drew with `u`; zero where `u` chooses a delta lobe instead."""

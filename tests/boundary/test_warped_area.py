@@ -171,9 +171,9 @@ def _velocities(packed, apex, faces, place, face, corners, tangent, keys):
     down = jnp.asarray([0.0, 0.0, -1.0])
     target, normal, corners, face = (jnp.broadcast_to(a, (keys, *jnp.shape(a))) for a in (place, down, corners, face))
     ends = SegmentEnds(apex.position, apex.face, target, normal, face, corners, jnp.zeros(keys, bool))
-    options = kernel, samples, room, jax.random.key(7), "warp", True, False
+    options = kernel, samples, room, jax.random.key(7), "auto", True, False
     points = draw_auxiliary(packed, faces.normal, ends, jnp.ones(keys, bool), *options)
-    occluders = find_occluders(packed, faces, apex, ends, points, kernel, "warp")
+    occluders = find_occluders(packed, faces, apex, ends, points, kernel, "auto")
     field = velocity_field(kernel, ends, points, occluders.boundary, True, False)
     table = points.position, points.face, points.barycentric, occluders.face, occluders.barycentric
     seen = Hidden(*(a.reshape(-1, *a.shape[3:]) for a in table))

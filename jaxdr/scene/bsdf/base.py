@@ -65,6 +65,20 @@ class BSDF(eqx.Module):
         """The delta lobe that `u` chooses, if it chooses one; for models with `delta`."""
         return no_delta(wi)
 
+    def adjoint_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
+        """The delta lobe that `u` chooses for light that arrives from `wi`, as a path from an emitter meets it.
+
+        Direction and probability are those of `sample_delta`. `weight` is the radiance that leaves towards `wo` over
+        that which arrives from `wi`, times the solid angle at `wo` over that at `wi` which it comes from: of mirrors
+        the same, and what is refracted is not scaled by the squared ratio of indices but by that of the cosines
+        (Veach 1997, 5.2).
+        """
+        return self.sample_delta(wi, u)
+
+    def delta_reverses(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
+        """Whether `sample_delta` from `wo` can choose the delta lobe back to `wi`, where it chose `wo` from `wi`."""
+        return jnp.ones(wi.shape[:-1], bool)
+
     def lobe_width(self, wi: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Angle (radians) over which `eval` and `pdf` change little around a sampled direction; at most 1.
 

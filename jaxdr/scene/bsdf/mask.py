@@ -1,5 +1,7 @@
 """Holes in a surface."""
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
@@ -44,10 +46,20 @@ class Mask(BSDF):
         return self.bsdf.sample(wi, choose(u, 1.0 - self.opacity)[1])
 
     def sample_delta(self, wi, u):
+        return self._through_or(self.bsdf.sample_delta, wi, u)
+
+    def adjoint_delta(self, wi, u):
+        return self._through_or(self.bsdf.adjoint_delta, wi, u)
+
+    def delta_reverses(self, wi, wo):
+        return self.bsdf.delta_reverses(wi, wo)
+
+    def _through_or(self, sample: Callable[..., DeltaSample], wi, u) -> DeltaSample:
+        """A hole, or a delta lobe of the BSDF inside."""
         hole, left = choose(u, 1.0 - self.opacity)
         share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
         through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones_like(wi[..., 0]))
-        inside = self.bsdf.sample_delta(wi, left)
+        inside = sample(wi, left)
         wo, weight = (
             jnp.where(hole[..., None], a, b) for a, b in ((through.wo, inside.wo), (through.weight, inside.weight))
         )

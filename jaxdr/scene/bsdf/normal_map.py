@@ -66,6 +66,18 @@ class NormalMap(BSDF):
         weight = jnp.where(keeps[..., None], inside.weight * frame.shadowing(wo)[..., None], 0.0)
         return DeltaSample(wo, weight, inside.probability)
 
+    def adjoint_delta(self, wi, u):
+        frame = _Frame(self.normal, wi)
+        inside = self.bsdf.adjoint_delta(frame.to_local(wi), u)
+        wo = frame.to_surface(inside.wo)
+        # Radiance is scattered from wi to wo in wo's frame.
+        weight = inside.weight * frame.shadowing(wi)[..., None]
+        return DeltaSample(wo, jnp.where(self.delta_reverses(wi, wo)[..., None], weight, 0.0), inside.probability)
+
+    def delta_reverses(self, wi, wo):
+        one, two = _Frame(self.normal, wi), _Frame(self.normal, wo)
+        return one.turned == two.turned
+
     def turn(self, wi, wo):
         frame = _Frame(self.normal, wi)
         return frame.to_surface(self.bsdf.turn(frame.to_local(wi), frame.to_local(wo)))
@@ -79,8 +91,8 @@ class _Frame:
 
     def __init__(self, stored: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"]):
         n = 2.0 * stored - 1.0
-        turned = wi[..., 2] * dot(wi, n) <= 0
-        n = jnp.where(turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
+        self.turned = wi[..., 2] * dot(wi, n) <= 0
+        n = jnp.where(self.turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
         none = dot(n, n) == 0
         self.normal = normalize(jnp.where(none[..., None], jnp.asarray([0.0, 0.0, 1.0], n.dtype), n))
         self.s, self.t = orthonormal_basis(self.normal)

@@ -1,12 +1,15 @@
 """The interface of a light without area: it shines from a point, or from one direction."""
 
 import abc
+import math
 from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
+
+from jaxdr.scene.sampling import uniform_sphere
 
 
 class DeltaLight(eqx.Module):
@@ -33,6 +36,17 @@ class DeltaLight(eqx.Module):
     @abc.abstractmethod
     def power(self, radius: Float[Array, ""]) -> Float[Array, ""]:
         """Luminance of the power (W) that a scene of this radius receives, about; of one light."""
+
+    def sample(self, u: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+        """Unit world directions away from the light, drawn from `pdf`; detached. Light paths leave in them.
+
+        By default all directions are as likely. Not for `infinite` ones, whose direction is given.
+        """
+        return uniform_sphere(u)
+
+    def pdf(self, direction: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Density of `sample` (solid angle), detached; positive wherever there is light."""
+        return jnp.full(direction.shape[:-1], 0.25 / math.pi, direction.dtype)
 
     def borders(self) -> Float[Array, "K 3 3"] | None:
         """World points on the border of what is lit, where that ends abruptly: both ends of K lines and a point inside.

@@ -104,6 +104,22 @@ class Projector(DeltaLight):
         area = width * height / self.camera.pixels_per_tangent**2
         return math.pi * area * self.scale * jnp.maximum(luminance(self.irradiance), 0.0).mean()
 
+    def sample(self, u):
+        height, width, _ = self.irradiance.shape
+        point = u * jnp.asarray([width, height], u.dtype)
+        return stop_gradient(self.camera.view().rays(point)[1])
+
+    def pdf(self, direction):
+        height, width, _ = self.irradiance.shape
+        camera = stop_gradient(self.camera)
+        local = stop_gradient(direction) @ camera.to_world[:3, :3]
+        ahead = local[..., 2] > 0
+        local = jnp.where(ahead[..., None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
+        point = camera.project_local(local)
+        inside = ahead & ((point >= 0) & (point <= jnp.asarray([width, height], point.dtype))).all(-1)
+        density = camera.pixels_per_tangent**2 / (width * height * local[..., 2] ** 3)
+        return jnp.where(inside, density, 0.0)
+
     def borders(self):
         height, width, _ = self.irradiance.shape
         film = jnp.asarray([[0, 0], [0, height], [width, height], [width, 0], [width / 2, height / 2]])

@@ -5,10 +5,11 @@ import math
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.color import as_rgb, luminance
 from jaxdr.scene.lights.base import DeltaLight, vector
 
@@ -69,3 +70,21 @@ class SpotLight(DeltaLight):
         del radius
         cutoff, beam = jnp.cos(jnp.deg2rad(self.cutoff_angle)), jnp.cos(jnp.deg2rad(self.beam_width))
         return 2.0 * math.pi * (1.0 - 0.5 * (cutoff + beam)) * jnp.maximum(luminance(self.intensity), 0.0)
+
+    def sample(self, u):
+        axis = stop_gradient(normalize(self.direction))
+        # 1 - cos, exact for narrow cones.
+        height = u[..., 0] * self._opening()
+        radius, angle = jnp.sqrt(height * (2.0 - height)), 2.0 * math.pi * u[..., 1]
+        s, t = orthonormal_basis(axis)
+        across = (radius * jnp.cos(angle))[..., None] * s + (radius * jnp.sin(angle))[..., None] * t
+        return across + (1.0 - height)[..., None] * axis
+
+    def pdf(self, direction):
+        axis, opening = stop_gradient(normalize(self.direction)), self._opening()
+        inside = dot(stop_gradient(direction), axis) > 1.0 - opening
+        return jnp.where(inside, 1.0 / (2.0 * math.pi * opening), 0.0)
+
+    def _opening(self) -> Float[Array, "*n"]:
+        """1 - cos of the cutoff angle, detached."""
+        return 2.0 * jnp.sin(0.5 * jnp.deg2rad(stop_gradient(self.cutoff_angle))) ** 2

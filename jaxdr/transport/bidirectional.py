@@ -1,0 +1,144 @@
+"""Bidirectional path tracing (Veach 1997, chapter 10; Lafortune and Willems 1993): one chunk of samples."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.geometry import queries
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.splat import splat
+from jaxdr.transport.connections import (
+    Connections,
+    ends,
+    found_emission,
+    with_camera,
+    with_each_other,
+    with_emitters,
+)
+from jaxdr.transport.emission import sample_emitter
+from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.sampler import lattice, uniform
+from jaxdr.transport.subpaths import camera_start, light_start, trace_on
+
+LIGHT_DIMENSIONS = 4  # point on the emitter, direction from there
+
+
+class BidirectionalSettings(NamedTuple):
+    """Static settings: `max_depth` in segments, `power` of the heuristic (1 balance, 2 power), query implementation."""
+
+    max_depth: int
+    power: int
+    rays: str
+
+
+class Strategies(NamedTuple):
+    """What N pairs of subpaths contribute by each strategy, [C, N, ...]; weights are detached.
+
+    `names` are (s, t). The first ones contribute to the subpath's own pixel; the last `film_points.shape[0]` ones, of
+    t = 1, to the film around `film_points`, per square pixel and as if there were one such path for every pixel.
+    """
+
+    names: tuple[tuple[int, int], ...]
+    value: Float[Array, "C N 3"]
+    weight: Float[Array, "C N"]
+    film_points: Float[Array, "T N 2"] | None
+
+
+def bidirectional_image(
+    packed: PackedScene,
+    samples: Int[Array, " n"],
+    key: PRNGKeyArray,
+    chunk_key: PRNGKeyArray,
+    spp: int,
+    settings: BidirectionalSettings,
+    moving: bool,
+) -> Float[Array, "H W 3"]:
+    """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero.
+
+    `moving`: surfaces or the camera move relative to each other in the derivative that is taken. First hits then are
+    material points and the pixel filter is differentiated.
+    """
+    film = packed.camera.film
+    _, _, width, height = film.window
+    pixels, count = width * height, samples.shape[0]
+    primary = primary_samples(packed, samples, key, settings.rays, "material" if moving else "fixed")
+    number = (jnp.arange(pixels)[:, None] + samples[None] * pixels).reshape(-1)
+    light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)[0]
+    found = strategies(packed, primary, light, chunk_key, settings)
+
+    share = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(found.value.dtype)
+    values = found.value * found.weight[..., None]
+    seen = 0 if found.film_points is None else found.film_points.shape[0]
+    own = values[: values.shape[0] - seen].sum(0)
+    image = (own.reshape(pixels, count, 3) * share[:, None]).sum(1).reshape(height, width, 3)
+    if found.film_points is None:
+        return image
+    spread = (values[values.shape[0] - seen :] * jnp.tile(share, pixels)[:, None]).reshape(-1, 3)
+    return image + splat(film, found.film_points.reshape(-1, 2), spread, moving)
+
+
+def strategies(
+    packed: PackedScene,
+    primary: PrimarySamples,
+    u: Float[Array, "N 4"],
+    key: PRNGKeyArray,
+    settings: BidirectionalSettings,
+) -> Strategies:
+    """Every strategy for pairs of a camera subpath, from a first hit, and a subpath from an emitter, by numbers `u`.
+
+    Shadow rays of all connections are cast at once: (depth - 1) (depth + 2) / 2 a pair, beside 2 depth - 1 rays of the
+    subpaths.
+    """
+    depth, power, rays = settings.max_depth, settings.power, settings.rays
+    paths, dtype = u.shape[0], u.dtype
+    keys = jax.random.split(key, 5)
+    start = camera_start(packed, primary)
+    # Only surfaces and the environment can be met: else the last vertex would be for nothing.
+    met = packed.has_area_emitters or packed.environment is not None
+    bounces = max(depth - 1 if met else depth - 2, 0)
+    steps = uniform(keys[0], (bounces, paths, 2), dtype)
+    steps = jnp.concatenate([primary.u[None, :, 2:], steps[1:]]) if bounces else steps
+    camera = trace_on(packed, start, steps, False, power, rays)
+    names, values, weights = [], [], []
+    if met:
+        value, weight = found_emission(packed, camera, power)
+        names += [(0, t) for t in range(2, depth + 2)]
+        values, weights = [value], [weight]
+    if depth == 1:
+        if not met:
+            return Strategies(((0, 2),), jnp.zeros((1, paths, 3), dtype), jnp.ones((1, paths), dtype), None)
+        return Strategies(tuple(names), value, weight, None)
+
+    inner = depth - 1
+    first = light_start(packed, sample_emitter(packed, u[:, :2]), u[:, 2:], power, rays)
+    light = trace_on(packed, first, uniform(keys[1], (inner - 1, paths, 2), dtype), True, power, rays)
+    z, y = ends(packed, camera, inner), ends(packed, light, inner)
+    direct = uniform(keys[2], (inner, paths, 2), dtype).at[0].set(primary.u[:, :2])
+    joined = [with_emitters(packed, z, direct.reshape(-1, 2), power)]
+    names += [(1, t) for t in range(2, depth + 1)]
+    pairs = [(i, j) for i in range(inner) for j in range(inner - 1 - i)]
+    if pairs:
+        joined.append(with_each_other(z, y, pairs, power))
+        names += [(j + 2, i + 2) for i, j in pairs]
+    lens = uniform(keys[3], (inner * paths, 2), dtype) if packed.camera.aperture else None
+    seen, film_points = with_camera(packed, y, lens, power)
+    joined.append(seen)
+    names += [(s, 1) for s in range(2, depth + 1)]
+
+    every = Connections(*(jnp.concatenate(parts) for parts in zip(*joined, strict=True)))
+    visible = _visible(packed, every, rays)
+    value = jnp.where(visible[:, None], every.value, 0.0).reshape(-1, paths, 3)
+    values, weights = [*values, value], [*weights, every.weight.reshape(-1, paths)]
+    return Strategies(
+        tuple(names), jnp.concatenate(values), jnp.concatenate(weights), film_points.reshape(inner, paths, 2)
+    )
+
+
+def _visible(packed: PackedScene, joined: Connections, rays: str) -> Bool[Array, " C"]:
+    """Which connections of those that carry something nothing lies in the way of."""
+    carries = (joined.value != 0).any(-1)
+    reach = jnp.where(carries, 1.0, 0.0).astype(joined.value.dtype)
+    offset = joined.end - joined.start
+    return carries & ~queries.occluded(packed.vertices, packed.faces, joined.start, offset, reach, rays)
