@@ -29,7 +29,7 @@ from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
 from jaxdr.integrator import PathTracer
 from jaxdr.scene.bsdf import BSDF, NormalMap
-from jaxdr.scene.bsdf.base import only_delta
+from jaxdr.scene.bsdf.base import only_delta, spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
@@ -234,11 +234,10 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
     """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
     for group in packed.bsdfs:
-        if group.bsdf.transmissive and not only_delta(group.bsdf):
+        if spreads_through(group.bsdf) and _mapped(group.bsdf):
             raise ValueError(
-                f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
-                "opaque BSDF or smooth glass, differentiate nothing that moves, or boundary=None for the interior term "
-                "alone"
+                "render: visibility changes seen through rough glass with a NormalMap have no derivative yet; take "
+                "rough glass without one, differentiate nothing that moves, or boundary=None for the interior term alone"
             )
     if not packed.has_delta_lobes:
         return
@@ -259,6 +258,12 @@ def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
             "on); what the camera sees over delta surfaces is there",
             stacklevel=2,
         )
+
+
+def _mapped(bsdf: BSDF) -> bool:
+    """Whether normals come from a texture, in a BSDF or in those inside it."""
+    inner = getattr(bsdf, "bsdf", None)
+    return isinstance(bsdf, NormalMap) or (isinstance(inner, BSDF) and _mapped(inner))
 
 
 def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:

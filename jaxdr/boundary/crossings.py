@@ -11,7 +11,6 @@ from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import leave
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
@@ -87,7 +86,7 @@ def draw_lobe_chords(
     u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
     scatterer = paths.scatterer(jnp.maximum(chosen.vertex, 0))
     lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
-    return lobes, leave(scatterer.point, scatterer.normal)
+    return lobes, scatterer.leave_scattering(lobes.centre)
 
 
 def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
