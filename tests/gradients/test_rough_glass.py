@@ -25,10 +25,11 @@ LINES, KERNEL, ATTACHED = jd.LineSampling(), jd.KernelDensity(0.05), jd.LineSamp
 BOUNDARIES = {"lines": LINES, "kernel": KERNEL, "attached": ATTACHED}
 
 
-def check_point(case: str, boundary, tolerance=0.005, within=0.02, **settings):
+def check_point(case: str, boundary, motions=tuple(glass_point.MOTIONS), tolerance=0.005, within=0.02, **settings):
     """Assert that radiance and derivatives are those of the integral; errors relative to the largest derivative."""
-    value, truth = glass_point.exact(case)
-    found, rows = glass_point.estimates(case, boundary, **settings)
+    value, truth = glass_point.exact(case, motions)
+    truth = {name: derivative for name, derivative in truth.items() if abs(derivative) > 1e-6}
+    found, rows = glass_point.estimates(case, boundary, list(truth), **settings)
     mean, deviation = mean_and_error(found)
     assert abs(mean - value) < 0.002 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
     scale = max(abs(d) for d in truth.values())
