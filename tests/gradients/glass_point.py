@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxdr as jd
+from tests.gradients.lobe_point import triangle
 
 ETA, ALPHA, LIGHT = 1.5, 0.3, 5.0
 UP = np.array([0.0, 0.0, 1.0])
@@ -109,16 +110,22 @@ MOTIONS = {
 }
 
 
-def _squares(corners, count=6, order=10):
-    """Quadrature on a parallelogram, in `count` x `count` parts: (points [n, 3], weights [n])."""
-    nodes, weights = np.polynomial.legendre.leggauss(order)
-    nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
-    nodes = ((np.arange(count)[:, None] + nodes) / count).ravel()
-    weights = np.tile(weights / count, count)
-    one, two = corners[1] - corners[0], corners[3] - corners[0]
-    points = corners[0] + nodes[:, None, None] * one + nodes[:, None] * two
-    area = np.linalg.norm(np.cross(one, two))
-    return points.reshape(-1, 3), (area * weights[:, None] * weights).ravel()
+def _polygon(corners, height, order=40):
+    """Quadrature on a convex polygon: (points [n, 3], weights [n]).
+
+    In parts above and below where `height` is zero, across which BSDFs have a bend.
+    """
+    points, weights = [], []
+    for side in (1.0, -1.0):
+        part = []
+        for one, two, h1, h2 in zip(corners, np.roll(corners, -1, 0), height, np.roll(height, -1), strict=True):
+            part += [one] if side * h1 >= 0 else []
+            part += [one + h1 / (h1 - h2) * (two - one)] if h1 * h2 < 0 else []
+        for i in range(1, len(part) - 1):
+            ontriangle, weight, _ = triangle(np.stack([part[0], part[i], part[i + 1]]), order)
+            points.append(ontriangle)
+            weights.append(weight)
+    return np.concatenate(points), np.concatenate(weights)
 
 
 def _sphere(polar=120, azimuth=240):
@@ -154,7 +161,7 @@ def radiance(values: dict, case: str) -> float:
     wi = frame @ -direction
 
     def seen(corners):
-        points, weights = _squares(corners)
+        points, weights = _polygon(corners, (corners - point) @ n)
         offset = points - point
         squared = (offset**2).sum(-1)
         wo = offset / np.sqrt(squared)[:, None]

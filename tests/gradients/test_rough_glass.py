@@ -64,7 +64,7 @@ def camera(at=(0.7, -1.5, 5.0), target=(0, 0, 0), width=30.0, up=(0, 1, 0)) -> j
     return jd.Perspective(jd.look_at(at, target, up), width, jd.Film(8, 8, jd.Box()))
 
 
-GLASS = jd.RoughDielectric(0.2, 1.5, 1.0)
+GLASS = jd.RoughDielectric(0.5, 1.5, 1.0, distribution="beckmann")
 BLACK, GREY = jd.Diffuse(0.0), jd.TwoSided(jd.Diffuse([0.8, 0.6, 0.4]))
 SKY = jd.ConstantEnvironment(1.0)
 THING = jd.Shape(tetrahedron([0, 0, 0], 0.7), BLACK)
@@ -121,7 +121,7 @@ CASES = {
         ),
         "body.vertices",
         MOTION,
-        5,
+        4,
     ),
     "shadow through a slab": lambda: Case(
         jd.Scene(lit_floor(slab=SLAB, thing=THING), BESIDE), "thing.vertices", MOTION, 4
