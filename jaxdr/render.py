@@ -208,6 +208,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
     with_boundary = moving is not None and moving.any and integrator.boundary is not None
     prepared = None
     if with_boundary and moving is not None:
+        _check_rough_glass(scene)
         _check_transmission(packed, integrator)
         shapes = (True,) * len(moving.shapes) if moving.camera else moving.shapes
         check_still_jumps(scene, shapes, integrator.primary == "fixed_ray", integrator.settings.attached)
@@ -233,12 +234,6 @@ def _estimate(scene: Scene, key, spp: int, integrator: PathTracer, moving: Movin
 
 def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
     """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
-    for group in packed.bsdfs:
-        if spreads_through(group.bsdf) and _mapped(group.bsdf):
-            raise ValueError(
-                "render: visibility changes seen through rough glass with a NormalMap have no derivative yet; take "
-                "rough glass without one, differentiate nothing that moves, or boundary=None for the interior term alone"
-            )
     if not packed.has_delta_lobes:
         return
     if integrator.primary == "material":
@@ -260,10 +255,24 @@ def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
         )
 
 
-def _mapped(bsdf: BSDF) -> bool:
-    """Whether normals come from a texture, in a BSDF or in those inside it."""
-    inner = getattr(bsdf, "bsdf", None)
-    return isinstance(bsdf, NormalMap) or (isinstance(inner, BSDF) and _mapped(inner))
+def _check_rough_glass(scene: Scene) -> None:
+    """Raises ValueError where the boundary terms of light that spreads through a surface are missing or not tested."""
+    for name, shape in scene.shapes.items():
+        bsdf = unwrap(shape.bsdf)
+        if not spreads_through(bsdf):
+            continue
+        what = remedy = None
+        if isinstance(getattr(bsdf, "bsdf", None), BSDF):
+            what, remedy = f"in a {type(bsdf).__name__}", "rough glass alone"
+        elif shape.mesh.normal_faces is not None:
+            what, remedy = "with interpolated normals", "flat faces"
+        elif scene.lights:
+            what, remedy = "beside lights without area", "lights with an area"
+        if what is not None:
+            raise ValueError(
+                f"render: visibility changes seen through rough glass {what} have no derivative yet ({name}); take "
+                f"{remedy}, differentiate nothing that moves, or boundary=None for the interior term alone"
+            )
 
 
 def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:

@@ -25,7 +25,7 @@ CASES = {
 }
 
 
-def at_a_point(case, count, normal_turn=0.0):
+def at_a_point(case, count):
     view, pole, alpha = CASES[case]
     floor = jd.Mesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]])
     camera = jd.Perspective(jd.look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]), 40.0, jd.Film(4, 4))
@@ -55,7 +55,7 @@ def check(found, exact, within=0.02):
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("width", [0.1, 0.8])
+@pytest.mark.parametrize("width", [pytest.param(0.1, marks=pytest.mark.slow), 0.8])
 def test_chords(case, width):
     """Every chord crosses the circle once or twice; weights times f add up to the line integral of f."""
     scatterer, pole = at_a_point(case, COUNT)
@@ -74,8 +74,15 @@ def test_chords(case, width):
     np.testing.assert_allclose(rates.mean(), total.mean(), rtol=1e-5)
 
 
+def test_rims_are_needed(monkeypatch):
+    """With the horizon for the only bound, what the kernel gives to directions that are never sampled is lost."""
+    monkeypatch.setattr(jd.RoughDielectric, "rims", jd.Diffuse.rims)
+    with pytest.raises(AssertionError, match="exactly"):
+        test_strips("oblique", 0.7)
+
+
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("limit", [0.1, 0.7])
+@pytest.mark.parametrize("limit", [pytest.param(0.1, marks=pytest.mark.slow), 0.7])
 def test_strips(case, limit):
     """A kernel over the angle to the circle, around the directions that are sampled."""
     scatterer, pole = at_a_point(case, COUNT)

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary import chords, silhouettes
 from jaxdr.geometry.shapes import box, sphere
 from jaxdr.transport.shading import Scatterer
 from tests.gradients import glass_point
@@ -40,12 +39,26 @@ def check_point(case: str, boundary, motions=tuple(glass_point.MOTIONS), toleran
         assert abs(mean - exactly) < tolerance * scale + 4 * deviation, off
 
 
+@pytest.mark.slow
 def test_a_plate_beyond_a_point():
-    check_point("refracted", LINES, keys=8, spp=64)
+    """Without a pilot the program is smaller."""
+    check_point("refracted", jd.LineSampling(pilot=0.0), ("plate along x", "glass turns about x"), keys=8, spp=64)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("boundary", BOUNDARIES)
+def test_one_hemisphere_is_not_enough(monkeypatch):
+    """As from an opaque surface: what is beyond is not looked at."""
+    monkeypatch.setattr(Scatterer, "above_horizon", above_alone)
+    with pytest.raises(AssertionError, match="plate along x is off"):
+        check_point("refracted", jd.LineSampling(pilot=0.0), ("plate along x",), keys=8, spp=63)  # traced afresh
+
+
+def above_alone(self, position):
+    return self.cosine(position - self.point.position) * jnp.sign(self.wi[:, 2]) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("boundary", ["lines", "kernel"])
 @pytest.mark.parametrize("case", glass_point.CASES)
 def test_a_point(case, boundary):
     check_point(case, BOUNDARIES[boundary], keys=32, spp=64)
@@ -92,22 +105,16 @@ ARROW = prism([(0.0, 0.9), (1.2, -0.7), (0.1, -0.2), (-1.1, -0.8)], half_length=
 CASES = {
     "behind a slab": lambda: Case(jd.Scene({"slab": SLAB, "thing": THING}, camera(), SKY), "thing.vertices", MOTION, 4),
     "in a ball": lambda: Case(
-        jd.Scene({"ball": jd.Shape(ball(), GLASS), "thing": jd.Shape(tetrahedron([0, 0, 0], 0.5), BLACK)}, camera(), SKY),
+        jd.Scene(
+            {"ball": jd.Shape(ball(), GLASS), "thing": jd.Shape(tetrahedron([0, 0, 0], 0.5), BLACK)}, camera(), SKY
+        ),
         "thing.vertices",
         MOTION,
         4,
     ),
     "a ball": lambda: Case(
         jd.Scene(
-            {"ball": jd.Shape(ball(), GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)}, camera(), SKY
-        ),
-        "ball.vertices",
-        MOTION,
-        4,
-    ),
-    "a smooth ball": lambda: Case(
-        jd.Scene(
-            {"ball": jd.Shape(smooth(ball(0)), GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)},
+            {"ball": jd.Shape(ball(), GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)},
             camera(),
             SKY,
         ),
@@ -117,7 +124,9 @@ CASES = {
     ),
     "a notched body": lambda: Case(
         jd.Scene(
-            {"body": jd.Shape(ARROW, GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)}, BESIDE, SKY
+            {"body": jd.Shape(ARROW, GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)},
+            BESIDE,
+            SKY,
         ),
         "body.vertices",
         MOTION,
@@ -129,18 +138,34 @@ CASES = {
     "glass lit by a lamp": lambda: Case(
         jd.Scene(lit_floor(ball=jd.Shape(ball(), GLASS)), BESIDE), "ball.vertices", MOTION, 3
     ),
-    "masked": lambda: Case(
+    "under a map": lambda: Case(
+        jd.Scene({"slab": SLAB, "thing": THING}, camera(), jd.EnvironmentMap(sky_map())), "thing.vertices", MOTION, 4
+    ),
+}
+REFUSED = {
+    "with interpolated normals": lambda: Case(
+        jd.Scene(
+            {"ball": jd.Shape(smooth(ball(0)), GLASS), "wall": jd.Shape(quad([1, 0, -2], [1, 0, 0], [0, 3, 0]), BLACK)},
+            camera(),
+            SKY,
+        ),
+        "ball.vertices",
+        MOTION,
+        4,
+    ),
+    "in a Mask": lambda: Case(
         jd.Scene({"slab": jd.Shape(SLAB.mesh, jd.Mask(0.6, GLASS)), "thing": THING}, camera(), SKY),
         "thing.vertices",
         MOTION,
         3,
     ),
-    "under a map": lambda: Case(
-        jd.Scene({"slab": SLAB, "thing": THING}, camera(), jd.EnvironmentMap(sky_map())), "thing.vertices", MOTION, 4
-    ),
-    "a point light": lambda: Case(
+    "beside lights without area": lambda: Case(
         jd.Scene(
-            {"slab": SLAB, "thing": jd.Shape(tetrahedron([0, 0, 3.0], 0.5), GREY), "floor": jd.Shape(quad([0, 0, -1], [3, 0, 0], [0, 3, 0]), GREY)},
+            {
+                "slab": SLAB,
+                "thing": jd.Shape(tetrahedron([0, 0, 3.0], 0.5), GREY),
+                "floor": jd.Shape(quad([0, 0, -1], [3, 0, 0], [0, 3, 0]), GREY),
+            },
             camera((0.7, -5.0, 4.0), (0, 0, 1.5), 30.0, (0, 0, 1)),
             lights={"lamp": jd.PointLight([0.5, 0.5, 6.0], 30.0)},
         ),
@@ -206,7 +231,9 @@ def check(rows, truth, within=0.06, bias=0.0):
     assert np.isfinite(rows).all()
     assert np.sqrt((noise**2).mean()) < within * scale, f"too few samples: {noise / scale}"
     off = np.abs(mean - exactly) > 4 * noise + bias * scale
-    assert not off.any(), f"off: {mean / scale}\n± {error / scale}, differences {exactly / scale}\n± {its_error / scale}"
+    assert not off.any(), (
+        f"off: {mean / scale}\n± {error / scale}, differences {exactly / scale}\n± {its_error / scale}"
+    )
 
 
 @pytest.mark.slow
@@ -215,3 +242,12 @@ def check(rows, truth, within=0.06, bias=0.0):
 def test_images(name, boundary):
     case = CASES[name]()
     check(found(case, BOUNDARIES[boundary], 32, 64), differences(case, 16, 512))
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_has_no_derivative(what):
+    """Said rather than left out; without a boundary there is the interior term."""
+    case = REFUSED[what]()
+    of = (case.scene, jnp.zeros(3), jnp.float32(0.0), jax.random.key(0))
+    with pytest.raises(ValueError, match=f"seen through rough glass {what} have no derivative yet"):
+        jax.eval_shape(partial(_derivative, name=case.name, depth=2, boundary=KERNEL, spp=1), *of)

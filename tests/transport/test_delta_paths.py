@@ -124,7 +124,7 @@ CHECKS, MAPPED = (
 @pytest.mark.parametrize(
     ("shapes", "lights", "settings", "message"),
     [
-        ({"floor": MAPPED}, {}, {}, "seen through rough glass with a NormalMap have no deriv"),
+        ({"floor": MAPPED}, {}, {}, "seen through rough glass in a NormalMap have no deriv"),
         ({"floor": MIRROR}, {}, {"primary": "material"}, "over delta lobes have no derivative with primary"),
         ({"floor": MIRROR}, {"lamp": LIGHT}, {}, "hard shadows seen over delta lobes"),
         ({"floor": MIRROR, "checks": CHECKS}, {}, {}, "use mirrors and smooth glass that stay"),
