@@ -75,6 +75,7 @@ def on_same_side(
     A chord is looked at from there alone: from the other side the face would hide it.
     """
     through = scatterer.spreads_through()
+    assert through is not None  # asked only where some surface does
     normal = jnp.sign(dot(scatterer.normal, centre))[:, None] * scatterer.normal
     start, end = _within(dot(normal, boundary), dot(normal, along), jnp.zeros_like(low), low, high)
     return jnp.where(through, start, low), jnp.where(through, end, high)
