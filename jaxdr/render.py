@@ -29,7 +29,7 @@ from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
 from jaxdr.integrator import BidirectionalPathTracer, PathTracer
 from jaxdr.scene.bsdf import BSDF, NormalMap
-from jaxdr.scene.bsdf.base import only_delta
+from jaxdr.scene.bsdf.base import only_delta, spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
@@ -218,6 +218,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
             _check_motion(packed, moving)
             material = any(moving.seen)
     elif moving is not None and moving.any and integrator.boundary is not None:
+        _check_rough_glass(scene)
         _check_transmission(packed, integrator)
         check_still_jumps(scene, moving.seen, integrator.primary == "fixed_ray", integrator.settings.attached)
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
@@ -263,13 +264,6 @@ def _check_motion(packed: PackedScene, moving: Moving) -> None:
 
 def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
     """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
-    for group in packed.bsdfs:
-        if group.bsdf.transmissive and not only_delta(group.bsdf):
-            raise ValueError(
-                f"render: visibility changes seen through {type(group.bsdf).__name__} have no derivative yet; take an "
-                "opaque BSDF or smooth glass, differentiate nothing that moves, or boundary=None for the interior term "
-                "alone"
-            )
     if not packed.has_delta_lobes:
         return
     if integrator.primary == "material":
@@ -289,6 +283,26 @@ def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
             "on); what the camera sees over delta surfaces is there",
             stacklevel=2,
         )
+
+
+def _check_rough_glass(scene: Scene) -> None:
+    """Raises ValueError where the boundary terms of light that spreads through a surface are missing or not tested."""
+    for name, shape in scene.shapes.items():
+        bsdf = unwrap(shape.bsdf)
+        if not spreads_through(bsdf):
+            continue
+        what = remedy = None
+        if isinstance(getattr(bsdf, "bsdf", None), BSDF):
+            what, remedy = f"in a {type(bsdf).__name__}", "rough glass alone"
+        elif shape.mesh.normal_faces is not None:
+            what, remedy = "with interpolated normals", "flat faces"
+        elif scene.lights:
+            what, remedy = "beside lights without area", "lights with an area"
+        if what is not None:
+            raise ValueError(
+                f"render: visibility changes seen through rough glass {what} have no derivative yet ({name}); take "
+                f"{remedy}, differentiate nothing that moves, or boundary=None for the interior term alone"
+            )
 
 
 def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:

@@ -118,7 +118,9 @@ def background_point(
 ) -> tuple[SurfacePoint, Bool[Array, " C"]]:
     """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
     past = past_edge(seen.edge_point, seen.apex, seen.pole)
-    start = leave(point, seen.towards)
+    # Where the surface scatters to both sides, its own edges are seen from the side that `past` is on.
+    through = packed.spreads_through is not None
+    start = leave(point, past - point.position if through else seen.towards)
     offset = past - start
     length = jnp.where(valid, norm(offset), 1.0)
     direction = offset / length[:, None]

@@ -15,6 +15,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.emitter_planes import chord_inside
+from jaxdr.boundary.sampled_arcs import on_same_side, place, sampled_arc
 from jaxdr.geometry.queries import UNBOUNDED, UNBOUNDED_FOLDS
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
@@ -55,23 +56,47 @@ def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*
 
 
 class EmitterChords(NamedTuple):
-    """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter."""
+    """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter.
+
+    Seen from a surface that scatters to both sides, chords end in its plane: `part` is the length on the centre's side.
+    """
 
     chords: Chords
     centre: SurfacePoint
     pdf: Float[Array, " M"]
     length: Float[Array, " M"]
+    part: Float[Array, " M"] | None = None
+
+    def weight(self) -> Float[Array, " M"]:
+        """(pi / 2) k / p; zero where there is no chord."""
+        return emitter_weight(self.pdf, self.length if self.part is None else self.part)
 
 
 def emitter_chords(
-    packed: PackedScene, group: Int[Array, " F"], apex: Float[Array, "M 3"], u: Float[Array, "M 3"]
+    packed: PackedScene,
+    group: Int[Array, " F"],
+    apex: Float[Array, "M 3"],
+    u: Float[Array, "M 3"],
+    horizon: Float[Array, "M 3"] | None = None,
 ) -> EmitterChords:
-    """Whole chords of emitters, in area measure: k = 1 / length, so that nothing depends on where the centre is."""
+    """Whole chords of emitters, in area measure: k = 1 / length, so that nothing depends on where the centre is.
+
+    `horizon`, if given: normals of the planes through the apexes in which chords end, zero for those that do not.
+    """
     sample, pdf = sample_emitting_surface(packed, u[:, :2])
     point, normal = stop_gradient(sample.position), stop_gradient(sample.normal)
     direction = random_across(normal, u[:, 2])
     first, last, length = chord_inside(packed, group, sample.face, point, direction)
     useful = (length > 0) & (pdf > 0) & (dot(apex - point, normal) > 0)
+    part = None
+    if horizon is not None:
+        height, rise = dot(horizon, point - apex), dot(horizon, direction)
+        ends = rise != 0
+        meets = -height / jnp.where(ends, rise, 1.0)
+        low = jnp.where(ends & (meets < 0), meets, -jnp.inf)
+        high = jnp.where(ends & (meets > 0), meets, jnp.inf)
+        first, last, part = chord_inside(packed, group, sample.face, point, direction, low, high)
+        useful &= part > 0
     whole = jnp.where(useful, last - first, 1.0)
     chords = Chords(
         first=point + first[:, None] * direction,
@@ -80,7 +105,7 @@ def emitter_chords(
         group=group[sample.face],
         useful=useful,
     )
-    return EmitterChords(chords, sample, pdf, length)
+    return EmitterChords(chords, sample, pdf, length, part)
 
 
 def emitter_weight(pdf: Float[Array, " M"], length: Float[Array, " M"]) -> Float[Array, " M"]:
@@ -185,8 +210,11 @@ def lobe_weight(
 
     k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
     below which nothing is sampled. Or `uniform` for narrow lobes, whose f / p has no such factor. Its integral is over
-    the arc of centres whose chords reach the boundary point.
+    the arc of centres whose chords reach the boundary point. From surfaces that scatter to both sides it is more
+    generally proportional to what vanishes with p, see `sampled_arc`.
     """
+    if scatterer.spreads_through() is not None:
+        return _two_sided_weight(scatterer, chords, boundary, uniform)
     length, mass = _arc(scatterer, chords.reach, chords.plane, boundary)
     height = scatterer.cosine(chords.centre)
     kernel, mass = (jnp.ones_like(height), length) if uniform else (jnp.abs(height), mass)
@@ -199,12 +227,31 @@ def lobe_rate(
 ) -> Float[Array, " M"]:
     """The same as `emitter_rate` for one geodesic chord, about.
 
-    Exact where the density of centres is proportional to the cosine; only weights that add up to one depend on it.
+    Exact where the density of centres is proportional to the cosine (to the kernel); only weights that add up to one
+    depend on it.
     """
+    if scatterer.spreads_through() is not None:
+        arc = sampled_arc(scatterer, boundary, normalize(jnp.cross(plane, boundary)), reach)
+        height, mass = arc.at(jnp.zeros_like(reach)), arc.integral()
+        usable = (height > 0) & (mass > 0)
+        return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
     height = jnp.abs(scatterer.cosine(boundary))
     _, mass = _arc(scatterer, reach, plane, boundary)
     usable = height > 0
     return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
+
+
+def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"], uniform: bool):
+    """`lobe_weight` for surfaces of which some scatter to both sides."""
+    along = normalize(jnp.cross(chords.plane, boundary))
+    arc = sampled_arc(scatterer, boundary, along, chords.reach)
+    if scatterer.smooth:  # else the horizon is that of the face
+        low, high = on_same_side(scatterer, boundary, along, chords.centre, arc.low, arc.high)
+        arc = arc._replace(low=low, high=high)
+    t = place(boundary, along, chords.centre)
+    kernel, mass = (jnp.ones_like(t), arc.high - arc.low) if uniform else (arc.at(t), arc.integral())
+    counts = (mass > 0) & (kernel > 0) & (chords.pdf > 0) & arc.contains(t)
+    return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
 
 
 def _arc(scatterer: Scatterer, reach, plane, boundary) -> tuple[Float[Array, " M"], Float[Array, " M"]]:

@@ -13,7 +13,7 @@ from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitter_pdf
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
@@ -91,7 +91,7 @@ def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[L
     u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, lines.packed.vertices.dtype)[0]
     scatterer = lines.paths.scatterer(jnp.maximum(chosen.vertex, 0))
     lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
-    return lobes, leave(scatterer.point, scatterer.normal)
+    return lobes, scatterer.leave_scattering(lobes.centre)
 
 
 def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:

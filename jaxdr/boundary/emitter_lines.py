@@ -13,7 +13,6 @@ from jaxdr.boundary.chords import (
     balance,
     emitter_chords,
     emitter_rate,
-    emitter_weight,
     lobe_rate,
 )
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, sample_densities, silhouette_crossings
@@ -23,7 +22,7 @@ from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
-from jaxdr.transport.interaction import SurfacePoint, leave, material_point
+from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
 
@@ -98,9 +97,13 @@ class EmitterLines:
         key_chord, key_seed = jax.random.split(key)
         u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
         scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
-        drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u)
-        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon.
-        apex = leave(scatterer.point, scatterer.normal)
+        through, horizon = scatterer.spreads_through(), None
+        if through is not None:
+            horizon = jnp.where(through[:, None], scatterer.normal, 0.0)
+        drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u, horizon)
+        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon. It ends
+        # there where both sides do.
+        apex = scatterer.leave_scattering(stop_gradient(drawn.centre.position) - scatterer.point.position)
         return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
@@ -133,7 +136,7 @@ class EmitterLines:
         # The radiance there and not at the centre; none from behind.
         radiance = stop_gradient(emitted(packed, point, stop_gradient(ends.apex) - projection.point))
         value = paths.table.throughput[found.vertex] * radiance
-        value = value * emitter_weight(drawn.pdf, drawn.length)[found.chord][:, None]
+        value = value * drawn.weight()[found.chord][:, None]
         value = value * paths.transfer(found.vertex, ends, projection.point)
         if paths.narrow is not None:
             share = self._share(found.vertex, point)

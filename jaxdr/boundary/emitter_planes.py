@@ -55,10 +55,13 @@ def chord_inside(
     face: Int[Array, " N"],
     point: Float[Array, "N 3"],
     direction: Float[Array, "N 3"],
+    low: Float[Array, " N"] | None = None,
+    high: Float[Array, " N"] | None = None,
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
     """(first, last, length) of lines through points of emitting faces, inside the emitter's faces in that plane.
 
-    `first` < 0 < `last` are distances along unit `direction`, `length` is what lies inside in between; detached.
+    `first` < 0 < `last` are distances along unit `direction`, `length` is what lies inside in between; detached. No
+    more than from `low` to `high`, where they are given.
     """
     vertices = stop_gradient(packed.vertices)
     if few_emitter_faces(packed):
@@ -70,7 +73,8 @@ def chord_inside(
     rate = affine_coordinates(corners, corners[..., 0, :] + direction[:, None])
     rate = rate - jnp.asarray([1.0, 0.0, 0.0], rate.dtype)
     infinity = jnp.asarray(jnp.inf, rate.dtype)
-    start, end = part_inside(barycentric, rate, -infinity, infinity)
+    lowest, highest = (-infinity, infinity) if low is None or high is None else (low[:, None], high[:, None])
+    start, end = part_inside(barycentric, rate, lowest, highest)
     start, end = jnp.where(same, start, 0.0), jnp.where(same, end, 0.0)
     return start.min(-1), end.max(-1), (end - start).sum(-1)
 

@@ -122,6 +122,8 @@ def _importance(packed: PackedScene, moving, key):
     normal = jnp.where(front[:, None], normal, -normal)
     smooth = jnp.asarray(packed.smooth)[packed.face_shape]
     lit = front | packed.two_sided[packed.face_shape]  # one-sided faces seen from behind are black
+    if (through := packed.spreads_through) is not None:
+        lit |= through[packed.face_shape]
     received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
 
     edges = packed.edges
@@ -329,7 +331,8 @@ def _creases(packed, distribution, count, key, settings, form) -> Float[Array, "
     first = points.first._replace(valid=points.first.valid & seen)
     one, two = (jax.tree.map(lambda x, side=side: x[side], first) for side in (1, 0))
     near = (_near_field(points.view, one), _near_field(points.view, two)) if form == "near" else None
-    if packed.has_delta_lobes:  # what two mirrors show is not to be found in one direction
+    if packed.has_delta_lobes or packed.spreads_through is not None:
+        # What two mirrors show is not to be found in one direction; one that leaves the one face may enter the other.
         jump = _jump(detached, points, u, key_path, settings, near)
     else:
         begun = first_bounce_of_jump(detached, one, two, points.direction[1], u, settings, near)

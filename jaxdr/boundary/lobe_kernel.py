@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.background import background_term, seen_edges
 from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.sampled_arcs import sampled_arc
 from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
@@ -78,8 +79,15 @@ def lobe_term(
 def _kernel(scatterer, centre, boundary, pole, limit):
     """(k(t), whether the pair counts): k is proportional to the cosine at the sampled direction.
 
-    That takes the 1 / cosine out of f / p near the horizon, below which nothing is sampled.
+    That takes the 1 / cosine out of f / p near the horizon, below which nothing is sampled. From surfaces that scatter
+    to both sides it is more generally proportional to what vanishes with p, see `sampled_arc`.
     """
+    if scatterer.spreads_through() is not None:
+        arc = sampled_arc(scatterer, boundary, pole, jnp.arcsin(jnp.clip(limit, 0.0, 1.0)))
+        t, mass = jnp.arcsin(jnp.clip(dot(centre, pole), -1.0, 1.0)), arc.strip()
+        value = arc.at(t)
+        counts = (mass > 0) & (value > 0) & arc.contains(t)
+        return jnp.where(counts, value / jnp.where(counts, mass, 1.0), 0.0), counts
     height = scatterer.cosine(centre)
     side = jnp.sign(height)
     a, b = side * scatterer.cosine(boundary), side * scatterer.cosine(pole)

@@ -342,6 +342,8 @@ def never_silhouettes(packed: PackedScene) -> Bool[Array, " E"]:
 def _seen_from_outside(packed: PackedScene) -> Bool[Array, " S"]:
     """Closed one-sided shapes that no other shape reaches into: everything that scatters light is outside of them.
 
+    Unless it is they who scatter what is inside.
+
     Decided by bounding boxes, the shape's own shrunk by one per cent so that touching is not reaching in.
     """
     lower, upper = packed.shape_bounds()
@@ -349,4 +351,6 @@ def _seen_from_outside(packed: PackedScene) -> Bool[Array, " S"]:
     margin = 0.01 * (upper - lower)
     apart = (lower[None] > (upper - margin)[:, None]) | (upper[None] < (lower + margin)[:, None])
     alone = (apart.any(-1) | jnp.eye(count, dtype=bool)).all(1)
-    return alone & jnp.asarray(packed.closed) & ~packed.two_sided
+    alone = alone & jnp.asarray(packed.closed) & ~packed.two_sided
+    through = packed.spreads_through
+    return alone if through is None else alone & ~through

@@ -11,12 +11,13 @@ from jaxtyping import Array, Float
 from jaxdr.boundary.background import background_term, seen_edges
 from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.sampled_arcs import on_same_side, place
 from jaxdr.boundary.silhouettes import PathSegments
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
 
@@ -71,9 +72,11 @@ class SkyLines:
         pdf = stop_gradient(jnp.asarray(packed.environment_sampler.pdf(centre)))
         drawn = LobeChords(centre, pdf, plane, reach)
 
-        apex = leave(scatterer.point, scatterer.normal)
+        apex = scatterer.leave_scattering(centre)
         chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
         rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
+        through = scatterer.spreads_through()
+        rises = rises if through is None else rises | through
         chords = chords._replace(useful=chords.useful & rises)
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
@@ -105,7 +108,8 @@ class SkyLines:
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, contributions without BSDF, radiance and normal velocity).
 
-        The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary.
+        The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary, and
+        on the side that it is seen from.
         """
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)
@@ -113,7 +117,13 @@ class SkyLines:
         extent = _extent(self.packed, seen.towards)
         near = dot(seen.towards, centre) > jnp.cos(extent)
         counts = found.valid & near & scatterer.above_horizon(stop_gradient(seen.edge_point))
-        weight = jnp.where(counts, 0.25 * math.pi / (extent * jnp.where(pdf > 0, pdf, 1.0)), 0.0)
+        half = extent
+        if scatterer.spreads_through() is not None:
+            along = normalize(jnp.cross(drawn.plane[found.chord], seen.towards))
+            low, high = on_same_side(scatterer, seen.towards, along, centre, -extent, extent)
+            t = place(seen.towards, along, centre)
+            half, counts = 0.5 * (high - low), counts & (t > low) & (t < high)
+        weight = jnp.where(counts, 0.25 * math.pi / (half * jnp.where(pdf > 0, pdf, 1.0)), 0.0)
         return seen, self.paths.table.throughput[found.vertex] * weight[:, None]
 
 

@@ -202,8 +202,8 @@ def projections(
 ) -> Projections:
     """All projections of points onto the faces of a shape along unit normals, no further away than `depth`.
 
-    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more. `shape` is
-    the number in `face_shape`; a depth of zero leaves a point out.
+    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more. `shape`
+    is the number in `face_shape`; a depth of zero leaves a point out.
     """
     module = _projection_module(implementation)
     query = _over_rays(lambda *args: tuple(module.projections(*args, capacity)), 3)

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.edges import INTERIOR
 from jaxdr.geometry.vector import dot, interpolate, norm, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
+from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
@@ -122,6 +123,12 @@ class PackedScene(eqx.Module):
     def has_delta_lobes(self) -> bool:
         """Whether any BSDF scatters light of one direction into one direction."""
         return any(group.bsdf.delta for group in self.bsdfs)
+
+    @property
+    def spreads_through(self) -> Bool[Array, " S"] | None:
+        """Which shapes scatter light through their surface into more than single directions; None for none."""
+        members = [group.member for group in self.bsdfs if spreads_through(group.bsdf)]
+        return jnp.stack(members).any(0) if members else None
 
     def shape_bounds(self) -> tuple[Float[Array, "S 3"], Float[Array, "S 3"]]:
         """Lowest and highest coordinates of every shape (scene units), detached."""

@@ -2,6 +2,9 @@
 
 import copy
 from collections.abc import Callable
+from functools import reduce
+from operator import or_
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,13 +12,29 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot
-from jaxdr.scene.bsdf.base import DeltaSample, no_delta, only_delta
+from jaxdr.scene.bsdf.base import DeltaSample, Rim, no_delta, only_delta, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
 from jaxdr.transport.near_field import NearField
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
+
+
+class SampledSide(NamedTuple):
+    """Bounds of sampled directions on one side of a surface, in its frame: they are within all of these.
+
+    About in proportion to how far they are within the `first` is the density, near it at least.
+    """
+
+    first: Rim
+    horizon: Rim
+    second: Rim
+
+
+def _either(condition: Bool[Array, " N"], one: Rim, two: Rim) -> Rim:
+    """Row by row, one or the other."""
+    return Rim(jnp.where(condition[:, None], one.axis, two.axis), jnp.where(condition, one.least, two.least))
 
 
 class Scatterer:
@@ -31,6 +50,7 @@ class Scatterer:
         shape = packed.face_shape[point.face]
         self._two_sided = packed.two_sided[shape]
         self.groups = bsdfs_at(packed, point, shape)
+        self.smooth = packed.normals is not None
         self._turn_to(wi)
 
     def _turn_to(self, wi) -> None:
@@ -151,14 +171,48 @@ class Scatterer:
         """Whether positions are above the tangent planes by more than rounding.
 
         Edges of the surface itself are not, and what rounding makes of their cosine, times the speed at which an edge
-        close by moves across the view, would be noise.
+        close by moves across the view, would be noise. Below is as good as above where light goes through.
         """
-        offset = position - stop_gradient(self.point.position)
-        return self.cosine(offset) * jnp.sign(self.wi[:, 2]) > HORIZON * self.point.scale
+        height = self.cosine(position - stop_gradient(self.point.position)) * jnp.sign(self.wi[:, 2])
+        through = self.spreads_through()
+        if through is not None:
+            height = jnp.where(through, jnp.abs(height), height)
+        return height > HORIZON * self.point.scale
+
+    def spreads_through(self) -> Bool[Array, " N"] | None:
+        """Whether BSDFs scatter light to both sides into more than single directions; None where none does."""
+        members = [member for bsdf, member in self.groups if spreads_through(bsdf)]
+        return reduce(or_, members) if members else None
+
+    def sampled_side(self, side: Float[Array, " N"]) -> SampledSide:
+        """Where directions are sampled on the side of the surface that is above (1) or below (-1) the normal.
+
+        In scenes where light goes through some surface.
+        """
+        horizon = Rim(side[:, None] * jnp.asarray([0.0, 0.0, 1.0], self.wi.dtype), jnp.zeros_like(side))
+        unbounded = Rim(jnp.zeros_like(self.wi), -jnp.ones_like(side))
+        beyond = side * self.wi[:, 2] < 0
+        first, second = [], []
+        for bsdf, _ in self.groups:
+            rims = bsdf.rims(self.wi) if spreads_through(bsdf) else (horizon, unbounded)
+            first.append(_either(beyond, rims[0], horizon))
+            second.append(_either(beyond, rims[1], unbounded))
+        at_first, at_second = (
+            Rim(self._combine([rim.axis for rim in rims]), self._combine([rim.least for rim in rims]))
+            for rims in (first, second)
+        )
+        return SampledSide(at_first, horizon, at_second)
 
     def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
         """Origins of rays that leave the surface."""
         return leave(self.point, towards)
+
+    def leave_scattering(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """The same on the side that scatters, whatever the direction; where both do, on that of `towards`."""
+        through = self.spreads_through()
+        if through is None:
+            return self.leave(self.normal)
+        return self.leave(jnp.where(through[:, None], towards, self.normal))
 
 
 class ScatteringJump:

@@ -122,7 +122,7 @@ def _unit(v):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def _triangle(corners, order=24):
+def triangle(corners, order=24):
     """Quadrature on a triangle: (points [n, 3], weights [n], unit normals [n, 3])."""
     nodes, weights = np.polynomial.legendre.leggauss(order)
     nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
@@ -136,7 +136,7 @@ def _triangle(corners, order=24):
 
 def _seen(corners, point, lobe, width, emission):
     """Integral of the lobe times radiance over the directions of a triangle."""
-    x, weights, normal = _triangle(corners)
+    x, weights, normal = triangle(corners)
     squared = ((x - point) ** 2).sum(-1)
     towards = _unit(x - point)
     exponent = width**-2
@@ -147,7 +147,7 @@ def _seen(corners, point, lobe, width, emission):
 
 def _lit(x, normal, lamp, lamp_radiance, reflectance):
     """Radiance that diffuse points scatter under the lamp."""
-    on_lamp, weights, across = map(np.concatenate, zip(*(_triangle(lamp[list(f)], 4) for f in QUAD), strict=True))
+    on_lamp, weights, across = map(np.concatenate, zip(*(triangle(lamp[list(f)], 4) for f in QUAD), strict=True))
     offset = on_lamp - x[:, None]
     towards = _unit(offset)
     transfer = np.maximum(-(towards * across).sum(-1), 0) * np.maximum(towards @ normal, 0) / (offset**2).sum(-1)

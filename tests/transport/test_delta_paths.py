@@ -112,21 +112,24 @@ def test_index_of_glass():
 
 
 MIRROR, LIGHT = jd.Shape(floor(), jd.Conductor()), jd.PointLight([0, 0, 3], 1.0)
-CHECKS = jd.Shape(
-    jd.Mesh(floor(2.0).vertices, floor().faces, uvs=CORNERS[:, :2], uv_faces=floor().faces),
-    jd.Diffuse(jd.Checkerboard(0.1, 0.9)),
+CHECKS, MAPPED = (
+    jd.Shape(jd.Mesh(floor(height).vertices, floor().faces, uvs=CORNERS[:, :2], uv_faces=floor().faces), bsdf)
+    for height, bsdf in (
+        (2.0, jd.Diffuse(jd.Checkerboard(0.1, 0.9))),
+        (0.0, jd.NormalMap([0.5, 0.6, 0.9], jd.RoughDielectric(0.2))),
+    )
 )
 
 
 @pytest.mark.parametrize(
     ("shapes", "lights", "settings", "message"),
     [
-        ({"floor": jd.Shape(floor(), jd.RoughDielectric(0.2))}, {}, {}, "seen through RoughDielectric have no deriv"),
+        ({"floor": MAPPED}, {}, {}, "seen through rough glass in a NormalMap have no deriv"),
         ({"floor": MIRROR}, {}, {"primary": "material"}, "over delta lobes have no derivative with primary"),
         ({"floor": MIRROR}, {"lamp": LIGHT}, {}, "hard shadows seen over delta lobes"),
         ({"floor": MIRROR, "checks": CHECKS}, {}, {}, "use mirrors and smooth glass that stay"),
     ],
-    ids=["rough", "material", "light", "checks"],
+    ids=["mapped", "material", "light", "checks"],
 )
 @pytest.mark.filterwarnings("ignore:jaxdr. the derivative lacks")
 def test_what_has_no_derivative(shapes, lights, settings, message):

@@ -29,6 +29,13 @@ class DeltaSample(NamedTuple):
     probability: Float[Array, "*n"]
 
 
+class Rim(NamedTuple):
+    """Where the directions end that are sampled: `axis` · wo > `least`. The axis needs no length."""
+
+    axis: Float[Array, "*n 3"]
+    least: Float[Array, "*n"]
+
+
 class BSDF(eqx.Module):
     """Bidirectional scattering distribution function of one surface.
 
@@ -87,6 +94,16 @@ class BSDF(eqx.Module):
         """
         return jnp.ones_like(wi[..., 0])
 
+    def rims(self, wi: Float[Array, "*n 3"]) -> tuple[Rim, Rim]:
+        """Bounds of the directions beyond the surface for which `pdf` is positive; for models that are `transmissive`.
+
+        Both hold as well as the horizon. At the first the density goes to zero, about linearly (a matter of noise
+        alone); at the second it may jump. Where there is more density than they say, light is lost. By default there
+        is nothing but the horizon.
+        """
+        far = -jnp.sign(wi[..., 2:]) * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
+        return Rim(far, jnp.zeros_like(wi[..., 0])), Rim(jnp.zeros_like(wi), -jnp.ones_like(wi[..., 0]))
+
     def turn(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """`wo` (detached) as it turns with the lobe when `wi` moves: `wo` in value, its derivative a rotation.
 
@@ -122,6 +139,11 @@ def only_delta(bsdf: BSDF) -> bool:
     return isinstance(bsdf, DeltaBSDF) or (isinstance(inner, BSDF) and bsdf.delta and only_delta(inner))
 
 
+def spreads_through(bsdf: BSDF) -> bool:
+    """Whether a BSDF scatters light through the surface into more than single directions."""
+    return bsdf.transmissive and not only_delta(bsdf)
+
+
 class TwoSided(eqx.Module):
     """Adapter: the BSDF acts alike on both sides of the surface. Parameter names pass through it."""
 
@@ -151,6 +173,10 @@ def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
 
 def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """`BSDF.turn` of lobes around the mirror direction: the least rotation that takes that along, to first order."""
-    reflected = mirror(wi)
-    axis = jnp.cross(stop_gradient(reflected), reflected)
+    return turn_with(mirror(wi), wo)
+
+
+def turn_with(centre: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """The same of lobes around unit directions `centre`."""
+    axis = jnp.cross(stop_gradient(centre), centre)
     return normalize(wo + jnp.cross(axis, wo))

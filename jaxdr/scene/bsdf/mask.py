@@ -66,6 +66,9 @@ class Mask(BSDF):
         probability = jnp.where(hole, through.probability, inside.probability)
         return DeltaSample(wo, share[..., None] * weight, share * probability)
 
+    def rims(self, wi):
+        return self.bsdf.rims(wi)
+
     def turn(self, wi, wo):
         return self.bsdf.turn(wi, wo)
 

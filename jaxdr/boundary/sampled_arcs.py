@@ -1,0 +1,94 @@
+"""Around boundary points seen from surfaces that scatter to both sides: where the directions are that BSDFs sample.
+
+A kernel over sampled directions must vanish where none are sampled, or what it gives those is lost. From an opaque
+surface that is below the horizon; beyond rough glass light is refracted into a part of the other hemisphere alone
+(`BSDF.rims`). On a great circle through a boundary point, cos t μ + sin t e, each bound is an interval of t.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxdr.geometry.vector import dot
+from jaxdr.transport.shading import Scatterer
+
+
+class SampledArc(NamedTuple):
+    """The part low < t < high of a great circle, from which directions are sampled.
+
+    At the boundary point, t = 0, it is positive: a cos t + b sin t - least, which vanishes about as their density does.
+    """
+
+    low: Float[Array, " C"]
+    high: Float[Array, " C"]
+    a: Float[Array, " C"]
+    b: Float[Array, " C"]
+    least: Float[Array, " C"]
+
+    def at(self, t: Float[Array, " C"]) -> Float[Array, " C"]:
+        """The function."""
+        return self.a * jnp.cos(t) + self.b * jnp.sin(t) - self.least
+
+    def integral(self) -> Float[Array, " C"]:
+        """Its integral over the arc."""
+        low, high = self.low, self.high
+        rest = self.least * (high - low)
+        return self.a * (jnp.sin(high) - jnp.sin(low)) - self.b * (jnp.cos(high) - jnp.cos(low)) - rest
+
+    def strip(self) -> Float[Array, " C"]:
+        """Its integral times cos t over the arc: over a strip, per length at t = 0."""
+
+        def primitive(t):
+            sine, cosine = jnp.sin(t), jnp.cos(t)
+            return 0.5 * self.a * (t + sine * cosine) + 0.5 * self.b * sine**2 - self.least * sine
+
+        return primitive(self.high) - primitive(self.low)
+
+    def contains(self, t: Float[Array, " C"]) -> Bool[Array, " C"]:
+        return (t > self.low) & (t < self.high)
+
+
+def sampled_arc(
+    scatterer: Scatterer, boundary: Float[Array, "C 3"], along: Float[Array, "C 3"], reach: Float[Array, " C"]
+) -> SampledArc:
+    """Within `reach` (radians) of boundary points, on great circles along the unit tangents `along`."""
+    mu, e = scatterer.to_local(boundary), scatterer.to_local(along)
+    side = scatterer.sampled_side(jnp.sign(mu[:, 2]))
+    low, high = -reach, reach
+    for rim in side:
+        low, high = _within(dot(rim.axis, mu), dot(rim.axis, e), rim.least, low, high)
+    first = side.first
+    return SampledArc(low, high, dot(first.axis, mu), dot(first.axis, e), first.least)
+
+
+def on_same_side(
+    scatterer: Scatterer,
+    boundary: Float[Array, "C 3"],
+    along: Float[Array, "C 3"],
+    centre: Float[Array, "C 3"],
+    low: Float[Array, " C"],
+    high: Float[Array, " C"],
+) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+    """(low, high), less what is not on the side of the face that `centre` is on, where both sides scatter.
+
+    A chord is looked at from there alone: from the other side the face would hide it.
+    """
+    through = scatterer.spreads_through()
+    assert through is not None  # asked only where some surface does
+    normal = jnp.sign(dot(scatterer.normal, centre))[:, None] * scatterer.normal
+    start, end = _within(dot(normal, boundary), dot(normal, along), jnp.zeros_like(low), low, high)
+    return jnp.where(through, start, low), jnp.where(through, end, high)
+
+
+def place(boundary: Float[Array, "C 3"], along: Float[Array, "C 3"], centre: Float[Array, "C 3"]) -> Float[Array, " C"]:
+    """t of directions on great circles."""
+    return jnp.arctan2(dot(centre, along), dot(centre, boundary))
+
+
+def _within(a, b, least, low, high):
+    """(low, high), less what is not in the interval around 0, or nearest to it, where a cos t + b sin t > least."""
+    size = jnp.sqrt(a * a + b * b)
+    middle = jnp.arctan2(b, a)
+    half = jnp.arccos(jnp.clip(least / jnp.where(size > 0, size, 1.0), -1.0, 1.0))
+    return jnp.maximum(low, middle - half), jnp.minimum(high, middle + half)
