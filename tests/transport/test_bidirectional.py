@@ -139,7 +139,7 @@ def test_direct_light_by_all_strategies(kind):
 def test_paths_of_one_length_by_all_strategies():
     """Mean over the image, unweighted: (0, 5), (1, 4), (2, 3), (3, 2), (4, 1) and the shorter ones."""
     scene = jd.Scene(room() | ball(jd.RoughDielectric(0.6, 1.5)) | {"lamp": lamp(size=1.5)}, camera(4))
-    found = np.stack([strategy_images(scene, key, 1024, 4) for key in jax.random.split(jax.random.key(3), 16)])
+    found = np.stack([strategy_images(scene, key, 1024, 4) for key in jax.random.split(jax.random.key(3), 32)])
     means = dict(zip(names(True, 4), found.mean((2, 3, 4)).T, strict=True))
     for length in (2, 3, 4):
         every = {name: value for name, value in means.items() if sum(name) == length + 1}
