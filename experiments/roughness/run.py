@@ -29,7 +29,7 @@ FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS}  # sa
 MANY = {name: (4, 64) for name in METHODS} | {
     "Mitsuba, unguided": (16, 256, 4096),
     "Mitsuba, octree": (16, 1024),
-    LINES: (4, 64, 256, 1024),
+    LINES: (4, 64, 256),
 }
 COLUMNS = {"scene": ("scene", ""), "roughness": ("alpha", "")} | run.COLUMNS
 
