@@ -17,19 +17,22 @@ ALPHAS = {"ball": (0.02, 0.05, 0.1, 0.3, 0.6), "mirror_spot": (0.05, 0.3)}
 LADDERS = (0.05, 0.3)  # roughnesses for which error is charted against time
 POSITIONS = 4
 LINES, ATTACHED, KERNEL = "LineSampling", "LineSampling, attached", "KernelDensity"
+CHORDS = "LineSampling, 8 chords"  # a path sample
 METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none"),
     "Mitsuba, octree": (mitsuba_peer.estimates, "octree"),
     KERNEL: (jaxdr_side.estimates, "KernelDensity"),
     LINES: (jaxdr_side.estimates, "LineSampling"),
+    CHORDS: (jaxdr_side.estimates, ("LineSampling", {"chords": 8.0, "backgrounds": 8.0}, {})),
     ATTACHED: (jaxdr_side.estimates, ("LineSampling", {"attached": 10.0}, {})),
     "LineSampling, antithetic": (jaxdr_side.estimates, ("LineSampling", {}, {"antithetic": True})),
 }
-FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS}  # samples per pixel
+FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS} | {CHORDS: 4}  # samples per pixel
 MANY = {name: (4, 64) for name in METHODS} | {
     "Mitsuba, unguided": (16, 256, 4096),
     "Mitsuba, octree": (16, 1024),
     LINES: (4, 64, 256),
+    CHORDS: (1, 16, 64),
 }
 COLUMNS = {"scene": ("scene", ""), "roughness": ("alpha", "")} | run.COLUMNS
 
