@@ -229,7 +229,8 @@ def test_an_empty_batch_of_rays(implementation):
 
 def test_without_embree(monkeypatch):
     """Warp takes its place, and who asks for it is told what to install."""
-    monkeypatch.setitem(sys.modules, "embreex", None)
+    for name in ("embreex", "embreex.rtcore"):
+        monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(embree_scene, "library", embree_scene.library.__wrapped__)
     assert queries._module("auto").__name__.endswith("warp_queries")
     with pytest.raises(ImportError, match="pip install"):
