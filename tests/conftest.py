@@ -1,6 +1,7 @@
 """Shapes and dtypes of every public signature are checked by beartype, in the tests only."""
 
 import gc
+import os
 import signal
 from pathlib import Path
 
@@ -9,6 +10,13 @@ import pytest
 from jaxtyping import install_import_hook
 
 import tests.type_checker  # noqa: F401  the hook names it in a string
+
+# Most of the time of a test is XLA's: programs are compiled fast here, not compiled to be fast. Each version of XLA has
+# flags of its own, and aborts at unknown ones. They are read when the first array is made, in child processes as well.
+if jax.__version__.startswith("0.10."):
+    quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+    quick += " --xla_llvm_disable_expensive_passes=true"
+    os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}"
 
 # A run in the background inherits SIGINT ignored; the tests of Ctrl-C are about a program in the foreground.
 signal.signal(signal.SIGINT, signal.default_int_handler)
