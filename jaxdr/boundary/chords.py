@@ -233,11 +233,10 @@ def lobe_rate(
     if scatterer.spreads_through() is not None:
         arc = sampled_arc(scatterer, boundary, normalize(jnp.cross(plane, boundary)), reach)
         height, mass = arc.at(jnp.zeros_like(reach)), arc.integral()
-        usable = (height > 0) & (mass > 0)
-        return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
-    height = jnp.abs(scatterer.cosine(boundary))
-    _, mass = _arc(scatterer, reach, plane, boundary)
-    usable = height > 0
+    else:
+        height = jnp.abs(scatterer.cosine(boundary))
+        _, mass = _arc(scatterer, reach, plane, boundary)
+    usable = (height > 0) & (mass > 0)
     return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
 
 

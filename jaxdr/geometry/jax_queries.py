@@ -89,49 +89,44 @@ def occluded(vertices, faces, origin, direction, t_max):
 def all_hits(vertices, faces, origin, direction, t_max, capacity):
     """(face [N, C], t [N, C], count [N]): the nearest `capacity` crossings, sorted."""
 
-    def visit(kept, block):
-        index, source, (f,) = block
-        t = _crossings(vertices, f, origin, direction, t_max)
-        t = jnp.where((index == source)[None], t, MISS)  # padding repeats face 0
-        count = kept[2] + (t < MISS).sum(1, dtype=jnp.int32)
-        face = jnp.broadcast_to(index[None], t.shape)
-        t, face = jnp.concatenate([kept[1], t], 1), jnp.concatenate([kept[0], face], 1)
-        order = jnp.argsort(t, axis=1)[:, :capacity]
-        t, face = jnp.take_along_axis(t, order, 1), jnp.take_along_axis(face, order, 1)
-        return (jnp.where(t < MISS, face, -1), t, count), None
+    def crossings(block):
+        (face,) = block
+        return _crossings(vertices, face, origin, direction, t_max)
 
-    n = origin.shape[0]
-    start = (
-        jnp.full((n, capacity), -1, jnp.int32),
-        jnp.full((n, capacity), MISS, jnp.float32),
-        jnp.zeros(n, jnp.int32),
-    )
-    return jax.lax.scan(visit, start, _blocks(faces))[0]
+    return _nearest(crossings, _blocks(faces), origin.shape[0], capacity)
 
 
 def projections(vertices, faces, face_shape, point, normal, depth, shape, capacity):
     """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
     begin = point - depth[:, None] * normal
 
-    def visit(kept, block):
-        index, source, (f, of) = block
-        t = _crossings(vertices, f, begin, normal, 2.0 * depth)
-        here = (t < MISS) & (index == source)[None] & (of[None] == shape[:, None])
-        height = jnp.where(here, t - depth[:, None], MISS)
-        count = kept[2] + here.sum(1, dtype=jnp.int32)
-        face = jnp.broadcast_to(index[None], t.shape)
-        height, face = jnp.concatenate([kept[1], height], 1), jnp.concatenate([kept[0], face], 1)
-        order = jnp.argsort(jnp.abs(height), axis=1)[:, :capacity]
-        height, face = jnp.take_along_axis(height, order, 1), jnp.take_along_axis(face, order, 1)
-        return (jnp.where(height < MISS, face, -1), height, count), None
+    def crossings(block):
+        face, of = block
+        t = _crossings(vertices, face, begin, normal, 2.0 * depth)
+        return jnp.where((t < MISS) & (of[None] == shape[:, None]), t - depth[:, None], MISS)
 
-    n = point.shape[0]
+    return _nearest(crossings, _blocks(faces, face_shape), point.shape[0], capacity)
+
+
+def _nearest(crossings, blocks, lines, capacity):
+    """(face, t, count): the `capacity` crossings [N, C] of smallest |t| among those of all blocks, sorted by it."""
+
+    def visit(kept, block):
+        index, source, data = block
+        t = jnp.where((index == source)[None], crossings(data), MISS)  # padding repeats row 0
+        count = kept[2] + (t < MISS).sum(1, dtype=jnp.int32)
+        face = jnp.broadcast_to(index[None], t.shape)
+        t, face = jnp.concatenate([kept[1], t], 1), jnp.concatenate([kept[0], face], 1)
+        order = jnp.argsort(jnp.abs(t), axis=1)[:, :capacity]
+        t, face = jnp.take_along_axis(t, order, 1), jnp.take_along_axis(face, order, 1)
+        return (jnp.where(t < MISS, face, -1), t, count), None
+
     start = (
-        jnp.full((n, capacity), -1, jnp.int32),
-        jnp.full((n, capacity), MISS, jnp.float32),
-        jnp.zeros(n, jnp.int32),
+        jnp.full((lines, capacity), -1, jnp.int32),
+        jnp.full((lines, capacity), MISS, jnp.float32),
+        jnp.zeros(lines, jnp.int32),
     )
-    return jax.lax.scan(visit, start, _blocks(faces, face_shape))[0]
+    return jax.lax.scan(visit, start, blocks)[0]
 
 
 def _side_of_faces(vertices, opposite, p0, p1, plane, apex):

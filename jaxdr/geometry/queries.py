@@ -205,17 +205,9 @@ def projections(
     The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more. `shape`
     is the number in `face_shape`; a depth of zero leaves a point out.
     """
-    module = _projection_module(implementation)
+    module = _module(implementation)
     query = _over_rays(lambda *args: tuple(module.projections(*args, capacity)), 3)
     return Projections(*query(*_discrete(vertices, faces, face_shape, point, normal, depth, shape)))
-
-
-def _projection_module(implementation: str) -> Any:
-    if implementation not in ("auto", "embree", "warp"):
-        return _module(implementation)
-    from jaxdr.geometry import warp_projections
-
-    return warp_projections
 
 
 def edge_candidates(

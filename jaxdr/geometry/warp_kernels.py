@@ -57,6 +57,39 @@ def directed_volume(d: wp.vec3d, p: wp.vec3d, q: wp.vec3d, i: int, j: int):
     return -wp.dot(d, wp.cross(q, p))
 
 
+@wp.func
+def crossing(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), f: int, o: wp.vec3d, d: wp.vec3d):
+    """Ray parameter where the line (o, d) crosses a face, MISS where it does not."""
+    v = faces[f]
+    a = wp.vec3d(vertices[v[0]]) - o
+    b = wp.vec3d(vertices[v[1]]) - o
+    c = wp.vec3d(vertices[v[2]]) - o
+    u0 = directed_volume(d, b, c, v[1], v[2])
+    u1 = directed_volume(d, c, a, v[2], v[0])
+    u2 = directed_volume(d, a, b, v[0], v[1])
+    zero = wp.float64(0.0)
+    inside = (u0 >= zero and u1 >= zero and u2 >= zero) or (u0 <= zero and u1 <= zero and u2 <= zero)
+    if not inside or u0 + u1 + u2 == zero:
+        return MISS
+    n = wp.cross(b - a, c - a)
+    return wp.float32(wp.dot(a, n) / wp.dot(d, n))
+
+
+@wp.func
+def keep_nearest(face: wp.array2d(dtype=int), at: wp.array2d(dtype=float), i: int, found: int, f: int, t: float):
+    """Insert face `f` at `t` into row `i`, sorted by |t|, of which `found` were there; the nearest are kept."""
+    capacity = face.shape[1]
+    slot = wp.min(found, capacity)
+    while slot > 0 and wp.abs(at[i, slot - 1]) > wp.abs(t):
+        if slot < capacity:
+            at[i, slot] = at[i, slot - 1]
+            face[i, slot] = face[i, slot - 1]
+        slot -= 1
+    if slot < capacity:
+        at[i, slot] = t
+        face[i, slot] = f
+
+
 @wp.kernel
 def all_hits(
     bvh: wp.uint64,
@@ -70,38 +103,18 @@ def all_hits(
     t: wp.array2d(dtype=float),
     count: wp.array(dtype=int),
 ):
-    """All faces a ray crosses; the nearest `capacity` of them are kept, sorted by distance (insertion sort)."""
+    """All faces a ray crosses; the nearest of them are kept, sorted by distance."""
     i = start + wp.tid()
     o = wp.vec3d(origin[i])
     d = wp.vec3d(direction[i])
-    capacity = face.shape[1]
     found = int(0)
     f = int(0)
     query = wp.bvh_query_ray(bvh, origin[i], direction[i])
     while wp.bvh_query_next(query, f, t_max[i]):
-        v = faces[f]
-        a = wp.vec3d(vertices[v[0]]) - o
-        b = wp.vec3d(vertices[v[1]]) - o
-        c = wp.vec3d(vertices[v[2]]) - o
-        u0 = directed_volume(d, b, c, v[1], v[2])
-        u1 = directed_volume(d, c, a, v[2], v[0])
-        u2 = directed_volume(d, a, b, v[0], v[1])
-        zero = wp.float64(0.0)
-        inside = (u0 >= zero and u1 >= zero and u2 >= zero) or (u0 <= zero and u1 <= zero and u2 <= zero)
-        if inside and u0 + u1 + u2 != zero:
-            n = wp.cross(b - a, c - a)
-            distance = wp.float32(wp.dot(a, n) / wp.dot(d, n))
-            if distance > 0.0 and distance < t_max[i]:
-                slot = wp.min(found, capacity)
-                found += 1
-                while slot > 0 and t[i, slot - 1] > distance:
-                    if slot < capacity:
-                        t[i, slot] = t[i, slot - 1]
-                        face[i, slot] = face[i, slot - 1]
-                    slot -= 1
-                if slot < capacity:
-                    t[i, slot] = distance
-                    face[i, slot] = f
+        distance = crossing(vertices, faces, f, o, d)
+        if distance > 0.0 and distance < t_max[i]:
+            keep_nearest(face, t, i, found, f, distance)
+            found += 1
     count[i] = found
 
 

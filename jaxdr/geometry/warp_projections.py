@@ -6,9 +6,9 @@ import warnings
 import numpy as np
 import warp as wp
 
-from jaxdr.geometry.warp_kernels import MISS, directed_volume
+from jaxdr.geometry.warp_kernels import MISS, crossing, keep_nearest
 from jaxdr.geometry.warp_launch import Call, launch, on_host
-from jaxdr.geometry.warp_queries import _cache
+from jaxdr.geometry.warp_structures import structure_cache
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,7 +28,7 @@ def projections_kernel(
     height: wp.array2d(dtype=float),
     count: wp.array(dtype=int),
 ):
-    """Faces of a shape that a line crosses within `depth` of a point; the nearest are kept, sorted (insertion sort)."""
+    """Faces of a shape that a line crosses within `depth` of a point; the nearest are kept, sorted."""
     i = start + wp.tid()
     count[i] = 0
     if depth[i] <= 0.0:
@@ -36,35 +36,15 @@ def projections_kernel(
     begin = point[i] - depth[i] * normal[i]
     o = wp.vec3d(begin)
     d = wp.vec3d(normal[i])
-    capacity = face.shape[1]
     found = int(0)
     f = int(0)
     query = wp.bvh_query_ray(bvh, begin, normal[i])
     while wp.bvh_query_next(query, f, 2.0 * depth[i]):
         if face_shape[f] == shape[i]:
-            v = faces[f]
-            a = wp.vec3d(vertices[v[0]]) - o
-            b = wp.vec3d(vertices[v[1]]) - o
-            c = wp.vec3d(vertices[v[2]]) - o
-            u0 = directed_volume(d, b, c, v[1], v[2])
-            u1 = directed_volume(d, c, a, v[2], v[0])
-            u2 = directed_volume(d, a, b, v[0], v[1])
-            zero = wp.float64(0.0)
-            inside = (u0 >= zero and u1 >= zero and u2 >= zero) or (u0 <= zero and u1 <= zero and u2 <= zero)
-            if inside and u0 + u1 + u2 != zero:
-                n = wp.cross(b - a, c - a)
-                h = wp.float32(wp.dot(a, n) / wp.dot(d, n)) - depth[i]
-                if wp.abs(h) < depth[i]:
-                    slot = wp.min(found, capacity)
-                    found += 1
-                    while slot > 0 and wp.abs(height[i, slot - 1]) > wp.abs(h):
-                        if slot < capacity:
-                            height[i, slot] = height[i, slot - 1]
-                            face[i, slot] = face[i, slot - 1]
-                        slot -= 1
-                    if slot < capacity:
-                        height[i, slot] = h
-                        face[i, slot] = f
+            h = crossing(vertices, faces, f, o, d) - depth[i]
+            if wp.abs(h) < depth[i]:
+                keep_nearest(face, height, i, found, f, h)
+                found += 1
     count[i] = found
 
 
@@ -82,7 +62,7 @@ def _projections(
 ):
     face.fill_(-1)
     height.fill_(MISS)
-    cache = _cache("faces", vertices.device)
+    cache = structure_cache("faces", vertices.device)
     with cache.lock:
         bvh = cache.find([on_host(vertices)], [on_host(faces)])
         arrays = [vertices, faces, face_shape, point, normal, depth, shape, face, height, count]

@@ -5,6 +5,7 @@ query is a pure function of its arguments. They do host work and therefore run o
 """
 
 import warnings
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,145 +14,59 @@ import warp as wp
 from jaxdr.geometry import warp_kernels as kernels
 from jaxdr.geometry import warp_sector_kernels as sector_kernels
 from jaxdr.geometry import warp_tree_kernels as tree_kernels
-from jaxdr.geometry.bvh_cache import BVHCache
 from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.warp_launch import Call, compact, launch, on_host
-
-# Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
-BOX_MARGIN = 16 * np.finfo(np.float32).eps
-
-
-def _on(device, array, dtype) -> wp.array:
-    """A host array where kernels can read it: a view on CPU, a copy on CUDA."""
-    return wp.array(array, dtype=dtype, device=device, copy=not device.is_cpu)
+from jaxdr.geometry.warp_projections import projections  # noqa: F401
+from jaxdr.geometry.warp_structures import structure_cache
 
 
-class _FaceBVH:
-    """What structures over faces share: the faces on the device, and their boxes' margin."""
+def hit_queries(trace, module) -> tuple[Callable, Callable]:
+    """`closest_hit` and `occluded`, by `trace(kernel, vertices, faces, arrays)` for the kernels of those names."""
 
-    def __init__(self, topology, device):
-        self.device = device
-        self.count = len(topology[0])
-        self.faces = wp.array(topology[0], dtype=wp.vec3i, device=device)
+    def _closest_hit(
+        vertices: wp.array(dtype=wp.vec3),
+        faces: wp.array(dtype=wp.vec3i),
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=float),
+        face: wp.array(dtype=int),
+        t: wp.array(dtype=float),
+    ):
+        trace("closest_hit", vertices, faces, [origin, direction, t_max, face, t])
 
-    def _launch(self, kernel, moving, *rest):
-        vertices = _on(self.device, moving[0], wp.vec3)
-        launch(kernel, self.count, [], [vertices, self.faces, *rest], self.device)
+    def _occluded(
+        vertices: wp.array(dtype=wp.vec3),
+        faces: wp.array(dtype=wp.vec3i),
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=float),
+        result: wp.array(dtype=int),
+    ):
+        trace("occluded", vertices, faces, [origin, direction, t_max, result])
 
-    def _margin(self, moving) -> float:
-        return float(BOX_MARGIN * np.abs(moving[0]).max())
+    closest_hit_call, occluded_call = Call(_closest_hit, 2, module), Call(_occluded, 1, module)
 
-    def _empty(self, count):
-        return wp.empty(count, dtype=wp.vec3, device=self.device)
+    def closest_hit(vertices, faces, origin, direction, t_max):
+        """(face, t): the nearest face in front of each ray, -1 and a huge t on a miss."""
+        return closest_hit_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
 
+    def occluded(vertices, faces, origin, direction, t_max):
+        """Whether anything lies on the ray before `t_max`."""
+        (result,) = occluded_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
+        return result != 0
 
-class _MeshBVH(_FaceBVH):
-    """A Warp mesh whose boxes have a margin.
-
-    Warp computes boxes from the points it is built (refitted) with and faces from the points it has at a query. So it
-    is built with corners pushed apart to the ends of their boxes, and gets the true corners afterwards.
-    """
-
-    def __init__(self, moving, topology, device):
-        super().__init__(topology, device)
-        points = self._empty(3 * self.count)
-        self._spread(moving, points)
-        self.mesh = wp.Mesh(points=points, indices=wp.array(np.arange(3 * self.count), dtype=int, device=device))
-        self._launch(tree_kernels.face_corners, moving, self.mesh.points)
-
-    @property
-    def id(self):
-        return self.mesh.id
-
-    def refit(self, moving):
-        self._spread(moving, self.mesh.points)
-        self.mesh.refit()
-        self._launch(tree_kernels.face_corners, moving, self.mesh.points)
-
-    def _spread(self, moving, points):
-        self._launch(tree_kernels.corners_at_box_ends, moving, self._margin(moving), points)
+    return closest_hit, occluded
 
 
-class _BoxBVH(_FaceBVH):
-    """A Warp BVH over the boxes of faces, for queries with intersection tests of their own."""
-
-    def __init__(self, moving, topology, device):
-        super().__init__(topology, device)
-        lower, upper = self._empty(self.count), self._empty(self.count)
-        self._launch(tree_kernels.face_boxes, moving, self._margin(moving), lower, upper)
-        self.bvh = wp.Bvh(lower, upper)
-
-    @property
-    def id(self):
-        return self.bvh.id
-
-    def refit(self, moving):
-        self._launch(tree_kernels.face_boxes, moving, self._margin(moving), self.bvh.lowers, self.bvh.uppers)
-        self.bvh.refit()
-
-
-class _PointBVH:
-    """A Warp BVH over boxes around points, [point, radius]."""
-
-    def __init__(self, moving, topology, device):
-        del topology
-        self.bvh = wp.Bvh(*(wp.array(a, dtype=wp.vec3, device=device) for a in self._boxes(moving)))
-
-    @property
-    def id(self):
-        return self.bvh.id
-
-    def refit(self, moving):
-        lower, upper = self._boxes(moving)
-        self.bvh.lowers.assign(lower)
-        self.bvh.uppers.assign(upper)
-        self.bvh.refit()
-
-    def _boxes(self, moving):
-        radius = np.maximum(moving[1], 0.0)[:, None]
-        return (moving[0] - radius).astype(np.float32), (moving[0] + radius).astype(np.float32)
-
-
-_caches: dict[tuple[str, str], BVHCache] = {}
-_STRUCTURES = {"mesh": _MeshBVH, "faces": _BoxBVH, "points": _PointBVH}
-
-
-def _cache(kind: str, device) -> BVHCache:
-    key = (kind, str(device))
-    if key not in _caches:
-        make = _STRUCTURES[kind]
-        _caches[key] = BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m))
-    return _caches[key]
-
-
-def _closest_hit(
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
-    face: wp.array(dtype=int),
-    t: wp.array(dtype=float),
-):
-    cache = _cache("mesh", vertices.device)
+def trace(kernel: str, vertices: wp.array, faces: wp.array, arrays: list) -> None:
+    """Run one of the two kernels over the rays of `arrays`."""
+    cache = structure_cache("mesh", vertices.device)
     with cache.lock:
         mesh = cache.find([on_host(vertices)], [on_host(faces)])
-        arrays = [origin, direction, t_max, face, t]
-        launch(kernels.closest_hit, origin.shape[0], [mesh.id], arrays, vertices.device)
+        launch(getattr(kernels, kernel), arrays[0].shape[0], [mesh.id], arrays, vertices.device)
 
 
-def _occluded(
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
-    result: wp.array(dtype=int),
-):
-    cache = _cache("mesh", vertices.device)
-    with cache.lock:
-        mesh = cache.find([on_host(vertices)], [on_host(faces)])
-        launch(kernels.occluded, origin.shape[0], [mesh.id], [origin, direction, t_max, result], vertices.device)
+closest_hit, occluded = hit_queries(trace, kernels)
 
 
 def _all_hits(
@@ -166,7 +81,7 @@ def _all_hits(
 ):
     face.fill_(-1)
     t.fill_(kernels.MISS)
-    cache = _cache("faces", vertices.device)
+    cache = structure_cache("faces", vertices.device)
     with cache.lock:
         bvh = cache.find([on_host(vertices)], [on_host(faces)])
         arrays = [vertices, faces, origin, direction, t_max, face, t, count]
@@ -218,7 +133,7 @@ def _point_candidates(
     count: wp.array(dtype=int),
     weight: wp.array(dtype=float),
 ):
-    cache = _cache("points", vertices.device)
+    cache = structure_cache("points", vertices.device)
     with cache.lock:
         bvh = cache.find([on_host(point), on_host(radius)], [])
         seed, both_sides = (int(option) for option in on_host(options))
@@ -251,7 +166,7 @@ def _sector_crossings(
     counts: wp.array(dtype=int),
     weight: wp.array(dtype=float),
 ):
-    cache, device = _cache("faces", vertices.device), vertices.device
+    cache, device = structure_cache("faces", vertices.device), vertices.device
     with cache.lock:
         bvh = cache.find([on_host(vertices)], [on_host(faces)])
         seed, least_layer = (int(option) for option in on_host(options))
@@ -291,24 +206,11 @@ def _edge_tree(
         launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
 
 
-_closest_hit_call = Call(_closest_hit, 2, kernels)
-_occluded_call = Call(_occluded, 1, kernels)
 _all_hits_call = Call(_all_hits, 3, kernels)
 _edge_candidates_call = Call(_edge_candidates, 4, kernels)
 _point_candidates_call = Call(_point_candidates, 4, kernels)
 _sector_crossings_call = Call(_sector_crossings, 5, sector_kernels)
 _edge_tree_call = Call(_edge_tree, 1, tree_kernels)
-
-
-def closest_hit(vertices, faces, origin, direction, t_max):
-    """(face, t): the nearest face in front of each ray, -1 and a huge t on a miss."""
-    return _closest_hit_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
-
-
-def occluded(vertices, faces, origin, direction, t_max):
-    """Whether anything lies on the ray before `t_max`."""
-    (result,) = _occluded_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
-    return result != 0
 
 
 def all_hits(vertices, faces, origin, direction, t_max, capacity):

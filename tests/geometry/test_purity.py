@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry import bvh_cache, queries, warp_queries
+from jaxdr.geometry import bvh_cache, queries, warp_structures
 from jaxdr.geometry.queries import IMPLEMENTATIONS
 from jaxdr.geometry.shapes import sphere
 
@@ -86,11 +86,11 @@ def test_every_geometry_gets_its_own_hits(situation, implementation):
 @pytest.fixture
 def stale(monkeypatch):
     """A cache that looks at shapes alone, as one keyed by anything but the content would."""
-    for cache in warp_queries._caches.values():
+    for cache in warp_structures._caches.values():
         monkeypatch.setattr(cache, "entries", [])
     monkeypatch.setattr(bvh_cache, "_same", lambda a, b: a.shape == b.shape and a.dtype == b.dtype)
     yield
-    for cache in warp_queries._caches.values():
+    for cache in warp_structures._caches.values():
         cache.entries.clear()
 
 
@@ -146,7 +146,7 @@ def test_more_geometries_than_the_cache_holds():
     rng = np.random.default_rng(18)
     for k in rng.integers(40, size=200):
         assert same(trace(fans[k]), float(k))
-    for cache in warp_queries._caches.values():
+    for cache in warp_structures._caches.values():
         assert len(cache.entries) <= cache.capacity
 
 
