@@ -141,7 +141,7 @@ class Integrator:
     `boundary_options` are the estimator's arguments."""
 
     max_depth: int = 2
-    primary: Literal["fixed_ray", "material"] = "fixed_ray"
+    primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
     boundary: str = "KernelDensity"
     boundary_options: dict[str, Any] = field(default_factory=dict)
 
