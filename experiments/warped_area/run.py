@@ -134,12 +134,10 @@ def chess(settings: dict, folder: Path):
     of = scenes.chess(piece, settings["resolution"])
     shown = of.replace({"piece.vertices": _placed(piece.vertices, turns[0])})
     images, rows = compare(shown, "piece.vertices", [1, 0, 0], methods, settings)
-    targets = [
-        jd.render(
-            of.replace({"piece.vertices": _placed(piece.vertices, turn)}), jax.random.key(k), 256, jd.PathTracer(2)
-        )
-        for k, turn in enumerate(turns)
-    ]
+    targets = []
+    for k, turn in enumerate(turns):
+        posed = of.replace({"piece.vertices": _placed(piece.vertices, turn)})
+        targets.append(jd.render(posed, jax.random.key(k), 256, jd.PathTracer(2)))
     curves = {}
     for row, (method, boundary) in zip(rows, methods.items(), strict=True):
         curves[method] = _shaped(boundary, settings, piece, turns, jnp.stack(targets))

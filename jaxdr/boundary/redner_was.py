@@ -8,8 +8,8 @@ these curves where they are approached,
     dI/d theta = int [dF/d theta at a fixed direction + div (F v)] d sigma.
 
 `render`'s interior term is in material form: its directions move with the emitter's points, with a velocity m, so that
-it is int [dF/d theta + div (F m)] d sigma, point by point. What is added here is div (F v) - div (F m), a warp by v - m.
-So the sum is the spherical estimator, at the path tracer's own emitter samples.
+it is int [dF/d theta + div (F m)] d sigma, point by point. What is added here is div (F v) - div (F m): a warp by
+v - m. So the sum is the spherical estimator, at the path tracer's own emitter samples.
 """
 
 import dataclasses
@@ -37,8 +37,8 @@ class RednerWAS(eqx.Module):
     """Direct light in spherical form with warped areas (Xu et al. 2023, Eq. 55-57), for comparison; all fields static.
 
     The discontinuous velocity of a direction is that of the material point seen in it, on the emitter and on whatever
-    hides it (zero where nothing is seen), and B is that point's, Eq. 18. Every auxiliary direction costs one ray. Prefer
-    `WarpedArea`: there the emitter's outlines do not move, and need no warp.
+    hides it (zero where nothing is seen), and B is that point's, Eq. 18. Every auxiliary direction costs one ray.
+    Prefer `WarpedArea`: there the emitter's outlines do not move, and need no warp.
 
     - `distance`: "exponential" (Eq. 57), that of the original; or "path_space" (Eq. 16).
     - `normal_edges`: whether B vanishes at silhouettes that are edges between two faces, where the normal jumps: all
