@@ -75,9 +75,9 @@ def compare(of: jd.Scene, name: str, direction, methods: dict, settings: dict):
             {
                 "method": method,
                 "spp": spp,
-                "projection": along.mean(),
-                "uncertainty": along.std(ddof=1) / len(along) ** 0.5,
-                "error": np.sqrt(((found - truth) ** 2).mean() / (truth**2).mean()),
+                "projection": float(along.mean()),
+                "uncertainty": float(along.std(ddof=1) / len(along) ** 0.5),
+                "error": float(np.sqrt(((found - truth) ** 2).mean() / (truth**2).mean())),
             }
         )
         print(rows[-1], flush=True)
@@ -91,6 +91,7 @@ def star(settings: dict, folder: Path):
     images, rows = compare(
         star_light(resolution=settings["resolution"]), "light.vertices", [1, 0, 0], methods, settings
     )
+    write(folder, "star", images, rows, COLUMNS)
     curves = {}
     for method, boundary in methods.items():
         summary, points = _recovered(method, boundary, settings)
@@ -134,6 +135,7 @@ def chess(settings: dict, folder: Path):
     of = scenes.chess(piece, settings["resolution"])
     shown = of.replace({"piece.vertices": _placed(piece.vertices, turns[0])})
     images, rows = compare(shown, "piece.vertices", [1, 0, 0], methods, settings)
+    write(folder, "chess", images, rows, COLUMNS)
     targets = []
     for k, turn in enumerate(turns):
         posed = of.replace({"piece.vertices": _placed(piece.vertices, turn)})
@@ -222,6 +224,7 @@ def write(folder: Path, name: str, images: dict, rows: list, columns: dict, curv
         panels[-1].legend(fontsize=5)
     figure.tight_layout()
     figure.savefig(folder / f"{name}.png", dpi=110)
+    plt.close(figure)
 
 
 def main():
@@ -230,7 +233,8 @@ def main():
     options = parser.parse_args()
     settings = tomllib.loads((HERE / f"{options.figure}.toml").read_text())
     if options.quick:
-        settings |= {"keys": 2, "reference_spp": 16, "resolution": 16, "iterations": 4, "poses": 2, "every": 2}
+        settings |= {"keys": 2, "reference_spp": 16, "resolution": 16}
+        settings |= {"iterations": 4, "poses": 2, "every": 2}
     {"star": star, "chess": chess, "cube": cube}[options.figure](settings, common.results(STUDY, options.quick))
 
 

@@ -13,7 +13,7 @@ from tests.boundary import test_film_edges as film
 from tests.references.central_differences import central
 
 WARP = jd.WarpedArea(sigma0=0.02)
-SEEN = jd.PathTracer(1, WARP, primary="warp")
+SEEN, SEEN_WIDE = (jd.PathTracer(1, warp, primary="warp") for warp in (WARP, jd.WarpedArea(sigma0=0.05)))
 
 
 def smooth(of: jd.Scene, stddev=0.5) -> jd.Scene:
@@ -71,7 +71,7 @@ def translated(of: jd.Scene, key):
     def image(shift):
         moved = {"quad.vertices": values["quad.vertices"] + shift[0]}
         moved["camera.to_world"] = values["camera.to_world"].at[:3, 3].add(shift[1])
-        return jd.render(of.replace(moved), key, spp=32, integrator=SEEN).mean(-1)
+        return jd.render(of.replace(moved), key, spp=32, integrator=SEEN_WIDE).mean(-1)
 
     return jnp.moveaxis(jax.jacfwd(image)(jnp.zeros((2, 3))), 2, 0)
 
@@ -85,7 +85,7 @@ def test_side_of_a_half_plane_before_a_white_sky():
     for found, noise, true in zip(mean, error, (exact, -exact), strict=True):
         deviation = np.sqrt(((noise * true) ** 2).sum()) / (true**2).sum()
         projection = (found * true).sum() / (true**2).sum()
-        assert deviation < 0.02 and abs(projection - 1) < 0.02 + 4 * deviation, (projection, deviation)
+        assert deviation < 0.03 and abs(projection - 1) < 0.02 + 4 * deviation, (projection, deviation)
         assert np.all(np.abs(found - true) < 5 * noise + 0.04 * np.abs(true).max())
 
 
