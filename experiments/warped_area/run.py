@@ -38,13 +38,13 @@ COLUMNS = {
 
 def estimators(settings: dict) -> dict:
     """By the names in tables."""
-    path, exponential = {"sigma0": settings["sigma0"]}, {"distance": "exponential"}
+    sigma0 = float(settings["sigma0"])
     return {
-        "WarpedArea": jd.WarpedArea(**path),
-        "WarpedArea, exponential": jd.WarpedArea(**exponential),
-        "RednerWAS, path space": jd.RednerWAS("path_space", **path),
+        "WarpedArea": jd.WarpedArea(sigma0=sigma0),
+        "WarpedArea, exponential": jd.WarpedArea("exponential"),
+        "RednerWAS, path space": jd.RednerWAS("path_space", sigma0=sigma0),
         "RednerWAS": jd.RednerWAS(),
-        "RednerWAS, path space, no normal edges": jd.RednerWAS("path_space", False, **path),
+        "RednerWAS, path space, no normal edges": jd.RednerWAS("path_space", False, sigma0),
         "RednerWAS, no normal edges": jd.RednerWAS(normal_edges=False),
     }
 
@@ -180,7 +180,7 @@ def _shaped(boundary, settings: dict, piece: jd.Mesh, turns, targets) -> list[fl
         pose, key_step = i % len(turns), jax.random.fold_in(key, i)
         slope = gradient(of, latent, jnp.asarray(turns[pose], float), targets[pose], key_step)
         update, state = optimizer.update(slope, state)
-        latent = optax.apply_updates(latent, update)
+        latent = latent + jnp.asarray(update)
     return found
 
 

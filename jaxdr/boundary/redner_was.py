@@ -112,8 +112,9 @@ class RednerWAS(eqx.Module):
         reach = norm(away)
         reach = jnp.where(reach > 0, reach, 1.0)
         towards = jnp.where(ends.infinite[:, None], packed.turned(paths.table.direction), away / reach[:, None])
-        normal = normalize(jnp.cross(*(ends.corners[:, k] - ends.corners[:, 0] for k in (1, 2))))
-        area = norm(jnp.cross(*(ends.corners[:, k] - ends.corners[:, 0] for k in (1, 2))))
+        one, two = (ends.corners[:, k] - ends.corners[:, 0] for k in (1, 2))
+        cross = jnp.cross(one, two)
+        normal, area = normalize(cross), norm(cross)
         there = area > 0
         ratio = jnp.where(there, area, 1.0) / stop_gradient(jnp.where(there, area, 1.0))
         # Solid angle per area of the emitter's reference surface.
