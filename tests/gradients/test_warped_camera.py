@@ -92,7 +92,7 @@ def test_side_of_a_half_plane_before_a_white_sky():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["tilted", "inside"])
 def test_black_quadrangle_before_a_white_sky(case):
-    """Some is missing near corners, over a kernel width: 6 % of the whole here."""
+    """Some 6 % are missing here, as is expected near corners, over a kernel width."""
     corners = film.CASES[case]
     mean, error = estimate(smooth(film.scene({"quad": corners})))["quad.vertices"]
     exact = -central(lambda c: abs(film.signed_area(film.outline(c))), corners)
