@@ -6,6 +6,7 @@ from importlib.metadata import version as _version
 from jaxdr.aovs import render_aovs as render_aovs
 from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling as LineSampling
+from jaxdr.boundary.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.warped_area import WarpedArea as WarpedArea
 from jaxdr.geometry import shapes as shapes
 from jaxdr.geometry.load import load_mesh as load_mesh

@@ -6,6 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import BidirectionalSettings
@@ -42,7 +43,8 @@ class PathTracer(eqx.Module):
     - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and*
       the moving silhouettes and creases in the image (interior term only).
     - `primary`: "fixed_ray" (camera rays stay, moving edges in the image are explicit) or "material" (first hits move
-      with their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures).
+      with their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures). "warp" is
+      "material" with warped areas in place of the silhouettes in the image, for a boundary of `WarpedArea`.
     - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
       faster where emitters are small and always noisier where they are large or near.
     - `antithetic`: pairs of BSDF samples on opposite sides of the lobe's axis at the first hit (Zhang et al. 2021,
@@ -58,7 +60,7 @@ class PathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     boundary: BoundaryEstimator | None = eqx.field(static=True, default=KernelDensity())
-    primary: Literal["fixed_ray", "material"] = eqx.field(static=True, default="fixed_ray")
+    primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     antithetic: bool = eqx.field(static=True, default=False)
     edge_samples: float | None = eqx.field(static=True, default=None)
@@ -69,14 +71,21 @@ class PathTracer(eqx.Module):
         if self.max_depth < 1:
             raise ValueError(f"PathTracer: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
         for name, known in (
-            ("primary", ("fixed_ray", "material")),
+            ("primary", ("fixed_ray", "material", "warp")),
             ("sampling", ("mis", "emitter")),
             ("rays", CHOICES),
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
-        if self.antithetic and self.primary == "material":
-            raise ValueError('PathTracer: antithetic pairs need primary="fixed_ray": "material" pairs film offsets')
+        if self.antithetic and self.primary != "fixed_ray":
+            raise ValueError(
+                f'PathTracer: antithetic pairs need primary="fixed_ray": "{self.primary}" pairs film offsets'
+            )
+        if self.primary == "warp" and not isinstance(self.boundary, WarpedArea | None):
+            raise ValueError(
+                'PathTracer: primary="warp" needs boundary=WarpedArea(...) (or None), got '
+                f'{type(self.boundary).__name__}; or take primary="fixed_ray"'
+            )
         if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
         if self.settings.attached > 0 and self.sampling == "emitter":

@@ -27,10 +27,12 @@ from jaxdr.boundary.hard_shadows import (
 from jaxdr.boundary.pixel_borders import pixel_border_term
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.texture_jumps import check_still_jumps, check_still_maps
+from jaxdr.boundary.warped_camera import warped_camera_term
 from jaxdr.integrator import BidirectionalPathTracer, PathTracer
 from jaxdr.scene.bsdf import BSDF, NormalMap
 from jaxdr.scene.bsdf.base import only_delta, spreads_through
 from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.bidirectional import bidirectional_image
@@ -69,13 +71,14 @@ class Moving(NamedTuple):
 class Prepared(NamedTuple):
     """What all chunks share: distributions over edges and shadows, edges seen in mirrors, the estimator's own.
 
-    None where there are no such terms.
+    None where there are no such terms. `warps`: warped areas in place of the edges.
     """
 
     edges: EdgeDistribution | None = None
     boundary: Any = None
     shadows: ShadowDistribution | None = None
     chains: EdgeTable | None = None
+    warps: bool = False
 
 
 class Plan(NamedTuple):
@@ -105,9 +108,9 @@ def render(
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
     pixel_filter = scene.camera.film.filter
-    if isinstance(integrator, PathTracer) and integrator.primary == "material" and not pixel_filter.smooth:
+    if isinstance(integrator, PathTracer) and integrator.primary != "fixed_ray" and not pixel_filter.smooth:
         raise ValueError(
-            'render: primary="material" differentiates the pixel filter, and a '
+            f'render: primary="{integrator.primary}" differentiates the pixel filter, and a '
             f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
         )
     leaves, structure = jax.tree.flatten(scene)
@@ -122,7 +125,8 @@ def derivative_terms(
     """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
 
     Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
-    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`.
+    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`, with
+    `primary="warp"` `warp` in place of `silhouettes` and `creases`.
     Everything counts as moving unless `moving` says otherwise.
     """
     integrator = PathTracer() if integrator is None else integrator
@@ -266,10 +270,10 @@ def _check_transmission(packed: PackedScene, integrator: PathTracer) -> None:
     """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
     if not packed.has_delta_lobes:
         return
-    if integrator.primary == "material":
+    if integrator.primary != "fixed_ray":
         raise ValueError(
-            'render: visibility changes seen over delta lobes have no derivative with primary="material"; use '
-            'primary="fixed_ray", or boundary=None for the interior term alone'
+            f'render: visibility changes seen over delta lobes have no derivative with primary="{integrator.primary}"; '
+            'use primary="fixed_ray", or boundary=None for the interior term alone'
         )
     if packed.light_count and integrator.max_depth > 2:
         raise ValueError(
@@ -305,13 +309,31 @@ def _check_rough_glass(scene: Scene) -> None:
             )
 
 
+def _check_warp(packed: PackedScene) -> None:
+    """Raises ValueError for what a `warped_camera_term` does not know."""
+    if not isinstance(packed.camera, PinholeCamera):
+        raise ValueError(
+            f'render: primary="warp" needs a camera with a position, not {type(packed.camera).__name__}; take a '
+            'Perspective or a ThinLens, or primary="fixed_ray"'
+        )
+    if packed.light_count:
+        raise ValueError(
+            'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
+            'lights with an area, or primary="fixed_ray"'
+        )
+
+
 def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -> Prepared:
     """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
     edges = boundary = shadows = chains = None
+    warps = integrator.primary == "warp" and any(moving.seen)
     if any(moving.seen):
         if packed.has_delta_lobes and integrator.max_depth > 1:
             chains = chain_edges(packed, moving.seen, integrator.rays)
-        edges = edge_distribution(packed, moving.seen, key)
+        if warps:
+            _check_warp(packed)
+        else:
+            edges = edge_distribution(packed, moving.seen, key)
     if any(moving.seen) or moving.environment:
         boundary = integrator.boundary.prepare(packed, moving.seen, integrator.settings)
     if packed.light_count and integrator.max_depth > 1:
@@ -327,7 +349,7 @@ def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -
             )
         lights = moving.lights or (False,) * packed.light_count
         shadows = shadow_distribution(packed, moving.seen, lights, integrator.settings)
-    return Prepared(edges, boundary, shadows, chains)
+    return Prepared(edges, boundary, shadows, chains, warps)
 
 
 def _image_chunk(packed: PackedScene, samples, key, chunk_key, spp, integrator) -> dict:
@@ -354,7 +376,7 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
     _, _, width, height = packed.camera.film.window
     pixels, count = width * height, samples.shape[0]
     key_path, key_boundary, key_edges = jax.random.split(chunk_key, 3)
-    moves = prepared is not None and prepared.edges is not None
+    moves = prepared is not None and (prepared.edges is not None or prepared.warps)
     settings, form = integrator.settings, _form(packed, integrator, moves)
     if prepared is None:
         settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
@@ -378,6 +400,10 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
             sides = max(1, round(count * integrator.edge_points_per_sample / 4))
             key_borders = jax.random.fold_in(key_edges, 2)
             terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
+    if prepared.warps:
+        key_camera = jax.random.fold_in(key_edges, 4)
+        options = prepared.boundary, integrator.boundary, primary, record, key_camera, settings
+        terms["warp"] = gather(warped_camera_term(packed, *options))
     if prepared.boundary is not None:
         index = jnp.tile(samples, pixels)
         total = integrator.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
@@ -399,7 +425,7 @@ def _form(packed: PackedScene, integrator: PathTracer, moves: bool) -> str:
     """How first hits move, see `primary_samples`; without boundary terms of moving edges as they always did."""
     if not moves:
         return "fixed"
-    if integrator.primary == "material":
+    if integrator.primary != "fixed_ray":
         return "material"
     # Of direct light only what emitters that touch a surface send comes from close by: not worth a second form.
     pixel_filter = packed.camera.film.filter

@@ -32,7 +32,7 @@ def test_version_is_that_of_the_distribution():
     "name",
     "Mesh Scene Shape Perspective Film Gaussian Box Tent Diffuse TwoSided AreaEmitter ConstantEnvironment load_mesh "
     "load_mitsuba load_gltf load_image write_image look_at render PathTracer KernelDensity LineSampling WarpedArea "
-    "LargeSteps adam_uniform remesh chamfer losses".split(),
+    "RednerWAS LargeSteps adam_uniform remesh chamfer losses".split(),
 )
 def test_name_of_the_contract_is_public_and_documented(name):
     assert (getattr(jaxdr, name).__doc__ or "").strip()

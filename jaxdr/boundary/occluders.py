@@ -57,13 +57,15 @@ def find_occluders(
     points: Auxiliary,
     kernel: Kernel,
     rays: str,
+    normal_edges: bool = True,
 ) -> Occluders:
     """One ray from each apex to each auxiliary point on the side of the surface that the target shows; all detached.
 
     - Seen points have no velocity, and B = 1, less near an open edge or a crease of their surface: beyond it there is
       no f, or another one, so nothing may flow over it.
     - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
-      vanishes: distances to silhouette edges of the face that is hit count as those to open edges do.
+      vanishes: distances to silhouette edges of the face that is hit count as those to open edges do, unless
+      `normal_edges` is off.
     - Points on the other side of their surface (back-facing) have no velocity and their own B^dist. Nor have those
       below the horizon of the apex: f vanishes where they begin. Where normals are interpolated it does not, and the
       plane of the apex's own face hides them.
@@ -98,7 +100,7 @@ def find_occluders(
     width = kernel.sigma * norm(ends.target - ends.apex)[row]
     boundary = jnp.where(infinite, 1.0, _to_fixed_edges(packed, faces, face, barycentric, width))
     boundary = jnp.where(alike, boundary, jnp.minimum(boundary, back))
-    boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position), boundary)
+    boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position, normal_edges), boundary)
     own = None
     if packed.normals is not None:
         own = there & alike & ~above
@@ -129,7 +131,7 @@ def _to_fixed_edges(packed: PackedScene, faces: Faces, face, barycentric, width)
     return jnp.minimum(share.min(-1), 1.0)
 
 
-def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex):
+def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
     """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
     corners = packed.vertices[packed.faces[face]]
     position = interpolate(corners, barycentric)
@@ -141,6 +143,6 @@ def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, ape
     # A point on side k for each of the sides: the corner after k.
     on_side = jnp.roll(corners, -1, axis=1) - apex[:, None]
     neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
-    ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0)
+    ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0) if normal_edges else behind < 0
     to_side = jnp.where(ends_here, _to_sides(packed, face, barycentric), jnp.inf).min(-1)
     return jnp.minimum(jnp.abs(slope), to_side) / length

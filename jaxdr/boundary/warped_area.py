@@ -272,26 +272,35 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     seen = stop_gradient(_geometry(ends, ends.target)[1]) * scatterer.eval(_geometry(ends, ends.target)[0])
     # Their weights contain that of the segment itself, at its target.
     itself = jnp.where(seen != 0, 1.0 / jnp.where(seen != 0, seen, 1.0), 0.0)
-    parts: list[tuple[Segments, Int[Array, " N"], Bool[Array, " N"]]] = [(direct.table, after, direct.table.visible)]
+    parts: list[Onward] = [(direct.table, after, direct.table.visible)]
     if paths.count > paths.paths:
         parts.append((paths.table, after, paths.table.visible))
 
     def measure(position):
         towards, factor = _geometry(ends, position)
         point = on_fixed_ray(packed, position, ends.normal, ends.face)
-        target = Scatterer(packed, point, -towards)
-        arriving = jnp.zeros_like(position)
-        for table, number, visible in parts:
-            there = number < table.target_face.shape[0]
-            number = jnp.where(there, number, 0)
-            corners = packed.vertices[packed.faces[table.target_face[number]]]
-            end = interpolate(corners, table.target_barycentric[number])
-            normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-            infinite, direction = table.infinite[number], table.direction[number]
-            beyond = SegmentEnds(position, ends.face, end, normal, table.target_face[number], corners, infinite)
-            outgoing, geometry = _geometry(beyond, jnp.where(infinite[:, None], position + direction, end))
-            carried = jnp.where((there & visible[number])[:, None], table.weight[number], 0.0)
-            arriving += carried * target.eval(outgoing) * geometry
+        arriving = sent_back(packed, Scatterer(packed, point, -towards), parts)
         return itself * scatterer.eval(towards) * factor * arriving
 
     return measure
+
+
+# Segments that lead on from N targets: a table, their numbers in it, and which of the table's are not hidden.
+Onward = tuple[Segments, Int[Array, " N"], Bool[Array, " S"]]
+
+
+def sent_back(packed: PackedScene, target: Scatterer, parts: list[Onward]) -> Float[Array, "N 3"]:
+    """f / pdf of what targets scatter as they slide over their faces; the far ends of the segments stay."""
+    position, arriving = target.point.position, jnp.zeros_like(target.point.position)
+    for table, number, visible in parts:
+        there = number < table.target_face.shape[0]
+        number = jnp.where(there, number, 0)
+        corners = packed.vertices[packed.faces[table.target_face[number]]]
+        end = interpolate(corners, table.target_barycentric[number])
+        normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        infinite, direction = table.infinite[number], table.direction[number]
+        beyond = SegmentEnds(position, target.point.face, end, normal, table.target_face[number], corners, infinite)
+        outgoing, geometry = _geometry(beyond, jnp.where(infinite[:, None], position + direction, end))
+        carried = jnp.where((there & visible[number])[:, None], table.weight[number], 0.0)
+        arriving += carried * target.eval(outgoing) * geometry
+    return arriving

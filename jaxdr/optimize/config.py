@@ -141,7 +141,8 @@ class Integrator:
     `boundary_options` are the estimator's arguments."""
 
     max_depth: int = 2
-    primary: Literal["fixed_ray", "material"] = "fixed_ray"
+    primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
+    sampling: Literal["mis", "emitter"] = "mis"
     boundary: str = "KernelDensity"
     boundary_options: dict[str, Any] = field(default_factory=dict)
 
@@ -156,7 +157,7 @@ class Integrator:
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
         require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
-        return PathTracer(max_depth=self.max_depth, boundary=boundary, primary=self.primary)
+        return PathTracer(self.max_depth, boundary, self.primary, self.sampling)
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def test_overrides(write, override, read):
         ("lights = []", r"lights: the scene is dark"),
         (
             '[integrator]\nboundary = "Kernel"',
-            r"integrator\.boundary: expected one of KernelDensity, LineSampling, WarpedArea, none, got 'Kernel'",
+            r"integrator\.boundary: expected one of KernelDensity, .*RednerWAS, WarpedArea, none, got 'Kernel'",
         ),
         (
             "[integrator.boundary_options]\nradios = 1",

@@ -125,10 +125,31 @@ def still_life(*, resolution: int = 48, light: float = 25.0) -> Scene:
     )
 
 
+def star_light(*, resolution: int = 48, points: int = 5, radiance: float = 12.0) -> Scene:
+    """A figure on a pedestal under `light`, a star with `points` tips that the camera does not see (Xu et al. 2023).
+
+    Its tips show in the shadow alone. `resolution` is the image's width and height in pixels.
+    """
+    turned = np.eye(4)
+    turned[:3, 3] = (0.0, 0.0, FLOOR + 0.75)
+    figure = transformed(centred(shapes.duck(3), 0.9), turned)
+    star = transformed(shapes.star(points, 0.6, 0.24), look_at((0.5, -0.4, 1.9), (0.0, 0.0, FLOOR), (0, 0, 1)))
+    return Scene(
+        shapes={
+            "figure": Shape(figure, Diffuse((0.6, 0.55, 0.5))),
+            "pedestal": Shape(shapes.box((0.5, 0.5, 0.4), (0.0, 0.0, FLOOR + 0.2)), Diffuse(0.5)),
+            "light": Shape(star, Diffuse(0.0), AreaEmitter(radiance)),
+            "floor": _floor(),
+        },
+        camera=_camera((0.0, -3.2, 1.6), 38.0, resolution),
+    )
+
+
 SCENES: dict[str, Callable[..., Scene]] = {
     "textured_object": textured_object,
     "glossy_object": glossy_object,
     "still_life": still_life,
+    "star_light": star_light,
 }
 
 

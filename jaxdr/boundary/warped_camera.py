@@ -1,0 +1,162 @@
+"""The camera's segment with warped areas (Xu et al. 2023): `PathTracer(primary="warp")`.
+
+First hits are material points, and what no surface covers stays fixed on the film; over both, f is the pixel filter
+times what is sent to the camera, as in `warped_area`, with the camera for the apex. So the boundary of what the camera
+sees is that of occlusion alone, and no edge is looked for.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.continuous_velocity import draw_auxiliary, velocity_field
+from jaxdr.boundary.occluders import Faces, find_occluders
+from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.warped_area import Hidden, Measure, Onward, WarpedArea, displacement, sent_back
+from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
+from jaxdr.scene.camera import View
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted
+from jaxdr.transport.interaction import SurfacePoint, on_fixed_ray
+from jaxdr.transport.path import PathRecord, PathSettings
+from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.shading import Scatterer
+
+
+def warped_camera_term(
+    packed: PackedScene,
+    faces: Faces,
+    warp: WarpedArea,
+    primary: PrimarySamples,
+    record: PathRecord,
+    key: PRNGKeyArray,
+    settings: PathSettings,
+) -> Float[Array, "N 3"]:
+    """Boundary term of the camera's segments of N paths: zero in value, right in derivative.
+
+    `faces` are what `warp.prepare` found; `primary` is in material form, under a smooth filter.
+    """
+    count = primary.first.face.shape[0]
+    fixed, fixed_view = stop_gradient((packed, primary.view))
+    ends = _ends(fixed, fixed_view, primary)
+    lights_up = fixed.environment is not None
+    f = _measure(fixed, fixed_view, record, ends)
+    value = f(ends.target)
+    lit = (value != 0).any(-1)
+    room = min(warp.projections, fixed.faces.shape[0])
+    options = warp.samples, room, key, settings.rays, True, lights_up
+    points = draw_auxiliary(fixed, faces.normal, ends, lit, warp.kernel, *options)
+    apex = _apex(fixed, fixed_view, ends)
+    occluders = find_occluders(fixed, faces, apex, ends, points, warp.kernel, settings.rays)
+    field = velocity_field(warp.kernel, ends, points, occluders.boundary, warp.debias, lights_up)
+    slopes = []
+    for tangent in orthonormal_basis(ends.normal):
+        slope = jax.jvp(f, (ends.target,), (tangent,))[1]
+        slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
+    points, occluders, field, value, slopes = stop_gradient((points, occluders, field, value, slopes))
+
+    # A camera lies in no face that could hide anything.
+    hidden = occluders.hidden if occluders.own is None else occluders.hidden & ~occluders.own
+    hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
+    shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
+    rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
+    slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
+    used = hidden.sum()
+    table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric)
+    per_path = points.there.shape[1] * points.there.shape[2]
+
+    def terms(slot, number):
+        row = slot // per_path
+        seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], table), ends.infinite[row]
+        moved = _displacement(packed, primary.view.row(row), far, seen)
+        result = value[row] * dot(rates[slot], moved)[:, None]
+        for tangent, slope in slopes:
+            result += slope[row] * (shares[slot] * dot(tangent[row], moved))[:, None]
+        result = jnp.where((number < used)[:, None], result, 0.0)
+        return jnp.zeros((count, 3), result.dtype).at[row].add(result)
+
+    return sum_over_blocks(jax.checkpoint(terms), slots, used)
+
+
+def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEnds:
+    """From the camera to first hits, or where there are none to the sphere around it; detached."""
+    first, direction = stop_gradient((primary.first, primary.direction))
+    apex = jnp.broadcast_to(view.position, direction.shape)
+    missed = ~first.valid
+    far = missed[:, None]
+    return SegmentEnds(
+        apex=apex,
+        apex_face=jnp.zeros_like(first.face),
+        target=jnp.where(far, apex + packed.size() * direction, first.position),
+        normal=jnp.where(far, direction, first.normal),
+        face=first.face,
+        corners=packed.vertices[packed.faces[first.face]],
+        infinite=missed,
+    )
+
+
+def _apex(packed: PackedScene, view: View, ends: SegmentEnds) -> SurfacePoint:
+    """The camera in the form that `find_occluders` takes: in a plane behind everything that it sees."""
+    count = ends.infinite.shape[0]
+    ones = jnp.ones(count, ends.apex.dtype)
+    forward = jnp.broadcast_to(normalize(view.matrix[:, 2]), ends.apex.shape)
+    third = jnp.full_like(ends.apex, 1 / 3)
+    return SurfacePoint(ends.infinite | True, ends.apex_face, third, ends.apex, forward, forward, ones, 0.0 * ones)
+
+
+def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentEnds) -> Measure:
+    """Pixel filter x film per area (on the sphere: of it) x radiance towards the camera, over the samples' density.
+
+    The density is that of the filter: of the first two factors only their change is left.
+    """
+    count = ends.infinite.shape[0]
+    far = ends.infinite[:, None]
+    centre = _pixel_centres(view, count)
+    parts: list[Onward] = []
+    for segments in (record.direct, record.scattered):
+        if segments is not None:
+            first = jax.tree.map(lambda a: a[0], segments)
+            parts.append((first, jnp.arange(count), first.visible))
+
+    def importance(position):
+        normal = jnp.where(far, normalize(position - ends.apex), ends.normal)
+        local = view.local(position)
+        return view.film.filter.pdf(view.project_local(local) - centre) * view.film_area(local, normal)
+
+    detached = stop_gradient(importance(ends.target))
+    seen = detached > 0
+    scale = jnp.where(seen, 1.0 / jnp.where(seen, detached, 1.0), 0.0)
+
+    def measure(position):
+        towards = normalize(position - ends.apex)
+        point = on_fixed_ray(packed, position, ends.normal, jnp.where(ends.infinite, -1, ends.face))
+        radiance = emitted(packed, point, -towards)
+        if parts:
+            back = sent_back(packed, Scatterer(packed, point, -towards), parts)
+            radiance += jnp.where(far, 0.0, back)
+        return (importance(position) * scale)[:, None] * radiance
+
+    return measure
+
+
+def _pixel_centres(view: View, count: int) -> Float[Array, "N 2"]:
+    """Of N samples, those of a pixel in a row, as `primary_samples` has them."""
+    x0, y0, width, height = view.film.window
+    row, column = jnp.divmod(jnp.arange(count) // (count // (width * height)), width)
+    return jnp.stack([column + x0, row + y0], -1) + 0.5
+
+
+def _displacement(packed: PackedScene, view: View, far: Bool[Array, " C"], seen: Hidden) -> Float[Array, "C 3"]:
+    """As `warped_area.displacement`, seen from a camera: on the sphere, points that are fixed on the film stay."""
+    apex = jnp.broadcast_to(view.position, seen.position.shape)
+    moved = displacement(packed, apex, jnp.zeros_like(far), seen)
+    if packed.environment is None:
+        return moved
+    offset = seen.position - stop_gradient(apex)
+    before = packed.vertices[packed.faces[seen.occluder]]
+    towards = normalize(interpolate(before, seen.on_occluder) - apex)
+    still = view.rays(stop_gradient(view.project(seen.position)))[1]
+    on_sphere = norm(offset)[:, None] * (towards - still)
+    return jnp.where(far[:, None], on_sphere - stop_gradient(on_sphere), moved)
