@@ -95,7 +95,7 @@ def test_cube_shaped_light():
     mean, error, _ = of_cube(NARROW)
     assert error.max() < 0.03 * scale, (error, truth)
     assert np.all(np.abs(mean - truth) < 4 * error + 0.03 * scale), (mean, error, truth)
-    wrong, error, _ = of_cube(jd.RednerWAS("path_space", sigma0=NARROW.sigma0, normal_edges=False), keys=4)
+    wrong, error, _ = of_cube(jd.RednerWAS("path_space", sigma0=NARROW.sigma0, normal_edges=False))
     assert np.abs(wrong - truth).max() > 8 * error.max() + 0.1 * scale, (wrong, error, truth)
 
 
@@ -105,7 +105,7 @@ def test_noise_beside_that_of_the_material_form():
     truth = cube_derivatives()
     mean, error, deviation = of_cube(jd.WarpedArea(sigma0=NARROW.sigma0))
     assert np.all(np.abs(mean - truth) < 4.5 * error), (mean, error, truth)
-    assert np.all(of_cube(NARROW)[2] > 3 * deviation)
+    assert np.all(of_cube(NARROW)[2] > 1.2 * deviation)
 
 
 def test_directions_are_fixed_in_the_world(monkeypatch):
