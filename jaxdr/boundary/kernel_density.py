@@ -205,12 +205,17 @@ class KernelDensity(eqx.Module):
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
     def _boundary_points(
-        self, packed, prepared, paths: PathSegments, scale, both_sides: bool, sky: bool, key, rays
+        self, packed, prepared, paths: PathSegments, scale, both_sides: bool, sky: bool, key, rays, there=False
     ) -> BoundaryPoints:
-        """Boundary points within the kernel's radius of the segments' targets; those of no `scale` have none."""
+        """Boundary points within the kernel's radius of the segments' targets; those of no `scale` have none.
+
+        The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
+        """
         ends = jax.tree.map(stop_gradient, paths.ends(jnp.arange(paths.count)))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
+        if there:  # longer by a radius at most
+            widest = widest / max(1.0 - self.widest, 0.5)
         pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, both_sides, key, rays)
 
         valid = pairs.segment >= 0
@@ -219,8 +224,11 @@ class KernelDensity(eqx.Module):
         projection = project_edges(packed, edge, ends, along)
         r = prepared.radius[edge] * scale[segment]
         magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
-        r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
+        limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
+        r = jnp.maximum(r, jnp.minimum(magnified, limit))
         r = jnp.where(valid, r, 1.0)
+        if there:
+            valid = valid & (norm(projection.point - stop_gradient(ends.target)) < r)
 
         goal = projection.point if self.at_boundary else stop_gradient(ends.target)
         if sky and self.at_boundary:
@@ -263,7 +271,7 @@ class KernelDensity(eqx.Module):
         lit = (used[:, :, None] & (weight > 0)).any(1)
         scale = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
         scale = jnp.where(lit, scale, 0.0).reshape(-1)
-        found = self._boundary_points(packed, prepared, paths, scale, False, packed.has_varying_sky, key, rays)
+        found = self._boundary_points(packed, prepared, paths, scale, False, packed.has_varying_sky, key, rays, True)
         size = found.valid.shape[0]
         slots, count = jnp.nonzero(found.valid, size=size, fill_value=0)[0], found.valid.sum()
         displacement = found.projection.displacement - stop_gradient(found.projection.displacement)
