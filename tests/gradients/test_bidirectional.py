@@ -162,11 +162,11 @@ def test_what_moves_a_shadow_is_the_closed_form(name):
     exactly = np.abs(truth[:, 0]).sum()
     rows = []
     for key in jax.random.split(jax.random.key(4), 16):
-        value, derivative = by_strategy(of, along, key, boundary, 256, 2)
+        value, derivative = by_strategy(of, along, key, boundary, 128, 2)
         assert not np.asarray(value).any()
         rows.append(np.asarray(derivative, float).mean((1, 2, 3)))
     mean, error = (dict(zip(names(2), x, strict=True)) for x in point.mean_and_error(np.stack(rows) / exactly))
-    for strategy, widest in (((0, 3), 0.08), ((1, 2), 0.05)):
+    for strategy, widest in (((0, 3), 0.08), ((1, 2), 0.06)):
         assert error[strategy] < widest, (strategy, error)
         assert abs(mean[strategy] - 1.0) < 0.02 + 4 * error[strategy], (strategy, mean, error)
 
