@@ -9,7 +9,7 @@ from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.bidirectional import BidirectionalSettings
+from jaxdr.transport.bidirectional import BidirectionalSettings, Drawn
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 
@@ -34,6 +34,25 @@ class BoundaryEstimator(Protocol):
         key: PRNGKeyArray,
         settings: PathSettings,
     ) -> Float[Array, "N 3"]: ...
+
+
+@runtime_checkable
+class ConnectedEstimator(Protocol):
+    """The same for pairs of subpaths: boundary terms of what every strategy contributes, [C, N, 3], with its weight."""
+
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
+
+    def estimate_connected(
+        self,
+        packed: PackedScene,
+        prepared: Any,
+        primary: PrimarySamples,
+        drawn: Drawn,
+        weight: Float[Array, "C N"],
+        sample_index: Int[Array, " N"],
+        key: PRNGKeyArray,
+        rays: str,
+    ) -> Float[Array, "C N 3"]: ...
 
 
 class PathTracer(eqx.Module):
@@ -97,9 +116,7 @@ class PathTracer(eqx.Module):
     @property
     def edge_points_per_sample(self) -> float:
         """`edge_samples`, or its default for this depth."""
-        if self.edge_samples is None:
-            return 0.125 if self.max_depth <= 2 else 1.0
-        return self.edge_samples
+        return _edge_points_per_sample(self)
 
     def paths_at_once(self, differentiated: bool) -> int:
         """Paths in a chunk: more in an image that nobody differentiates, which keeps nothing of them.
@@ -115,6 +132,12 @@ class PathTracer(eqx.Module):
         return PathSettings(self.max_depth, self.sampling == "mis", self.rays, attached)
 
 
+def _edge_points_per_sample(integrator) -> float:
+    if integrator.edge_samples is None:
+        return 0.125 if integrator.max_depth <= 2 else 1.0
+    return integrator.edge_samples
+
+
 HEURISTICS = {"balance": 1, "power": 2}  # the powers of densities that weights are shares of
 
 
@@ -126,17 +149,19 @@ class BidirectionalPathTracer(eqx.Module):
     spots, projectors and from one direction that mirrors and smooth glass throw onto surfaces. No path from the camera
     finds it, so that `PathTracer` leaves it out.
 
-    Its derivative is the interior term alone, of paths whose vertices are all material points. In what moves nothing
-    (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment) that is the whole
-    derivative. In what does (vertices, camera, positions and directions of lights) visibility changes are missing,
-    silhouettes and creases in the image too, as for `PathTracer(boundary=None)`; first hits are material points, so
-    the pixel filter is differentiated and has to be Gaussian where surfaces move in the image. Paths over delta lobes
-    do not move with what bends them: derivatives by anything that moves, by the index of smooth glass or by normals of
-    mirrors raise ValueError in scenes with delta lobes.
+    In what moves nothing (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment)
+    its derivative needs no boundary terms. In what does (vertices, camera) all vertices of paths are material points,
+    the first hits too, so the pixel filter is differentiated and has to be Gaussian where surfaces move in the image.
+    `boundary` is the estimator of visibility changes, `KernelDensity` or `WarpedArea`, for the segments of paths that
+    all strategies find (docs/bidirectional_boundary.md); silhouettes in the image are explicit, as `PathTracer` has
+    them. With None visibility changes are missing. Raises ValueError for the boundary terms of lights without area.
+    Paths over delta lobes do not move with what bends them: derivatives by anything that moves, by the index of smooth
+    glass or by normals of mirrors raise ValueError in scenes with delta lobes.
 
     - `max_depth`: longest path in segments, as `PathTracer` counts.
     - `heuristic`: "balance" or "power" (2) combination of all strategies.
-    - `boundary`: None; estimators of visibility changes come with `PathTracer`.
+    - `boundary`: estimator of visibility changes behind the first hit, or None: the interior term only.
+    - `edge_samples`: as of `PathTracer`.
     - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample; memory is
       proportional to it and independent of the samples per pixel, but there is a sample of every pixel at least.
     - `rays`: as of `PathTracer`.
@@ -144,7 +169,8 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: BoundaryEstimator | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | None = eqx.field(static=True, default=None)
+    edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 18)
     rays: str = eqx.field(static=True, default="auto")
 
@@ -155,13 +181,21 @@ class BidirectionalPathTracer(eqx.Module):
         for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES)):
             if getattr(self, field) not in known:
                 raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")
-        if self.boundary is not None:
+        if self.boundary is not None and not isinstance(self.boundary, ConnectedEstimator):
+            estimator = type(self.boundary).__name__
             raise ValueError(
-                f"{name}: boundary must be None: visibility changes of connected subpaths have no derivative yet; for "
-                f"derivatives by what moves take PathTracer(boundary={type(self.boundary).__name__}(...))"
+                f"{name}: boundary must be KernelDensity(...), WarpedArea(...) or None; {estimator} has no form for "
+                f"connected subpaths: for it take PathTracer(boundary={estimator}(...))"
             )
+        if self.edge_samples is not None and not self.edge_samples > 0:
+            raise ValueError(f"{name}: edge_samples must be positive")
         if self.chunk_size < 1:
             raise ValueError(f"{name}: chunk_size must be positive")
+
+    @property
+    def edge_points_per_sample(self) -> float:
+        """`edge_samples`, or its default for this depth."""
+        return _edge_points_per_sample(self)
 
     def paths_at_once(self, differentiated: bool) -> int:
         """Pairs of subpaths in a chunk."""

@@ -35,8 +35,9 @@ from jaxdr.scene.camera import Perspective
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.transport.bidirectional import bidirectional_image
-from jaxdr.transport.path import trace_paths
+from jaxdr.transport.bidirectional import bidirectional_paths
+from jaxdr.transport.emission import has_emitters
+from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.primary import primary_samples
 from jaxdr.transport.radiance import arriving_radiance
 
@@ -221,6 +222,10 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
         if moving is not None and moving.any:
             _check_motion(packed, moving)
             material = any(moving.seen)
+            if integrator.boundary is not None:
+                _check_connected(scene, packed, moving)
+                key, pilot_key = jax.random.split(key)
+                prepared = _prepare_connected(packed, moving, pilot_key, integrator) if material else None
     elif moving is not None and moving.any and integrator.boundary is not None:
         _check_rough_glass(scene)
         _check_transmission(packed, integrator)
@@ -234,8 +239,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
         samples = index * per_chunk + jnp.arange(per_chunk)
         key_chunk = jax.random.fold_in(key_chunks, index)
         if isinstance(integrator, BidirectionalPathTracer):
-            settings = integrator.settings
-            return {"interior": bidirectional_image(packed, samples, key_film, key_chunk, spp, settings, material)}
+            return _bidirectional_chunk(packed, prepared, samples, key_film, key_chunk, spp, integrator, material)
         if moving is None:
             return _image_chunk(packed, samples, key_film, key_chunk, spp, integrator)
         return _chunk(packed, prepared, samples, key_film, key_chunk, spp, integrator)
@@ -263,6 +267,16 @@ def _check_motion(packed: PackedScene, moving: Moving) -> None:
         raise ValueError(
             f"render: a {name} differentiates the pixel filter where surfaces move, and a "
             f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian, or {remedy}"
+        )
+
+
+def _check_connected(scene: Scene, packed: PackedScene, moving: Moving) -> None:
+    """Raises ValueError for what a `BidirectionalPathTracer` has no boundary terms of."""
+    _check_rough_glass(scene)
+    if packed.light_count and (any(moving.seen) or any(moving.lights)):
+        raise ValueError(
+            "render: shadows of lights without area have no derivative with a BidirectionalPathTracer; take lights "
+            "with an area, PathTracer, or boundary=None for the interior term alone"
         )
 
 
@@ -350,6 +364,38 @@ def _prepare(packed: PackedScene, moving: Moving, key, integrator: PathTracer) -
         lights = moving.lights or (False,) * packed.light_count
         shadows = shadow_distribution(packed, moving.seen, lights, integrator.settings)
     return Prepared(edges, boundary, shadows, chains, warps)
+
+
+def _prepare_connected(packed: PackedScene, moving: Moving, key, integrator: BidirectionalPathTracer) -> Prepared:
+    """The same for pairs of subpaths."""
+    settings = PathSettings(integrator.max_depth, True, integrator.rays)
+    boundary = integrator.boundary.prepare(packed, moving.seen, settings)
+    return Prepared(edge_distribution(packed, moving.seen, key), boundary)
+
+
+def _bidirectional_chunk(
+    packed: PackedScene, prepared: Prepared | None, samples, key, chunk_key, spp, integrator, moving: bool
+) -> dict:
+    """The same as `_chunk` for pairs of subpaths."""
+    film, rays = packed.camera.film, integrator.rays
+    primary, found = bidirectional_paths(packed, samples, key, chunk_key, integrator.settings, moving)
+    share = _weights(samples, spp, found.value.dtype)
+    terms = {"interior": found.image(film, found.value * found.weight[..., None], share, moving)}
+    if prepared is None:
+        return terms
+    _, _, width, height = film.window
+    key_boundary, key_edges = jax.random.split(jax.random.fold_in(chunk_key, 1))
+    points = max(1, round(primary.u.shape[0] * integrator.edge_points_per_sample))
+    settings = PathSettings(integrator.max_depth, True, rays)
+    edges = film_edge_terms(packed, prepared.edges, points, key_edges, settings, "material")
+    terms["silhouettes"] = share.sum() * edges.silhouettes
+    if found.drawn is not None and has_emitters(packed):
+        index = jnp.tile(samples, width * height)
+        weight = jnp.where((found.value != 0).any(-1), found.weight, 0.0)
+        options = weight, index, key_boundary, rays
+        values = integrator.boundary.estimate_connected(packed, prepared.boundary, primary, found.drawn, *options)
+        terms["boundary"] = found.image(film, values, share, False)
+    return terms
 
 
 def _image_chunk(packed: PackedScene, samples, key, chunk_key, spp, integrator) -> dict:

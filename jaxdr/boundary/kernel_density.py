@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
 from jaxdr.boundary.lobe_kernel import lobe_term
 from jaxdr.boundary.silhouettes import (
@@ -25,9 +26,11 @@ from jaxdr.boundary.silhouettes import (
 )
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.interaction import leave
+from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
 from jaxdr.transport.path import PathRecord, PathSettings, Segments
 from jaxdr.transport.primary import PrimarySamples
 
@@ -41,6 +44,21 @@ class Prepared(NamedTuple):
     radius: Float[Array, " E"]
     tree: EdgeTree
     group: Int[Array, " F"] | None = None
+
+
+class BoundaryPoints(NamedTuple):
+    """Points of boundaries near targets, by `segment`; only `valid` ones count.
+
+    `goal` is where the contribution is evaluated, `share` the density of the kernel there (per area of the plane at the
+    target, times length of boundary). `ends` and `projection` are differentiable as they say.
+    """
+
+    segment: Int[Array, " C"]
+    ends: SegmentEnds
+    projection: Projection
+    goal: Float[Array, "C 3"]
+    share: Float[Array, " C"]
+    valid: Bool[Array, " C"]
 
 
 class KernelDensity(eqx.Module):
@@ -73,6 +91,10 @@ class KernelDensity(eqx.Module):
 
     `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
     random without bias, with a warning. Direct light is weighted by emitter sampling alone, without MIS.
+
+    With a `BidirectionalPathTracer` every strategy counts with its weight, for paths with the vertex near the boundary
+    moved onto it. Kernels then lie on the visible side, whatever `both_sides` and `trace_background` say: corners of
+    what is visible below 180 degrees cause a bias of first order in r, and so does a curved target.
     """
 
     radius: float = eqx.field(static=True, default=0.02)
@@ -162,7 +184,6 @@ class KernelDensity(eqx.Module):
 
     def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""
-        every = jnp.arange(paths.count)
         lit = (paths.table.weight != 0).any(-1)
         # Black where a path meets them, a map or a textured emitter may glow at the boundary.
         sky = paths.table.unlit is not None and packed.has_varying_sky
@@ -175,10 +196,27 @@ class KernelDensity(eqx.Module):
                 lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
         scale = jnp.where(lit, jnp.tile(scale, segments.apex_face.shape[0]), 0.0)
-        ends = jax.tree.map(stop_gradient, paths.ends(every))
+        found = self._boundary_points(packed, prepared, paths, scale, both_sides, sky, key, settings.rays)
+        segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
+        radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
+        weight = paths.weight(segment, goal, radiance) * paths.transfer(segment, ends, goal) * found.share[:, None]
+        displacement = projection.displacement - stop_gradient(projection.displacement)
+        value = jnp.where(found.valid[:, None], weight, 0.0) * displacement[:, None]
+        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
+
+    def _boundary_points(
+        self, packed, prepared, paths: PathSegments, scale, both_sides: bool, sky: bool, key, rays, there=False
+    ) -> BoundaryPoints:
+        """Boundary points within the kernel's radius of the segments' targets; those of no `scale` have none.
+
+        The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
+        """
+        ends = jax.tree.map(stop_gradient, paths.ends(jnp.arange(paths.count)))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
-        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, both_sides, key, settings)
+        if there:  # longer by a radius at most
+            widest = widest / max(1.0 - self.widest, 0.5)
+        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, both_sides, key, rays)
 
         valid = pairs.segment >= 0
         segment = jnp.where(valid, pairs.segment, 0)
@@ -186,8 +224,11 @@ class KernelDensity(eqx.Module):
         projection = project_edges(packed, edge, ends, along)
         r = prepared.radius[edge] * scale[segment]
         magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
-        r = jnp.maximum(r, jnp.minimum(magnified, widest[segment]))
+        limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
+        r = jnp.maximum(r, jnp.minimum(magnified, limit))
         r = jnp.where(valid, r, 1.0)
+        if there:
+            valid = valid & (norm(projection.point - stop_gradient(ends.target)) < r)
 
         goal = projection.point if self.at_boundary else stop_gradient(ends.target)
         if sky and self.at_boundary:
@@ -205,37 +246,74 @@ class KernelDensity(eqx.Module):
         else:
             disc = jnp.pi * r**2 if both_sides else 0.5 * jnp.pi * r**2
             share = density * projection.stretch / disc  # Eq. 16, 19
-        radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
-        weight = (
-            paths.weight(segment, goal, radiance)
-            * paths.transfer(segment, ends, goal)
-            * (share * pairs.weight)[:, None]
-        )
         if self.visibility_ray:
-            valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, settings)
-        displacement = projection.displacement - stop_gradient(projection.displacement)
-        value = jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
-        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
+            valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, rays)
+        return BoundaryPoints(segment, ends, projection, goal, share * pairs.weight, valid)
+
+    def estimate_connected(
+        self,
+        packed: PackedScene,
+        prepared: Prepared,
+        primary: PrimarySamples,
+        drawn: Drawn,
+        weight: Float[Array, "C N"],
+        sample_index: Int[Array, " N"],
+        key: PRNGKeyArray,
+        rays: str,
+    ) -> Float[Array, "C N 3"]:
+        """Boundary terms of the paths of all strategies: zero in value, right in derivative.
+
+        `weight` is that of the strategies, zero where a path carries nothing. A path with a target close to a boundary
+        stands for the one with that vertex on the boundary and all else as it is. Kernels lie on the visible side.
+        """
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
+        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        lit = (used[:, :, None] & (weight > 0)).any(1)
+        scale = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
+        scale = jnp.where(lit, scale, 0.0).reshape(-1)
+        found = self._boundary_points(packed, prepared, paths, scale, False, packed.has_varying_sky, key, rays, True)
+        size = found.valid.shape[0]
+        slots, count = jnp.nonzero(found.valid, size=size, fill_value=0)[0], found.valid.sum()
+        displacement = found.projection.displacement - stop_gradient(found.projection.displacement)
+        counts = jnp.asarray(used, weight.dtype)
+
+        def values(slot, number):
+            ends, goal = jax.tree.map(lambda a: a[slot], (found.ends, found.goal))
+            segment = found.segment[slot]
+            path, layer = paths.path(segment), segment // paths.paths
+            filled = number < count
+            offset = jnp.where(filled[:, None], stop_gradient(goal - ends.target), 0.0)
+            moved = jnp.zeros((used.shape[0], *offset.shape), offset.dtype)
+            moved = moved.at[layer, jnp.arange(slot.shape[0])].set(offset)
+            value = moved_contributions(fixed, rows_of(drawn, path), moved)
+            # Per area of the plane at the target: of the environment, drawn per solid angle, by its cosine's cube.
+            cosine = dot(stop_gradient(ends.normal), normalize(stop_gradient(goal - ends.apex)))
+            share = found.share[slot] * jnp.where(ends.infinite, cosine**3, 1.0)
+            value = jnp.where(filled[:, None], value * (counts[layer].T * weight[:, path] * share)[..., None], 0.0)
+            value = stop_gradient(value) * displacement[slot][:, None]
+            return jnp.zeros((*weight.shape, 3), value.dtype).at[:, path].add(value)
+
+        return sum_over_blocks(values, slots, count)
 
     def _capacity(self, segments: int) -> int:
         return min(max(4096, round(self.capacity * segments)), 1 << 24)
 
-    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, both_sides, key, settings):
+    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, both_sides, key, rays: str):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None)."""
         capacity = self._capacity(scale.shape[0])
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
         radius = prepared.radius
         table = (packed.vertices, packed.edges.vertices, packed.edges.opposite)
-        rays = (ends.apex, ends.target, ends.normal, scale, widest, seed)
-        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=settings.rays)
+        segments = (ends.apex, ends.target, ends.normal, scale, widest, seed)
+        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
         if self.kernel == "edge":
-            pairs = queries.edge_candidates(prepared.tree, *table, radius, *rays, **options)
+            pairs = queries.edge_candidates(prepared.tree, *table, radius, *segments, **options)
             return pairs, pairs.element, None, None
         edges, along, length = self._edge_points(packed, radius, key_points)
         segment = stop_gradient(packed.vertices)[packed.edges.vertices[edges]]
         points = segment[:, 0] + along[:, None] * (segment[:, 1] - segment[:, 0])
-        pairs = queries.point_candidates(*table, points, edges, radius[edges], *rays, **options)
+        pairs = queries.point_candidates(*table, points, edges, radius[edges], *segments, **options)
         return pairs, edges[pairs.element], along[pairs.element], length / self.points
 
     def _edge_points(self, packed: PackedScene, radius, key):
@@ -299,7 +377,7 @@ def _overlap(barycentric, rate, low, high):
 
 
 def _sees_past_edge(
-    packed, paths: PathSegments, segment, projection: Projection, r, whole_face, valid, settings
+    packed, paths: PathSegments, segment, projection: Projection, r, whole_face, valid, rays: str
 ) -> Bool[Array, " C"]:
     """Whether the apex sees past the edge to the target's plane, along a ray just beside the edge."""
     fraction = projection.fraction
@@ -314,4 +392,4 @@ def _sees_past_edge(
     short = r / jnp.maximum(norm(reach), r)
     stop = jnp.where(whole_face, 1.0 - 1e-4, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
     stop = jnp.where(valid, stop, 0.0)
-    return ~queries.occluded(packed.vertices, packed.faces, start, reach, stop, settings.rays)
+    return ~queries.occluded(packed.vertices, packed.faces, start, reach, stop, rays)

@@ -15,8 +15,10 @@ from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates
 from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import on_fixed_ray
+from jaxdr.transport.moved_paths import layers, moved_contributions, target_segments
 from jaxdr.transport.path import PathRecord, PathSettings, Segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
@@ -37,6 +39,27 @@ class Hidden(NamedTuple):
     occluder: Int[Array, "*n"]
     on_occluder: Float[Array, "*n 3"]
     own: Bool[Array, "*n"] | None = None
+
+
+class Velocities(NamedTuple):
+    """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
+
+    v(p) = sum of share x velocity, div v = sum of rate . velocity.
+    """
+
+    slots: Int[Array, " S"]
+    used: Int[Array, ""]
+    share: Float[Array, " S"]
+    rate: Float[Array, "S 3"]
+    table: Hidden
+
+    def moved(self, packed: PackedScene, paths: PathSegments, index: Int[Array, " N"], ends: SegmentEnds, slot):
+        """(which of N segments slots belong to, displacements of their occluders: zero, with the derivative v)."""
+        row = slot // (self.table.face.shape[1] * self.table.face.shape[2])
+        seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], self.table), ends.infinite[row]
+        apex = paths.apex_towards(index[row], seen.position)
+        apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
+        return row, displacement(packed, apex, far, seen)
 
 
 class WarpedArea(eqx.Module):
@@ -63,7 +86,8 @@ class WarpedArea(eqx.Module):
       width, whose tail is thinner than the kernel's.
 
     The derivative is as good as v is at the boundary: of a straight one 1 % is missing with 8 auxiliary points (0.1 %
-    with 16), somewhat more at corners. Direct light is weighted by emitter sampling alone, without MIS.
+    with 16), somewhat more at corners. With a `PathTracer` direct light is weighted by emitter sampling alone, without
+    MIS; with a `BidirectionalPathTracer` every strategy counts with its weight.
     """
 
     distance: Literal["path_space", "exponential"] = eqx.field(static=True, default="path_space")
@@ -153,48 +177,101 @@ class WarpedArea(eqx.Module):
 
     def _bounce_term(self, packed, fixed, faces, paths, measure, index, kinds, key, settings):
         """f div v + grad f . v of N segments, summed over the hidden auxiliary points (the others are still)."""
-        finite, infinite = kinds
         ends = jax.tree.map(stop_gradient, paths.ends(index))
         f = measure(index, ends)
         value = f(ends.target)
         lit = paths.table.visible[index] & (value != 0).any(-1)
         value = jnp.where(lit[:, None], value, 0.0)
-        room = min(self.projections, fixed.faces.shape[0]) if finite else 1
-        options = self.samples, room, key, settings.rays, finite, infinite
-        points = draw_auxiliary(fixed, faces.normal, ends, lit, self.kernel, *options)
-        apex = jax.tree.map(stop_gradient, paths.apex(index))
-        occluders = find_occluders(fixed, faces, apex, ends, points, self.kernel, settings.rays)
-        field = velocity_field(self.kernel, ends, points, occluders.boundary, self.debias, infinite)
+        velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, settings.rays)
         slopes = []
         for tangent in orthonormal_basis(ends.normal):
             slope = jax.jvp(f, (ends.target,), (tangent,))[1]
             slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
-        points, occluders, field, value, slopes = stop_gradient((points, occluders, field, value, slopes))
+        value, slopes = stop_gradient((value, slopes))
+
+        def terms(slot, number):
+            row, moved = velocities.moved(packed, paths, index, ends, slot)
+            result = value[row] * dot(velocities.rate[slot], moved)[:, None]
+            for tangent, slope in slopes:
+                result += slope[row] * (velocities.share[slot] * dot(tangent[row], moved))[:, None]
+            result = jnp.where((number < velocities.used)[:, None], result, 0.0)
+            return jnp.zeros((paths.paths, 3), result.dtype).at[row].add(result)
+
+        return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
+
+    def _velocities(self, fixed, faces, paths, index, ends, lit, kinds, key, rays) -> Velocities:
+        """Velocities of the auxiliary points of N segments, and what they count for the targets; all detached."""
+        finite, infinite = kinds
+        room = min(self.projections, fixed.faces.shape[0]) if finite else 1
+        options = self.samples, room, key, rays, finite, infinite
+        points = draw_auxiliary(fixed, faces.normal, ends, lit, self.kernel, *options)
+        apex = jax.tree.map(stop_gradient, paths.apex(index))
+        occluders = find_occluders(fixed, faces, apex, ends, points, self.kernel, rays)
+        field = velocity_field(self.kernel, ends, points, occluders.boundary, self.debias, infinite)
+        points, occluders, field = stop_gradient((points, occluders, field))
 
         # Slots that hold nothing repeat the first one: its numbers must be finite.
         hidden = (occluders.hidden & points.there & lit[:, None, None]).reshape(-1)
         shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
         rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
         slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
-        used = hidden.sum()
         table = Hidden(
             points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, occluders.own
         )
-        per_segment = points.there.shape[1] * points.there.shape[2]
+        return Velocities(slots, hidden.sum(), shares, rates, table)
+
+    def estimate_connected(
+        self,
+        packed: PackedScene,
+        prepared: Faces,
+        primary: PrimarySamples,
+        drawn: Drawn,
+        weight: Float[Array, "C N"],
+        sample_index: Int[Array, " N"],
+        key: PRNGKeyArray,
+        rays: str,
+    ) -> Float[Array, "C N 3"]:
+        """Boundary terms of the paths of all strategies: zero in value, right in derivative (Eq. 52-54).
+
+        `weight` is that of the strategies, zero where a path carries nothing. Every target moves with its mean
+        velocity, which the contribution and its factor 1 + div v are differentiated by.
+        """
+        del sample_index
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
+        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        lit = (used[:, :, None] & (weight > 0)).any(1)
+        kinds = True, packed.environment is not None
+
+        def of_layer(numbered):
+            layer, lit = numbered
+            index = layer * paths.paths + jnp.arange(paths.paths)
+            return self._target_motion(
+                packed, fixed, prepared, paths, index, lit, kinds, jax.random.fold_in(key, layer), rays
+            )
+
+        moved, stretch = jax.lax.map(jax.checkpoint(of_layer), (jnp.arange(used.shape[0]), lit))
+        value = moved_contributions(fixed, drawn, moved)
+        whole = jnp.tensordot(jnp.asarray(used.T, stretch.dtype), stretch, 1)
+        still = stop_gradient(value)
+        return jnp.where((weight > 0)[..., None], weight[..., None] * (value - still + still * whole[..., None]), 0.0)
+
+    def _target_motion(self, packed, fixed, faces, paths, index, lit, kinds, key, rays):
+        """(mean velocities of the targets of N segments, in their planes, divergences); zero in value."""
+        ends = jax.tree.map(stop_gradient, paths.ends(index))
+        velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, rays)
 
         def terms(slot, number):
-            row = slot // per_segment
-            seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], table), ends.infinite[row]
-            apex = paths.apex_towards(index[row], seen.position)
-            apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
-            moved = displacement(packed, apex, far, seen)
-            result = value[row] * dot(rates[slot], moved)[:, None]
-            for tangent, slope in slopes:
-                result += slope[row] * (shares[slot] * dot(tangent[row], moved))[:, None]
-            result = jnp.where((number < used)[:, None], result, 0.0)
-            return jnp.zeros((paths.paths, 3), result.dtype).at[row].add(result)
+            row, moved = velocities.moved(packed, paths, index, ends, slot)
+            filled = number < velocities.used
+            normal = ends.normal[row]
+            in_plane = (moved - dot(moved, normal)[:, None] * normal) * velocities.share[slot][:, None]
+            in_plane = jnp.where(filled[:, None], in_plane, 0.0)
+            stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
+            return jnp.zeros_like(ends.target).at[row].add(in_plane), jnp.zeros_like(ends.target[:, 0]).at[row].add(
+                stretch
+            )
 
-        return sum_over_blocks(jax.checkpoint(terms), slots, used)
+        return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
 
 
 def displacement(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry import queries
+from jaxdr.scene.film import Film
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.connections import (
@@ -17,10 +18,10 @@ from jaxdr.transport.connections import (
     with_each_other,
     with_emitters,
 )
-from jaxdr.transport.emission import sample_emitter
+from jaxdr.transport.emission import EmitterSample, sample_emitter
 from jaxdr.transport.primary import PrimarySamples, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
-from jaxdr.transport.subpaths import camera_start, light_start, trace_on
+from jaxdr.transport.subpaths import Subpath, camera_start, light_start, trace_on
 
 LIGHT_DIMENSIONS = 4  # point on the emitter, direction from there
 
@@ -33,50 +34,71 @@ class BidirectionalSettings(NamedTuple):
     rays: str
 
 
+class Drawn(NamedTuple):
+    """What N pairs of subpaths are made of: vertices x_1, x_2, ... from the camera [B, N] and from emitters [I, N].
+
+    `start` are the emitter samples [N] behind the latter, `direct` those [I, N] that the first I vertices from the
+    camera are joined with, `lens` the numbers [I, N, 2] of lens points, None without an aperture.
+    """
+
+    camera: Subpath
+    light: Subpath
+    start: EmitterSample
+    direct: EmitterSample
+    lens: Float[Array, "I N 2"] | None
+
+
 class Strategies(NamedTuple):
     """What N pairs of subpaths contribute by each strategy, [C, N, ...]; weights are detached.
 
     `names` are (s, t). The first ones contribute to the subpath's own pixel; the last `film_points.shape[0]` ones, of
     t = 1, to the film around `film_points`, per square pixel and as if there were one such path for every pixel.
+    `drawn` is None where no vertices are joined.
     """
 
     names: tuple[tuple[int, int], ...]
     value: Float[Array, "C N 3"]
     weight: Float[Array, "C N"]
     film_points: Float[Array, "T N 2"] | None
+    drawn: Drawn | None = None
+
+    def image(
+        self, film: Film, values: Float[Array, "C N 3"], share: Float[Array, " n"], moving: bool
+    ) -> Float[Array, "H W 3"]:
+        """Image of `values` by every strategy; `share` is what the samples of a pixel count, in a row in N.
+
+        The film points of t = 1 are differentiated where `moving`.
+        """
+        _, _, width, height = film.window
+        pixels = width * height
+        seen = 0 if self.film_points is None else self.film_points.shape[0]
+        own = values[: values.shape[0] - seen].sum(0)
+        image = (own.reshape(pixels, share.shape[0], 3) * share[:, None]).sum(1).reshape(height, width, 3)
+        if self.film_points is None:
+            return image
+        spread = (values[values.shape[0] - seen :] * jnp.tile(share, pixels)[:, None]).reshape(-1, 3)
+        return image + splat(film, self.film_points.reshape(-1, 2), spread, moving)
 
 
-def bidirectional_image(
+def bidirectional_paths(
     packed: PackedScene,
     samples: Int[Array, " n"],
     key: PRNGKeyArray,
     chunk_key: PRNGKeyArray,
-    spp: int,
     settings: BidirectionalSettings,
     moving: bool,
-) -> Float[Array, "H W 3"]:
-    """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero.
+) -> tuple[PrimarySamples, Strategies]:
+    """First hits of the samples numbered `samples` of every pixel, and what paths through them contribute.
 
     `moving`: surfaces or the camera move relative to each other in the derivative that is taken. First hits then are
     material points and the pixel filter is differentiated.
     """
-    film = packed.camera.film
-    _, _, width, height = film.window
-    pixels, count = width * height, samples.shape[0]
+    _, _, width, height = packed.camera.film.window
+    pixels = width * height
     primary = primary_samples(packed, samples, key, settings.rays, "material" if moving else "fixed")
     number = (jnp.arange(pixels)[:, None] + samples[None] * pixels).reshape(-1)
     light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)[0]
-    found = strategies(packed, primary, light, chunk_key, settings)
-
-    share = jnp.where(samples < spp, 1.0 / spp, 0.0).astype(found.value.dtype)
-    values = found.value * found.weight[..., None]
-    seen = 0 if found.film_points is None else found.film_points.shape[0]
-    own = values[: values.shape[0] - seen].sum(0)
-    image = (own.reshape(pixels, count, 3) * share[:, None]).sum(1).reshape(height, width, 3)
-    if found.film_points is None:
-        return image
-    spread = (values[values.shape[0] - seen :] * jnp.tile(share, pixels)[:, None]).reshape(-1, 3)
-    return image + splat(film, found.film_points.reshape(-1, 2), spread, moving)
+    return primary, strategies(packed, primary, light, chunk_key, settings)
 
 
 def strategies(
@@ -112,15 +134,17 @@ def strategies(
         return Strategies(tuple(names), value, weight, None)
 
     inner = depth - 1
-    first = light_start(packed, sample_emitter(packed, u[:, :2]), u[:, 2:], power, rays)
+    sample = sample_emitter(packed, u[:, :2])
+    first = light_start(packed, sample, u[:, 2:], power, rays)
     light = trace_on(packed, first, uniform(keys[1], (inner - 1, paths, 2), dtype), True, power, rays)
     z, y = ends(packed, camera, inner), ends(packed, light, inner)
     direct = uniform(keys[2], (inner, paths, 2), dtype).at[0].set(primary.u[:, :2])
-    joined = [with_emitters(packed, z, direct.reshape(-1, 2), power)]
+    samples = sample_emitter(packed, direct.reshape(-1, 2))
+    joined = [with_emitters(packed, z, samples, power)]
     names += [(1, t) for t in range(2, depth + 1)]
-    pairs = [(i, j) for i in range(inner) for j in range(inner - 1 - i)]
+    pairs = joined_vertices(inner)
     if pairs:
-        joined.append(with_each_other(z, y, pairs, power))
+        joined.append(with_each_other(z.rows([i for i, _ in pairs]), y.rows([j for _, j in pairs]), power))
         names += [(j + 2, i + 2) for i, j in pairs]
     lens = uniform(keys[3], (inner * paths, 2), dtype) if packed.camera.aperture else None
     seen, film_points = with_camera(packed, y, lens, power)
@@ -131,9 +155,15 @@ def strategies(
     visible = _visible(packed, every, rays)
     value = jnp.where(visible[:, None], every.value, 0.0).reshape(-1, paths, 3)
     values, weights = [*values, value], [*weights, every.weight.reshape(-1, paths)]
-    return Strategies(
-        tuple(names), jnp.concatenate(values), jnp.concatenate(weights), film_points.reshape(inner, paths, 2)
-    )
+    by_vertex = jax.tree.map(lambda a: a.reshape(inner, paths, *a.shape[1:]), (samples, film_points, lens))
+    samples, film_points, lens = by_vertex
+    drawn = Drawn(camera, light, sample, samples, lens)
+    return Strategies(tuple(names), jnp.concatenate(values), jnp.concatenate(weights), film_points, drawn)
+
+
+def joined_vertices(inner: int) -> list[tuple[int, int]]:
+    """(i, j) for which x_1 + i from the camera is joined with x_1 + j from emitters, `inner` the most of either."""
+    return [(i, j) for i in range(inner) for j in range(inner - 1 - i)]
 
 
 def _visible(packed: PackedScene, joined: Connections, rays: str) -> Bool[Array, " C"]:

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import (
+    EmitterSample,
     emitted,
     emitter_shares,
     emitting_surface_pdf,
     radiance_towards,
-    sample_emitter,
 )
 from jaxdr.transport.interaction import leave
 from jaxdr.transport.light_rays import disk_pdf, emission_pdf, surface_emission_pdf
@@ -86,9 +86,9 @@ def found_emission(
     return value.reshape(bounces, paths, 3), weight
 
 
-def with_emitters(packed: PackedScene, camera: Ends, u: Float[Array, "C 2"], power: int) -> Connections:
+def with_emitters(packed: PackedScene, camera: Ends, sample: EmitterSample, power: int) -> Connections:
     """s = 1: every vertex with an emitter sample of its own."""
-    (vertex, scatterer, _), sample = camera, sample_emitter(packed, u)
+    vertex, scatterer, _ = camera
     point, delta, infinite = vertex.point, sample.is_delta, sample.infinite
     offset = sample.point.position - point.position
     towards = jnp.where(infinite[:, None], sample.direction, normalize(offset))
@@ -113,10 +113,8 @@ def with_emitters(packed: PackedScene, camera: Ends, u: Float[Array, "C 2"], pow
     return Connections(value, weight, start, jnp.where(infinite[:, None], far, leave(sample.point, -towards)))
 
 
-def with_each_other(camera: Ends, light: Ends, pairs: list[tuple[int, int]], power: int) -> Connections:
-    """s > 1, t > 1: vertices x_1 + i from the camera with x_1 + j from emitters, for (i, j) of `pairs`."""
-    seen = camera.rows([i for i, _ in pairs])
-    lit = light.rows([j for _, j in pairs])
+def with_each_other(seen: Ends, lit: Ends, power: int) -> Connections:
+    """s > 1, t > 1: vertices from the camera with vertices from emitters, row by row."""
     z, y = seen.vertex, lit.vertex
     offset = y.point.position - z.point.position
     towards = normalize(offset)

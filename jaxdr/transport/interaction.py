@@ -113,6 +113,17 @@ def material_point(
     return _surface_point(packed, valid, face, barycentric, position, corners, normal2, _largest(corners))
 
 
+def displaced(packed: PackedScene, point: SurfacePoint, moved: Float[Array, "N 3"]) -> SurfacePoint:
+    """Points `moved` within the planes of their faces; shading normals and textures from as far as the faces reach."""
+    corners = packed.vertices[packed.faces[point.face]]
+    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    rate = _barycentric(corners, corners[:, 0] + moved, normal2) - jnp.asarray([1.0, 0.0, 0.0], moved.dtype)
+    barycentric = jnp.maximum(point.barycentric + rate, 0.0)
+    barycentric = barycentric / barycentric.sum(-1, keepdims=True)
+    position = point.position + moved
+    return _surface_point(packed, point.valid, point.face, barycentric, position, corners, normal2, _largest(corners))
+
+
 def either(condition: Bool[Array, " N"], one: SurfacePoint, two: SurfacePoint) -> SurfacePoint:
     """Row by row, one point or the other."""
     return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), one, two)

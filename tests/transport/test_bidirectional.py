@@ -241,9 +241,9 @@ def _weights(scene, power):
     whole = jax.tree.map(lambda *v: jnp.stack(v), z1, c2, c3, c4)
     weights = [
         found_emission(packed, whole, power)[1][3],
-        with_emitters(packed, alone(c3), u[:, :2], power).weight,
-        with_each_other(alone(c2), alone(y1), [(0, 0)], power).weight,
-        with_each_other(alone(z1), alone(y2), [(0, 0)], power).weight,
+        with_emitters(packed, alone(c3), sample, power).weight,
+        with_each_other(alone(c2), alone(y1), power).weight,
+        with_each_other(alone(z1), alone(y2), power).weight,
         with_camera(packed, alone(y3), None, power)[0].weight,
     ]
     densities = jnp.stack([v.density for v in (z1, c2, c3, c4, y1, y2, y3)])
@@ -376,7 +376,8 @@ def test_emitters_seen_directly():
     ("settings", "message"),
     [
         ({"max_depth": 0}, "max_depth must be at least 1"),
-        ({"boundary": jd.KernelDensity()}, r"take PathTracer\(boundary=KernelDensity"),
+        ({"boundary": jd.LineSampling()}, r"take PathTracer\(boundary=LineSampling"),
+        ({"edge_samples": 0.0}, "edge_samples must be positive"),
         ({"rays": "optix"}, "rays must be one of"),
         ({"chunk_size": 0}, "chunk_size must be positive"),
     ],
@@ -407,3 +408,14 @@ def test_what_has_no_derivative(name, scene, message):
 
     with pytest.raises(ValueError, match=message):
         jax.eval_shape(lambda v: jax.jvp(image, (v,), (v,)), value)
+
+
+def test_lights_without_area_have_no_boundary_term():
+    scene = floor_scene(jd.PointLight([0, 0, 1]))
+
+    def image(value):
+        integrator = jd.BidirectionalPathTracer(2, boundary=jd.WarpedArea())
+        return jd.render(scene.replace({"point.position": value}), jax.random.key(0), 1, integrator)
+
+    with pytest.raises(ValueError, match="shadows of lights without area have no derivative"):
+        jax.eval_shape(lambda v: jax.jvp(image, (v,), (v,)), scene.parameters()["point.position"])
