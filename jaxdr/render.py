@@ -381,7 +381,7 @@ def _bidirectional_chunk(
     primary, found = bidirectional_paths(packed, samples, key, chunk_key, integrator.settings, moving)
     share = _weights(samples, spp, found.value.dtype)
     terms = {"interior": found.image(film, found.value * found.weight[..., None], share, moving)}
-    if prepared is None:
+    if prepared is None or prepared.edges is None:
         return terms
     _, _, width, height = film.window
     key_boundary, key_edges = jax.random.split(jax.random.fold_in(chunk_key, 1))

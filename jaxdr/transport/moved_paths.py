@@ -208,7 +208,8 @@ def _camera_subpaths(packed: PackedScene, camera: Subpath, moved) -> Subpath:
     rest = jax.tree.map(lambda a: a[1:], camera)
 
     def step(before, following):
-        after = _onwards(packed, before, *following, False)
+        vertex, offset = following
+        after = _onwards(packed, before, vertex, offset, False)
         return after, after
 
     _, others = jax.lax.scan(step, first, (rest, moved))
@@ -237,7 +238,8 @@ def _light_subpaths(packed: PackedScene, start: EmitterSample, drawn: Drawn, mov
     first = _first_lit(packed, start, first, moved[0])
 
     def step(before, following):
-        after = _onwards(packed, before, *following, True)
+        vertex, offset = following
+        after = _onwards(packed, before, vertex, offset, True)
         return after, after
 
     _, others = jax.lax.scan(step, first, (rest, moved[1:]))
