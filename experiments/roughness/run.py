@@ -78,6 +78,8 @@ def chart(rows, path):
             mine = [r for r in rows if (r["scene"], r["method"], r["spp"]) == (name, method, FEW[method])]
             panel.loglog([r["alpha"] for r in mine], [r["work"] for r in mine], "o-", color=f"C{i}", label=method)
         panel.set(title=name, xlabel="roughness α", ylabel="error² · seconds")
+        panel.set_xticks(ALPHAS[name], [str(alpha) for alpha in ALPHAS[name]])
+        panel.minorticks_off()
     for panel, alpha in zip(axes[len(panels) :], ladders, strict=True):
         for i, method in enumerate(METHODS):
             mine = [r for r in rows if (r["scene"], r["alpha"], r["method"]) == ("ball", alpha, method)]
@@ -86,8 +88,8 @@ def chart(rows, path):
         panel.set(title=f"ball, α = {alpha}", xlabel="seconds a derivative image", ylabel="error / size of it")
     for panel in axes:
         panel.grid(True, which="major", alpha=0.3)
-    axes[0].legend(fontsize=8)
-    figure.tight_layout()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=len(METHODS), fontsize=8)
+    figure.tight_layout(rect=(0, 0.06, 1, 1))
     figure.savefig(path, dpi=110)
 
 
@@ -114,9 +116,14 @@ def main():
                 common.write_json(file, {"rows": rows})
     if options.references:
         return
+    write(rows, folder)
+
+
+def write(rows, folder):
+    """Everything measured so far, sorted: numbers, table and chart."""
     order = list(METHODS)
     rows = sorted(rows, key=lambda r: (r["scene"], r["alpha"], order.index(r["method"]), r["spp"]))
-    common.write_json(file, {"rows": rows})
+    common.write_json(folder / "roughness.json", {"rows": rows})
     table = common.table(rows, COLUMNS)
     (folder / "table.md").write_text(table + "\n")
     print(table)
