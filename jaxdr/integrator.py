@@ -169,7 +169,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: ConnectedEstimator | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | BoundaryEstimator | None = eqx.field(static=True, default=None)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 18)
     rays: str = eqx.field(static=True, default="auto")
