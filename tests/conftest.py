@@ -13,7 +13,7 @@ import tests.type_checker  # noqa: F401  the hook names it in a string
 
 # Most of the time of a test is XLA's: programs are compiled fast here, not compiled to be fast. Each version of XLA has
 # flags of its own, and aborts at unknown ones. They are read when the first array is made, in child processes as well.
-# Not level 0: some of its code is wrong (0.10.2: `(x != 0).any(-1)` of a difference of two vectors, now and then False).
+# Not level 0: in 0.10.2 `(a - b != 0).any(-1)` for vectors a, b then is False now and then where it should be True.
 if jax.__version__.startswith("0.10."):
     quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
     os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}"
