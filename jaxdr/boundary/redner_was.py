@@ -21,12 +21,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
-from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
+from jaxdr.boundary.continuous_velocity import Kernel
+from jaxdr.boundary.divergence import Convolution, Measure, displacement, divergence_term, hidden_velocities
+from jaxdr.boundary.occluders import Faces, connect_faces
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds
-from jaxdr.boundary.warped_area import Hidden, Measure, displacement
-from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.path import PathRecord, PathSettings
@@ -68,11 +67,6 @@ class RednerWAS(eqx.Module):
                 raise ValueError(f"RednerWAS: {name} must be positive, got {getattr(self, name)}")
         if int(self.samples) != self.samples or self.samples < 1:
             raise ValueError(f"RednerWAS: samples must be a whole number of at least 1, got {self.samples}")
-
-    @property
-    def kernel(self) -> Kernel:
-        """The kernel of the convolution."""
-        return Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
@@ -142,36 +136,20 @@ class RednerWAS(eqx.Module):
             corners=jnp.zeros((count, 3, 3), towards.dtype),
             infinite=everywhere,
         )
-        options = self.samples, 1, key, settings.rays, False, True
-        points = draw_auxiliary(fixed, faces.normal, ends, lit, self.kernel, *options)
-        seen = find_occluders(fixed, faces, apex, ends, points, self.kernel, settings.rays, self.normal_edges)
-        field = velocity_field(self.kernel, ends, points, seen.boundary, self.debias, True)
-        value = jnp.where(lit[:, None], measure(towards) * angle, 0.0)
-        slopes = []
-        for tangent in orthonormal_basis(towards):
-            slope = jax.jvp(measure, (towards,), (tangent,))[1]
-            slopes.append((tangent, jnp.where(lit[:, None], slope * angle, 0.0)))
-        points, seen, field, value, slopes = stop_gradient((points, seen, field, value, slopes))
+        kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
+        around = Convolution(kernel, self.samples, 1, self.debias, False, True, self.normal_edges)
+        velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
 
-        # Slots that hold nothing repeat the first one: its numbers must be finite.
-        found = (seen.hidden & points.there & lit[:, None, None]).reshape(-1)
-        shares = jnp.where(found, field.share.reshape(-1), 0.0)
-        rates = jnp.where(found[:, None], field.divergence.reshape(-1, 3), 0.0)
-        slots = jnp.nonzero(found, size=found.shape[0], fill_value=0)[0]
-        used = found.sum()
-        table = Hidden(points.position, points.face, points.barycentric, seen.face, seen.barycentric, seen.own)
+        def f(direction):
+            return measure(direction) * angle
 
-        def terms(slot, number):
-            row = slot // self.samples
-            points = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], table)
-            moved = displacement(still, paths.apex(row).position, everywhere[row], points)
-            result = value[row] * dot(rates[slot], moved)[:, None]
-            for tangent, slope in slopes:
-                result += slope[row] * (shares[slot] * dot(tangent[row], moved))[:, None]
-            result = jnp.where((number < used)[:, None], result, 0.0)
-            return jnp.zeros((count, 3), result.dtype).at[row].add(result)
+        def moved(slot):
+            row = velocities.row(slot)
+            return displacement(still, paths.apex(row).position, everywhere[row], velocities.seen(slot))
 
-        return sum_over_blocks(jax.checkpoint(terms), slots, used)
+        # On the unit sphere a direction is where the target is, less the apex.
+        around_apex = dataclasses.replace(ends, target=towards)
+        return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
 
 
 def _measure(packed: PackedScene, paths: PathSegments, index: Int[Array, " N"]) -> Measure:

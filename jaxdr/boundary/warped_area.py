@@ -1,7 +1,6 @@
 """Warped-area reparameterisation of boundary path integrals (Xu et al. 2023)."""
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -10,10 +9,18 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
-from jaxdr.boundary.occluders import Faces, connect_faces, find_occluders
+from jaxdr.boundary.continuous_velocity import Kernel
+from jaxdr.boundary.divergence import (
+    Convolution,
+    Measure,
+    Velocities,
+    displacement,
+    divergence_term,
+    hidden_velocities,
+)
+from jaxdr.boundary.occluders import Faces, connect_faces
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import dot, interpolate, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.emission import environment_radiance
@@ -22,44 +29,6 @@ from jaxdr.transport.moved_paths import layers, moved_contributions, target_segm
 from jaxdr.transport.path import PathRecord, PathSettings, Segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
-
-# f / pdf of the paths through N segments (RGB), as a function of where the targets are.
-Measure = Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
-
-
-class Hidden(NamedTuple):
-    """Auxiliary points (material points of their surface) and the material points that hide them; detached.
-
-    `own`: hidden by the plane of the apex's own face, `occluder`; None where there are none.
-    """
-
-    position: Float[Array, "*n 3"]
-    face: Int[Array, "*n"]
-    barycentric: Float[Array, "*n 3"]
-    occluder: Int[Array, "*n"]
-    on_occluder: Float[Array, "*n 3"]
-    own: Bool[Array, "*n"] | None = None
-
-
-class Velocities(NamedTuple):
-    """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
-
-    v(p) = sum of share x velocity, div v = sum of rate . velocity.
-    """
-
-    slots: Int[Array, " S"]
-    used: Int[Array, ""]
-    share: Float[Array, " S"]
-    rate: Float[Array, "S 3"]
-    table: Hidden
-
-    def moved(self, packed: PackedScene, paths: PathSegments, index: Int[Array, " N"], ends: SegmentEnds, slot):
-        """(which of N segments slots belong to, displacements of their occluders: zero, with the derivative v)."""
-        row = slot // (self.table.face.shape[1] * self.table.face.shape[2])
-        seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], self.table), ends.infinite[row]
-        apex = paths.apex_towards(index[row], seen.position)
-        apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
-        return row, displacement(packed, apex, far, seen)
 
 
 class WarpedArea(eqx.Module):
@@ -110,10 +79,11 @@ class WarpedArea(eqx.Module):
             if int(value) != value or value < 1:
                 raise ValueError(f"WarpedArea: {name} must be a whole number of at least 1, got {value}")
 
-    @property
-    def kernel(self) -> Kernel:
-        """The kernel of the convolution."""
-        return Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
+    def around(self, packed: PackedScene, finite: bool, infinite: bool) -> Convolution:
+        """How velocities are convolved; whether there are targets on surfaces, and infinitely far away."""
+        kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
+        room = min(self.projections, packed.faces.shape[0]) if finite else 1
+        return Convolution(kernel, self.samples, room, self.debias, finite, infinite)
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
@@ -176,49 +146,22 @@ class WarpedArea(eqx.Module):
         return jax.lax.map(jax.checkpoint(of_bounce), jnp.arange(bounces)).sum(0)
 
     def _bounce_term(self, packed, fixed, faces, paths, measure, index, kinds, key, settings):
-        """f div v + grad f . v of N segments, summed over the hidden auxiliary points (the others are still)."""
+        """f div v + grad f . v of N segments."""
         ends = jax.tree.map(stop_gradient, paths.ends(index))
         f = measure(index, ends)
         value = f(ends.target)
         lit = paths.table.visible[index] & (value != 0).any(-1)
-        value = jnp.where(lit[:, None], value, 0.0)
         velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, settings.rays)
-        slopes = []
-        for tangent in orthonormal_basis(ends.normal):
-            slope = jax.jvp(f, (ends.target,), (tangent,))[1]
-            slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
-        value, slopes = stop_gradient((value, slopes))
 
-        def terms(slot, number):
-            row, moved = velocities.moved(packed, paths, index, ends, slot)
-            result = value[row] * dot(velocities.rate[slot], moved)[:, None]
-            for tangent, slope in slopes:
-                result += slope[row] * (velocities.share[slot] * dot(tangent[row], moved))[:, None]
-            result = jnp.where((number < velocities.used)[:, None], result, 0.0)
-            return jnp.zeros((paths.paths, 3), result.dtype).at[row].add(result)
+        def moved(slot):
+            return _moved(packed, paths, index, ends, velocities, slot)
 
-        return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
+        return divergence_term(f, value, ends, lit, velocities, moved)
 
     def _velocities(self, fixed, faces, paths, index, ends, lit, kinds, key, rays) -> Velocities:
-        """Velocities of the auxiliary points of N segments, and what they count for the targets; all detached."""
-        finite, infinite = kinds
-        room = min(self.projections, fixed.faces.shape[0]) if finite else 1
-        options = self.samples, room, key, rays, finite, infinite
-        points = draw_auxiliary(fixed, faces.normal, ends, lit, self.kernel, *options)
+        """Velocities of the auxiliary points of N segments, and what they count for the targets."""
         apex = jax.tree.map(stop_gradient, paths.apex(index))
-        occluders = find_occluders(fixed, faces, apex, ends, points, self.kernel, rays)
-        field = velocity_field(self.kernel, ends, points, occluders.boundary, self.debias, infinite)
-        points, occluders, field = stop_gradient((points, occluders, field))
-
-        # Slots that hold nothing repeat the first one: its numbers must be finite.
-        hidden = (occluders.hidden & points.there & lit[:, None, None]).reshape(-1)
-        shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
-        rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
-        slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
-        table = Hidden(
-            points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, occluders.own
-        )
-        return Velocities(slots, hidden.sum(), shares, rates, table)
+        return hidden_velocities(fixed, faces, apex, ends, lit, self.around(fixed, *kinds), key, rays)
 
     def estimate_connected(
         self,
@@ -261,51 +204,25 @@ class WarpedArea(eqx.Module):
         velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, rays)
 
         def terms(slot, number):
-            row, moved = velocities.moved(packed, paths, index, ends, slot)
-            filled = number < velocities.used
+            row, filled = velocities.row(slot), number < velocities.used
+            moved = _moved(packed, paths, index, ends, velocities, slot)
             normal = ends.normal[row]
             in_plane = (moved - dot(moved, normal)[:, None] * normal) * velocities.share[slot][:, None]
             in_plane = jnp.where(filled[:, None], in_plane, 0.0)
             stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
-            return jnp.zeros_like(ends.target).at[row].add(in_plane), jnp.zeros_like(ends.target[:, 0]).at[row].add(
-                stretch
-            )
+            shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
+            return shift.at[row].add(in_plane), whole.at[row].add(stretch)
 
         return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
 
 
-def displacement(
-    packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden
-) -> Float[Array, "C 3"]:
-    """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8)."""
-    corners = packed.vertices[packed.faces[seen.face]]
-    material = interpolate(corners, seen.barycentric)
-    normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    before = packed.vertices[packed.faces[seen.occluder]]
-    towards = interpolate(before, seen.on_occluder) - apex
-    slope = dot(normal, towards)
-    reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
-    offset, far = seen.position - stop_gradient(apex), infinite[:, None]
-    projected = jnp.where(far, norm(offset)[:, None] * normalize(towards), apex + reach[:, None] * towards)
-    material = jnp.where(far, packed.turned(offset), material)
-    moved = projected - material
-    if seen.own is not None:
-        moved = jnp.where(seen.own[:, None], _horizon(before, stop_gradient(normal), material, offset, far), moved)
-    return moved - stop_gradient(moved)
-
-
-def _horizon(corners, normal, material, offset, far):
-    """How the plane of the apex's face moves over the material points, across its trace in their plane (or sphere).
-
-    The apex stays in that plane, so its own motion does not count.
-    """
-    plane = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    across = stop_gradient(plane)
-    normal = normalize(jnp.where(far, offset, normal))
-    across = across - dot(across, normal)[:, None] * normal
-    squared = dot(across, across)
-    height = dot(plane, material - jnp.where(far, 0.0, corners[:, 0]))
-    return across * (-height / jnp.where(squared > 0, squared, 1.0))[:, None]
+def _moved(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds, velocities: Velocities, slot):
+    """Displacements of the occluders in slots: zero, with the derivative v."""
+    row, seen = velocities.row(slot), velocities.seen(slot)
+    far = ends.infinite[row]
+    apex = paths.apex_towards(index[row], seen.position)
+    apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
+    return displacement(packed, apex, far, seen)
 
 
 def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[Array, "N 1"]]:

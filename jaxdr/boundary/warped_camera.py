@@ -10,12 +10,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.continuous_velocity import draw_auxiliary, velocity_field
-from jaxdr.boundary.occluders import Faces, find_occluders
+from jaxdr.boundary.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
+from jaxdr.boundary.occluders import Faces
 from jaxdr.boundary.silhouettes import SegmentEnds
-from jaxdr.boundary.warped_area import Hidden, Measure, Onward, WarpedArea, displacement, sent_back
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
+from jaxdr.boundary.warped_area import Onward, WarpedArea, sent_back
+from jaxdr.geometry.vector import interpolate, norm, normalize
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
@@ -38,46 +37,21 @@ def warped_camera_term(
 
     `faces` are what `warp.prepare` found; `primary` is in material form, under a smooth filter.
     """
-    count = primary.first.face.shape[0]
     fixed, fixed_view = stop_gradient((packed, primary.view))
     ends = _ends(fixed, fixed_view, primary)
-    lights_up = fixed.environment is not None
     f = _measure(fixed, fixed_view, record, ends)
     value = f(ends.target)
     lit = (value != 0).any(-1)
-    room = min(warp.projections, fixed.faces.shape[0])
-    options = warp.samples, room, key, settings.rays, True, lights_up
-    points = draw_auxiliary(fixed, faces.normal, ends, lit, warp.kernel, *options)
-    apex = _apex(fixed, fixed_view, ends)
-    occluders = find_occluders(fixed, faces, apex, ends, points, warp.kernel, settings.rays)
-    field = velocity_field(warp.kernel, ends, points, occluders.boundary, warp.debias, lights_up)
-    slopes = []
-    for tangent in orthonormal_basis(ends.normal):
-        slope = jax.jvp(f, (ends.target,), (tangent,))[1]
-        slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
-    points, occluders, field, value, slopes = stop_gradient((points, occluders, field, value, slopes))
-
     # A camera lies in no face that could hide anything.
-    hidden = occluders.hidden if occluders.own is None else occluders.hidden & ~occluders.own
-    hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
-    shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
-    rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
-    slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
-    used = hidden.sum()
-    table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric)
-    per_path = points.there.shape[1] * points.there.shape[2]
+    around = warp.around(fixed, True, fixed.environment is not None)._replace(horizon=False)
+    apex = _apex(fixed, fixed_view, ends)
+    velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
 
-    def terms(slot, number):
-        row = slot // per_path
-        seen, far = jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], table), ends.infinite[row]
-        moved = _displacement(packed, primary.view.row(row), far, seen)
-        result = value[row] * dot(rates[slot], moved)[:, None]
-        for tangent, slope in slopes:
-            result += slope[row] * (shares[slot] * dot(tangent[row], moved))[:, None]
-        result = jnp.where((number < used)[:, None], result, 0.0)
-        return jnp.zeros((count, 3), result.dtype).at[row].add(result)
+    def moved(slot):
+        row = velocities.row(slot)
+        return _displacement(packed, primary.view.row(row), ends.infinite[row], velocities.seen(slot))
 
-    return sum_over_blocks(jax.checkpoint(terms), slots, used)
+    return divergence_term(f, value, ends, lit, velocities, moved)
 
 
 def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEnds:

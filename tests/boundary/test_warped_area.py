@@ -17,9 +17,9 @@ from jaxdr.boundary.continuous_velocity import (
     shares_of,
     velocity_field,
 )
+from jaxdr.boundary.divergence import Hidden, displacement
 from jaxdr.boundary.occluders import connect_faces, find_occluders
 from jaxdr.boundary.silhouettes import SegmentEnds
-from jaxdr.boundary.warped_area import Hidden, displacement
 from jaxdr.geometry.shapes import box
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import pack
