@@ -17,8 +17,8 @@ from jaxdr.boundary.continuous_velocity import (
     shares_of,
     velocity_field,
 )
-from jaxdr.boundary.divergence import Hidden, displacement
-from jaxdr.boundary.occluders import connect_faces, find_occluders
+from jaxdr.boundary.divergence import displacement, hidden_velocities
+from jaxdr.boundary.occluders import connect_faces
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry.shapes import box
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
@@ -166,27 +166,22 @@ def mean_velocity(name, place, tangent, keys=400):
 
 @partial(jax.jit, static_argnames="keys")
 def _velocities(packed, apex, faces, place, face, corners, tangent, keys):
-    kernel, samples, room = WARPED.kernel, WARPED.samples, WARPED.projections
     apex = jax.tree.map(lambda a: jnp.repeat(a, keys, axis=0), apex)
     down = jnp.asarray([0.0, 0.0, -1.0])
     target, normal, corners, face = (jnp.broadcast_to(a, (keys, *jnp.shape(a))) for a in (place, down, corners, face))
     ends = SegmentEnds(apex.position, apex.face, target, normal, face, corners, jnp.zeros(keys, bool))
-    options = kernel, samples, room, jax.random.key(7), "auto", True, False
-    points = draw_auxiliary(packed, faces.normal, ends, jnp.ones(keys, bool), *options)
-    occluders = find_occluders(packed, faces, apex, ends, points, kernel, "auto")
-    field = velocity_field(kernel, ends, points, occluders.boundary, True, False)
-    table = points.position, points.face, points.barycentric, occluders.face, occluders.barycentric
-    seen = Hidden(*(a.reshape(-1, *a.shape[3:]) for a in table))
+    options = jnp.ones(keys, bool), WARPED.around(packed, True, False), jax.random.key(7), "auto"
+    velocities = hidden_velocities(packed, faces, apex, ends, *options)
+    slots, row = velocities.slots, velocities.row(velocities.slots)
 
     def moved(vertices):
         of = dataclasses.replace(packed, vertices=vertices)
         at = material_point(of, apex.face, apex.barycentric, apex.valid).position
-        at = jnp.repeat(at, samples * room, axis=0)
-        return displacement(of, at, jnp.zeros(at.shape[0], bool), seen)
+        return displacement(of, at[row], jnp.zeros(row.shape[0], bool), velocities.seen(slots))
 
-    v = jax.jvp(moved, (packed.vertices,), (tangent,))[1].reshape(points.position.shape)
-    v = jnp.where((occluders.hidden & points.there)[..., None], v, 0.0)
-    return (field.share[..., None] * v).sum((1, 2))
+    v = jax.jvp(moved, (packed.vertices,), (tangent,))[1] * velocities.share[slots][:, None]
+    v = jnp.where((jnp.arange(len(slots)) < velocities.used)[:, None], v, 0.0)
+    return jnp.zeros_like(ends.target).at[row].add(v)
 
 
 def _inside(corners, place):
