@@ -12,46 +12,23 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments import common
-from experiments.terms.run import direction_of
+from experiments.reference_scenes import SCENES, load
 
 STUDY = "chords"
-SCENES = (
-    "direct_spot",
-    "shadow_goathead",
-    "cube_constant",
-    "cornell_indirect",
-    "mirror_spot",
-    "environment_penguin",
-)
 CHORDS = (0.5, 1.0, 2.0, 4.0, 8.0)  # and as many backgrounds
 
 
 def measure(folder, spp, keys, chords):
     """A row for every number of chords: variance of the derivative image, median seconds, and their product."""
     import jax
-    import jax.numpy as jnp
 
     import jaxdr as jd
 
-    scene = jd.load_mitsuba(str(folder / "scene.xml"))
-    oracle = json.loads((folder / "oracle.json").read_text())
-    parameter = next(p for p in oracle["parameters"] if p["kind"] in ("translate", "rotate"))
-    name = f"{parameter['shape']}.vertices"
-    vertices = scene.parameters()[name]
-    direction = jnp.asarray(direction_of(parameter, np.asarray(vertices, float)), vertices.dtype)
+    reference = load(folder)
 
     def derivative_of(count):
         boundary = jd.LineSampling(chords=count, backgrounds=count)
-        integrator = jd.PathTracer(max_depth=oracle["max_depth"], boundary=boundary)
-
-        @jax.jit
-        def derivative(key):
-            def image(v):
-                return jd.render(scene.replace({name: v}), key, spp=spp, integrator=integrator)
-
-            return jax.jvp(image, (vertices,), (direction,))[1]
-
-        return derivative
+        return reference.derivative(jd.PathTracer(max_depth=reference.max_depth, boundary=boundary), spp)
 
     functions = [derivative_of(count) for count in chords]
     for function in functions:

@@ -12,17 +12,9 @@ from tqdm import tqdm
 
 from experiments import common
 from experiments.equal_time.errors import statistics
-from experiments.terms.run import direction_of
+from experiments.reference_scenes import SCENES, load
 
 STUDY = "estimators"
-SCENES = (
-    "direct_spot",
-    "shadow_goathead",
-    "cube_constant",
-    "cornell_indirect",
-    "mirror_spot",
-    "environment_penguin",
-)
 ESTIMATORS = ("interior only", "KernelDensity", "WarpedArea", "LineSampling")
 PILOT = 4  # samples per pixel of the calls that tell how many fit
 COLUMNS = {
@@ -41,30 +33,14 @@ COLUMNS = {
 def measure(folder, budget, keys):
     """A row for every estimator: errors of one call, relative to the reference's size, and median seconds."""
     import jax
-    import jax.numpy as jnp
 
     import jaxdr as jd
 
-    scene = jd.load_mitsuba(str(folder / "scene.xml"))
-    oracle = json.loads((folder / "oracle.json").read_text())
-    parameter = next(p for p in oracle["parameters"] if p["kind"] in ("translate", "rotate"))
-    reference = np.load(folder / parameter["file"]).astype(float)
-    name = f"{parameter['shape']}.vertices"
-    vertices = scene.parameters()[name]
-    direction = jnp.asarray(direction_of(parameter, np.asarray(vertices, float)), vertices.dtype)
+    reference = load(folder)
 
     def derivative_of(estimator, spp):
         boundary = None if estimator == "interior only" else getattr(jd, estimator)()
-        integrator = jd.PathTracer(max_depth=oracle["max_depth"], boundary=boundary)
-
-        @jax.jit
-        def derivative(key):
-            def image(v):
-                return jd.render(scene.replace({name: v}), key, spp=spp, integrator=integrator)
-
-            return jax.jvp(image, (vertices,), (direction,))[1]
-
-        return derivative
+        return reference.derivative(jd.PathTracer(max_depth=reference.max_depth, boundary=boundary), spp)
 
     calls = []
     for estimator in ESTIMATORS:
@@ -82,9 +58,9 @@ def measure(folder, budget, keys):
             seconds.append(took)
     rows = []
     for estimator, spp, _, first, images, seconds in calls:
-        row = {"scene": folder.name, "parameter": parameter["name"], "estimator": estimator, "spp": spp}
+        row = {"scene": folder.name, "parameter": reference.parameter, "estimator": estimator, "spp": spp}
         row |= {"seconds": float(np.median(seconds)), "first_call": first}
-        rows.append(row | statistics(np.stack(images)[None], reference, parameter["noise_rms"] ** 2))
+        rows.append(row | statistics(np.stack(images)[None], reference.image, reference.noise**2))
     return rows
 
 

@@ -9,6 +9,7 @@ import statistics
 import numpy as np
 
 from experiments import common
+from experiments.reference_scenes import load
 
 STUDY = "terms"
 SCENE = "direct_spot"
@@ -21,34 +22,24 @@ COLUMNS = {
 }
 
 
-def direction_of(parameter, vertices):
-    """d vertices / d parameter of a rigid motion described in the scene's oracle.json."""
-    if parameter["kind"] == "translate":
-        return np.broadcast_to(np.array(parameter["direction"], float), vertices.shape)
-    return np.cross(np.array(parameter["axis"], float), vertices - np.array(parameter["pivot"], float))
-
-
 def measure(folder, parameter, spp, keys):
     """(rows, seconds): every term's size and standard deviation over `keys` independent calls, and the whole's."""
     import jax
-    import jax.numpy as jnp
 
     import jaxdr as jd
     from jaxdr.render import Moving
 
-    scene = jd.load_mitsuba(str(folder / "scene.xml"))
-    name = f"{parameter['shape']}.vertices"
-    vertices = scene.parameters()[name]
-    direction = jnp.asarray(direction_of(parameter, np.asarray(vertices, float)), vertices.dtype)
-    moving = Moving(tuple(shape == parameter["shape"] for shape in scene.shapes), camera=False)
-    integrator = jd.PathTracer(max_depth=2, boundary=jd.KernelDensity())
+    reference = load(folder, parameter)
+    moving = Moving(tuple(shape == reference.shape for shape in reference.scene.shapes), camera=False)
+    integrator = jd.PathTracer(max_depth=reference.max_depth, boundary=jd.KernelDensity())
 
     @jax.jit
     def derivative(key):
         def terms(v):
-            return jd.derivative_terms(scene.replace({name: v}), key, spp, integrator, moving)
+            moved = reference.scene.replace({f"{reference.shape}.vertices": v})
+            return jd.derivative_terms(moved, key, spp, integrator, moving)
 
-        return jax.jvp(terms, (vertices,), (direction,))[1]
+        return jax.jvp(terms, (reference.vertices,), (reference.direction,))[1]
 
     derivative(jax.random.key(12345))
     calls = [common.seconds_of(derivative, jax.random.key(k)) for k in range(keys)]
@@ -60,7 +51,7 @@ def measure(folder, parameter, spp, keys):
     for term, stack in (images | {"whole derivative": total}).items():
         own = stack.var(0, ddof=1).mean()
         size = np.sqrt(max(np.mean(stack.mean(0) ** 2) - own / keys, 0.0))  # noise of the mean taken off
-        row = {"parameter": parameter["name"], "term": term, "size": size, "deviation": np.sqrt(own)}
+        row = {"parameter": parameter, "term": term, "size": size, "deviation": np.sqrt(own)}
         rows.append(row | {"share": own / variance})
     return rows, seconds
 
@@ -91,9 +82,9 @@ def main():
     options = parser.parse_args()
     folder = options.oracle / SCENE
     rows = []
-    for parameter in json.loads((folder / "oracle.json").read_text())["parameters"]:
+    for parameter in (p["name"] for p in json.loads((folder / "oracle.json").read_text())["parameters"]):
         some, seconds = common.in_fresh_process(measure, folder, parameter, options.spp, 4 if options.quick else 32)
-        print(f"{SCENE}, {parameter['name']}, {options.spp} spp: {seconds:.3f} s", flush=True)
+        print(f"{SCENE}, {parameter}, {options.spp} spp: {seconds:.3f} s", flush=True)
         rows += [row | {"spp": options.spp, "seconds": seconds} for row in some]
     out = common.results(STUDY, options.quick)
     common.write_json(out / "terms.json", {"scene": SCENE, "rows": rows})
