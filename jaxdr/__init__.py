@@ -14,14 +14,14 @@ from jaxdr.geometry.load import save_mesh as save_mesh
 from jaxdr.geometry.mesh import Mesh as Mesh
 from jaxdr.images import load_image as load_image
 from jaxdr.images import write_image as write_image
-from jaxdr.integrator import BidirectionalPathTracer as BidirectionalPathTracer
-from jaxdr.integrator import PathTracer as PathTracer
+from jaxdr.integrators import BidirectionalPathTracer as BidirectionalPathTracer
+from jaxdr.integrators import PathTracer as PathTracer
+from jaxdr.moving import Moving as Moving
 from jaxdr.optimize import losses as losses
 from jaxdr.optimize.adam import adam_uniform as adam_uniform
 from jaxdr.optimize.chamfer import chamfer as chamfer
 from jaxdr.optimize.preconditioner import LargeSteps as LargeSteps
 from jaxdr.optimize.remesh import remesh as remesh
-from jaxdr.render import Moving as Moving
 from jaxdr.render import derivative_terms as derivative_terms
 from jaxdr.render import render as render
 from jaxdr.scene.bsdf import Conductor as Conductor

@@ -21,14 +21,14 @@ from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
-from jaxdr.integrator import BidirectionalPathTracer, PathTracer
+from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
-from jaxdr.render import Integrator, render
+from jaxdr.render import render
 from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings

@@ -10,7 +10,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import rectangle, sphere
-from jaxdr.render import Moving
+from jaxdr.moving import Moving
 
 WIDTH, HEIGHT = 12, 8
 KEYS = jax.random.split(jax.random.key(20), 12)

@@ -27,7 +27,7 @@ def measure(folder, parameter, spp, keys):
     import jax
 
     import jaxdr as jd
-    from jaxdr.render import Moving
+    from jaxdr.moving import Moving
 
     reference = load(folder, parameter)
     moving = Moving(tuple(shape == reference.shape for shape in reference.scene.shapes), camera=False)

@@ -171,7 +171,8 @@ def log_weights(
 def shares_of(weights: Float[Array, "N Q C"]) -> Float[Array, "N Q C"]:
     """Weights normalised by their sum (Eq. 47), from their logs; zeros where there are none."""
     largest = weights.max((1, 2), keepdims=True)
-    raised = jnp.exp(weights - jnp.where(jnp.isfinite(largest), largest, 0.0))
+    # -inf where there are no points at all: exp(-inf - 0) is zero, exp(-inf + inf) is not a number.
+    raised = jnp.exp(weights - jnp.where(largest == -jnp.inf, 0.0, largest))
     total = raised.sum((1, 2), keepdims=True)
     return raised / jnp.where(total > 0, total, 1.0)
 

@@ -51,6 +51,20 @@ class Convolution(NamedTuple):
     horizon: bool = True
 
 
+def check_options(estimator, counts: tuple[str, ...]) -> None:
+    """Raises ValueError where options of the kernel, or the numbers of points `counts`, are out of range."""
+    name = type(estimator).__name__
+    if estimator.distance not in ("path_space", "exponential"):
+        raise ValueError(f"{name}: distance must be 'path_space' or 'exponential', got {estimator.distance!r}")
+    for option in ("sigma0", "power", "boundary_power", "spread"):
+        if not getattr(estimator, option) > 0:
+            raise ValueError(f"{name}: {option} must be positive, got {getattr(estimator, option)}")
+    for option in counts:
+        value = getattr(estimator, option)
+        if int(value) != value or value < 1:
+            raise ValueError(f"{name}: {option} must be a whole number of at least 1, got {value}")
+
+
 class Velocities(NamedTuple):
     """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
 

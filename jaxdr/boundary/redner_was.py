@@ -22,7 +22,14 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.continuous_velocity import Kernel
-from jaxdr.boundary.divergence import Convolution, Measure, displacement, divergence_term, hidden_velocities
+from jaxdr.boundary.divergence import (
+    Convolution,
+    Measure,
+    check_options,
+    displacement,
+    divergence_term,
+    hidden_velocities,
+)
 from jaxdr.boundary.occluders import Faces, connect_faces
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds
 from jaxdr.geometry.vector import dot, norm, normalize
@@ -60,13 +67,7 @@ class RednerWAS(eqx.Module):
     spread: float = eqx.field(static=True, default=0.5)
 
     def __check_init__(self):
-        if self.distance not in ("path_space", "exponential"):
-            raise ValueError(f"RednerWAS: distance must be 'path_space' or 'exponential', got {self.distance!r}")
-        for name in ("sigma0", "power", "boundary_power", "spread"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"RednerWAS: {name} must be positive, got {getattr(self, name)}")
-        if int(self.samples) != self.samples or self.samples < 1:
-            raise ValueError(f"RednerWAS: samples must be a whole number of at least 1, got {self.samples}")
+        check_options(self, ("samples",))
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""

@@ -14,6 +14,7 @@ from jaxdr.boundary.divergence import (
     Convolution,
     Measure,
     Velocities,
+    check_options,
     displacement,
     divergence_term,
     hidden_velocities,
@@ -69,15 +70,7 @@ class WarpedArea(eqx.Module):
     projections: int = eqx.field(static=True, default=2)
 
     def __check_init__(self):
-        if self.distance not in ("path_space", "exponential"):
-            raise ValueError(f"WarpedArea: distance must be 'path_space' or 'exponential', got {self.distance!r}")
-        for name in ("sigma0", "power", "boundary_power", "spread"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"WarpedArea: {name} must be positive, got {getattr(self, name)}")
-        for name in ("samples", "projections"):
-            value = getattr(self, name)
-            if int(value) != value or value < 1:
-                raise ValueError(f"WarpedArea: {name} must be a whole number of at least 1, got {value}")
+        check_options(self, ("samples", "projections"))
 
     def around(self, packed: PackedScene, finite: bool, infinite: bool) -> Convolution:
         """How velocities are convolved; whether there are targets on surfaces, and infinitely far away."""
@@ -263,7 +256,8 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     That is what its own emitter sample and its own BSDF-sampled segment bring, with the far ends of both held fixed.
     """
     scatterer, after = paths.scatterer(index), index + paths.paths
-    seen = stop_gradient(_geometry(ends, ends.target)[1]) * scatterer.eval(_geometry(ends, ends.target)[0])
+    towards, factor = _geometry(ends, ends.target)
+    seen = stop_gradient(factor) * scatterer.eval(towards)
     # Their weights contain that of the segment itself, at its target.
     itself = jnp.where(seen != 0, 1.0 / jnp.where(seen != 0, seen, 1.0), 0.0)
     parts: list[Onward] = [(direct.table, after, direct.table.visible)]

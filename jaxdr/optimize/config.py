@@ -10,7 +10,7 @@ from typing import Any, Literal
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.integrator import PathTracer
+from jaxdr.integrators import PathTracer
 from jaxdr.optimize.strict_toml import build, read_toml
 
 Color = float | tuple[float, float, float]

@@ -9,7 +9,7 @@ import optax
 from jaxtyping import Array, Float
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.integrator import PathTracer
+from jaxdr.integrators import PathTracer
 from jaxdr.optimize import losses
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import OptimizeConfig, Optimizer

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxdr.geometry.load import load_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.geometry.shapes import centred, plane, rectangle, sphere, transformed
-from jaxdr.integrator import PathTracer
+from jaxdr.integrators import PathTracer
 from jaxdr.optimize.config import TARGET_SHAPES, Cameras, Light, OptimizeConfig, Target
 from jaxdr.scene.bsdf import Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective, look_at

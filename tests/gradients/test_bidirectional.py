@@ -210,9 +210,12 @@ SKY = jd.EnvironmentMap(np.random.default_rng(2).uniform(0.1, 2.0, (6, 12, 3)))
 
 
 def caustic() -> jd.Scene:
-    """A half pipe of rough metal on a floor, lit from the side by a small lamp; a sheet shades some of it."""
+    """A half pipe of rough metal above a floor, lit from the side by a small lamp; a sheet shades some of it.
+
+    Where the pipe touches the floor, the derivative of what one sends the other has no finite variance.
+    """
     angle = np.linspace(0.0, np.pi, 9)
-    arc = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), 0.0 * angle], -1)
+    arc = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), 0.15 + 0.0 * angle], -1)
     pipe = np.concatenate([arc, arc + np.array([0.0, 0.0, 0.5])])
     i = np.arange(8)
     faces = np.concatenate([np.stack([i, i + 1, i + 10], -1), np.stack([i, i + 10, i + 9], -1)])

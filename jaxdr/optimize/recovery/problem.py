@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.images import load_image
-from jaxdr.integrator import PathTracer
+from jaxdr.integrators import PathTracer
 from jaxdr.optimize.problem import camera_poses
 from jaxdr.optimize.recovery.config import Parameter, RecoveryConfig
 from jaxdr.optimize.recovery.parameters import Bounded, Motion, Parametrization, Plain, Smoothed

@@ -1,0 +1,53 @@
+"""What moves in a derivative: known when its program is traced."""
+
+from typing import NamedTuple
+
+import jax
+
+from jaxdr.scene.bsdf import BSDF, NormalMap
+from jaxdr.scene.scene import Scene, unwrap
+
+# Parameters of lights without area that move their shadows.
+PLACES = ("position", "direction", "to_world", "fov")
+
+
+class Moving(NamedTuple):
+    """What is being differentiated that moves: shapes, camera, lights without area, the environment. Static.
+
+    A shape counts as well where its smooth glass bends light otherwise.
+    """
+
+    shapes: tuple[bool, ...]
+    camera: bool
+    lights: tuple[bool, ...] = ()
+    environment: bool = False
+
+    @property
+    def seen(self) -> tuple[bool, ...]:
+        """Which shapes move relative to the camera."""
+        return (True,) * len(self.shapes) if self.camera else self.shapes
+
+    @property
+    def any(self) -> bool:
+        """Whether visibility can change at all."""
+        return any(self.seen) or any(self.lights) or self.environment
+
+
+def moving_in(active: Scene) -> Moving:
+    """Which geometry moves, from a scene whose leaves say whether they are differentiated."""
+    return Moving(
+        shapes=tuple(bool(shape.mesh.vertices) or _bends(unwrap(shape.bsdf)) for shape in active.shapes.values()),
+        camera=any(jax.tree.leaves(active.camera)),
+        lights=tuple(any(getattr(light, name, False) for name in PLACES) for light in active.lights.values()),
+        environment=bool(getattr(active.environment, "to_world", False)),
+    )
+
+
+def _bends(active: BSDF) -> bool:
+    """Whether directions of delta lobes change with the BSDF's own parameters, from one whose leaves say which do."""
+    if not active.delta:
+        return False
+    own = active.normal if isinstance(active, NormalMap) else getattr(active, "eta", None)
+    inner = getattr(active, "bsdf", None)
+    own = (active.transmissive or isinstance(active, NormalMap)) and any(jax.tree.leaves(own))
+    return own or (inner is not None and _bends(inner))
