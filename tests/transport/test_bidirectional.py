@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr import integrator as integrators
 from jaxdr.geometry.shapes import rectangle
+from jaxdr.integrators.bidirectional import HEURISTICS
 from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
 from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
@@ -274,7 +274,7 @@ def test_same_image_as_the_path_tracer(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("heuristic", integrators.HEURISTICS)
+@pytest.mark.parametrize("heuristic", HEURISTICS)
 @pytest.mark.parametrize("name", scenes())
 def test_same_image_as_the_path_tracer_everywhere(name, heuristic):
     means, pixels, error = compare(name, 32, 1024, heuristic)
