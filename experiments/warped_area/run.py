@@ -115,6 +115,7 @@ def _recovered(method: str, boundary, settings: dict):
         f"integrator.boundary={kind}",
         f"integrator.boundary_options={{ {options} }}",
         f"optimizer.iterations={settings['iterations']}",
+        f"samples.gradient={settings['gradient']}",
         f"scene.options.resolution={settings['resolution']}",
     ]
     path = common.ROOT / "configs/star_light.toml"
