@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
 from jaxdr.boundary.occluders import Faces, find_occluders
+from jaxdr.boundary.outlines import keep_inside
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
@@ -68,14 +69,20 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
 class Velocities(NamedTuple):
     """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
 
-    v(p) = sum of share x velocity, div v = sum of rate . velocity. All others are still.
+    v(p) = along x sum of share x velocity, div v = sum of rate . velocity. All others are still. `along` is None where
+    all targets are infinitely far away.
     """
 
     slots: Int[Array, " S"]
     used: Int[Array, ""]
     share: Float[Array, " S"]
     rate: Float[Array, "S 3"]
+    along: Float[Array, "N 3 3"] | None
     table: Hidden
+
+    def inside(self, slot: Int[Array, " M"], motion: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
+        """`along` x the displacements of occluders in slots."""
+        return motion if self.along is None else jnp.einsum("njk,nk->nj", self.along[self.row(slot)], motion)
 
     def row(self, slot: Int[Array, " M"]) -> Int[Array, " M"]:
         """Which of the N targets slots belong to."""
@@ -99,9 +106,15 @@ def hidden_velocities(
     """Auxiliary points around the targets of N segments, and what they count for them; all arguments detached."""
     options = around.samples, around.projections, key, rays, around.finite, around.infinite
     points = draw_auxiliary(packed, faces.normal, ends, lit, around.kernel, *options)
-    occluders = find_occluders(packed, faces, apex, ends, points, around.kernel, rays, around.normal_edges)
+    occluders = find_occluders(packed, faces, apex, ends, points, rays, around.normal_edges)
     field = velocity_field(around.kernel, ends, points, occluders.boundary, around.debias, around.infinite)
     points, occluders, field = stop_gradient((points, occluders, field))
+
+    rate, along = field.divergence, None
+    if around.finite:
+        width = around.kernel.sigma * norm(ends.target - ends.apex)
+        along, spread = stop_gradient(keep_inside(packed, faces, ends, width))
+        rate = jnp.einsum("njk,nqcj->nqck", along, rate) + field.share[..., None] * spread[:, None, None]
 
     hidden, own = occluders.hidden, occluders.own
     if own is not None and not around.horizon:
@@ -109,10 +122,10 @@ def hidden_velocities(
     # Slots that hold nothing repeat the first one: its numbers must be finite.
     hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
     shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
-    rates = jnp.where(hidden[:, None], field.divergence.reshape(-1, 3), 0.0)
+    rates = jnp.where(hidden[:, None], rate.reshape(-1, 3), 0.0)
     slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
     table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, own)
-    return Velocities(slots, hidden.sum(), shares, rates, table)
+    return Velocities(slots, hidden.sum(), shares, rates, along, table)
 
 
 def divergence_term(
@@ -131,6 +144,8 @@ def divergence_term(
     slopes = []
     for tangent in orthonormal_basis(ends.normal):
         slope = jax.jvp(f, (ends.target,), (tangent,))[1]
+        if velocities.along is not None:
+            tangent = jnp.einsum("nj,njk->nk", tangent, velocities.along)
         slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
     value, slopes = stop_gradient((value, slopes))
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.boundary.continuous_velocity import Auxiliary, Kernel
+from jaxdr.boundary.continuous_velocity import Auxiliary
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, interpolate, norm, normalize
@@ -55,14 +55,12 @@ def find_occluders(
     apex: SurfacePoint,
     ends: SegmentEnds,
     points: Auxiliary,
-    kernel: Kernel,
     rays: str,
     normal_edges: bool = True,
 ) -> Occluders:
     """One ray from each apex to each auxiliary point on the side of the surface that the target shows; all detached.
 
-    - Seen points have no velocity, and B = 1, less near an open edge or a crease of their surface: beyond it there is
-      no f, or another one, so nothing may flow over it.
+    - Seen points have no velocity, and B = 1.
     - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
       vanishes: distances to silhouette edges of the face that is hit count as those to open edges do, unless
       `normal_edges` is off.
@@ -72,7 +70,7 @@ def find_occluders(
     """
     full = points.there.shape
     row = jnp.broadcast_to(jnp.arange(full[0])[:, None, None], full).reshape(-1)
-    face, barycentric = points.face.reshape(-1), points.barycentric.reshape(-1, 3)
+    face = points.face.reshape(-1)
     position, there = points.position.reshape(-1, 3), points.there.reshape(-1)
     origin = jax.tree.map(lambda a: a[row], apex)
     infinite, target_normal = ends.infinite[row], ends.normal[row]
@@ -96,10 +94,8 @@ def find_occluders(
     hit = jnp.where(hidden, hit, 0)
     at = detached_barycentric(packed, start, end - start, hit)
 
-    back = jnp.abs(facing) / jnp.where(length > 0, length, 1.0)
-    width = kernel.sigma * norm(ends.target - ends.apex)[row]
-    boundary = jnp.where(infinite, 1.0, _to_fixed_edges(packed, faces, face, barycentric, width))
-    boundary = jnp.where(alike, boundary, jnp.minimum(boundary, back))
+    back = (facing / jnp.where(length > 0, length, 1.0)) ** 2
+    boundary = jnp.where(alike, 1.0, back)
     boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position, normal_edges), boundary)
     own = None
     if packed.normals is not None:
@@ -119,18 +115,6 @@ def _to_sides(packed: PackedScene, face, barycentric):
     return barycentric * norm(jnp.cross(b - a, c - a))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
 
 
-def _to_fixed_edges(packed: PackedScene, faces: Faces, face, barycentric, width):
-    """Distance to open edges and creases of the surface in kernel widths, at most 1; further the smoother the crease.
-
-    Measured against the jump of the normal: on a mesh that approximates a smooth surface no edge is near.
-    """
-    behind = faces.behind[face]
-    jump = norm(faces.normal[jnp.maximum(behind, 0)] - faces.normal[face][:, None])
-    jump = jnp.where(behind >= 0, jump, 1.0)
-    share = _to_sides(packed, face, barycentric) / (width[:, None] * jnp.maximum(jump, 1e-6))
-    return jnp.minimum(share.min(-1), 1.0)
-
-
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
     """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
     corners = packed.vertices[packed.faces[face]]
@@ -145,4 +129,5 @@ def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, ape
     neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
     ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0) if normal_edges else behind < 0
     to_side = jnp.where(ends_here, _to_sides(packed, face, barycentric), jnp.inf).min(-1)
-    return jnp.minimum(jnp.abs(slope), to_side) / length
+    # At a smooth silhouette the cosine falls as the root of the distance.
+    return jnp.minimum((slope / length) ** 2, to_side / length)

@@ -199,8 +199,8 @@ class WarpedArea(eqx.Module):
         def terms(slot, number):
             row, filled = velocities.row(slot), number < velocities.used
             moved = _moved(packed, paths, index, ends, velocities, slot)
-            normal = ends.normal[row]
-            in_plane = (moved - dot(moved, normal)[:, None] * normal) * velocities.share[slot][:, None]
+            normal, inside = ends.normal[row], velocities.inside(slot, moved)
+            in_plane = (inside - dot(inside, normal)[:, None] * normal) * velocities.share[slot][:, None]
             in_plane = jnp.where(filled[:, None], in_plane, 0.0)
             stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
             shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
