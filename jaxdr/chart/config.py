@@ -79,8 +79,8 @@ class FiniteDifferences:
 class ChartScene:
     """A scene `file` (Mitsuba XML or glTF), or a `procedural` one by its name, with `options`.
 
-    `directly_visible`: whether more is in view than a shadow or reflection of what moves; where not, Mitsuba's
-    integrators leave out two terms that are zero.
+    `directly_visible`: whether more is in view than a shadow of what moves; where not, Mitsuba's integrators leave out
+    their interior and primary terms, which are zero.
     """
 
     name: str

@@ -114,28 +114,27 @@ def test_resume_gives_the_same_rows(asked, capsys, monkeypatch):
 
     assert run("--overwrite") == 0
     assert steady(rows()) == steady(whole)
-    # Ctrl-C after some calls: what was measured stays as it is, the rest is made.
-    stopped = []
-    original = scene_run.ChartFolder.save_call
+
+
+def test_interruption_keeps_what_was_measured(asked, capsys, monkeypatch):
+    """Ctrl-C after five calls: the chart stops before the next one and says how to go on."""
+    runs, made = [], []
+    start, save = scene_run.SceneRun.measure, scene_run.ChartFolder.save_call
+
+    def measured(self):
+        runs.append(self)
+        start(self)
 
     def save_call(self, cell, number, values, kind="calls"):
-        original(self, cell, number, values, kind)
-        stopped.append(number)
-        if len(stopped) == 5:
-            run_of.stop.requested = True
+        save(self, cell, number, values, kind)
+        made.append(number)
+        runs[0].stop.requested = len(made) == 5
 
-    class Watched(scene_run.SceneRun):
-        def __init__(self, *arguments):
-            global run_of
-            super().__init__(*arguments)
-            run_of = self
-
-    monkeypatch.setattr("jaxdr.chart.run.SceneRun", Watched)
+    monkeypatch.setattr(scene_run.SceneRun, "measure", measured)
     monkeypatch.setattr(scene_run.ChartFolder, "save_call", save_call)
-    assert run("--overwrite") == cli.INTERRUPTED
-    assert "--resume" in capsys.readouterr().err and not Path("out/rows.csv").exists()
-    monkeypatch.undo()
-    assert len(list(Path("out/calls/ball").iterdir())) == 5
+    assert run(settings=[*SETTINGS, "samples=[1]"]) == cli.INTERRUPTED
+    assert "jaxdr chart chart.toml --set keys=8" in capsys.readouterr().err
+    assert len(list(Path("out/calls/ball").iterdir())) == 5 and not Path("out/rows.csv").exists()
 
 
 def test_interrupted_chart_goes_on(asked, workplace):

@@ -58,7 +58,7 @@ def test_the_test_above_can_fail(broken):
         for seed in range(20):
             values, reference = drawn(np.random.default_rng(seed), **known)
             found.append(np.mean((values.mean((0, 1)) - reference) ** 2) - known["noise"] ** 2)
-    assert np.mean(found) > 8 * np.std(found, ddof=1) / np.sqrt(20)
+    assert np.mean(found) > 5 * np.std(found, ddof=1) / np.sqrt(20)
 
 
 def test_error_of_one_call_is_what_it_is_defined_as():
