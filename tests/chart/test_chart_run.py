@@ -1,11 +1,10 @@
-"""`jaxdr chart` from the command line, with a stand-in for the renderer whose errors are known; once with the real one."""
+"""`jaxdr chart` from the command line: a stand-in for the renderer, whose errors are known; once the real one."""
 
 import csv
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import jaxdr as jd
@@ -182,5 +181,5 @@ def test_the_real_renderer():
     Path("chart.toml").write_text(text)
     assert run(settings=["keys=8", "samples=[2]", "memory=false", "terms=0"]) == 0
     (row,) = rows()
-    assert float(row["bias"]) > 5 * float(row["bias_resolution"]) and row["resolved"] == "true"
+    assert float(row["bias"]) > 3 * float(row["bias_resolution"]) and row["resolved"] == "true"
     assert float(row["seconds"]) > 0 and float(row["program_mb"]) > 0

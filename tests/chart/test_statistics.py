@@ -36,7 +36,7 @@ def average(**known):
     ],
 )
 def test_bias_variance_and_noise_are_separated(known):
-    """`bias2` and `variance` are unbiased: z-tests. The size that all is relative to is estimated as well, hence 2 %."""
+    """`bias2` and `variance` are unbiased: z-tests. The size they are relative to is estimated too: 2 %."""
     found = average(**known)
     for name, expected in (("bias2", known["bias"] ** 2), ("variance", known["deviation"] ** 2)):
         mean, error = found[name]
@@ -121,9 +121,7 @@ def test_pareto_front():
     assert pareto_front(points) == [0, 1, 5]
     assert pareto_front(points[::-1]) == [5, 4, 0]
     brute = [
-        i
-        for i, (t, e) in enumerate(points)
-        if not any((a <= t and b <= e) and (a < t or b < e) for a, b in points)
+        i for i, (t, e) in enumerate(points) if not any((a <= t and b <= e) and (a < t or b < e) for a, b in points)
     ]
     assert brute == pareto_front(points)
     assert pareto_front([]) == []
