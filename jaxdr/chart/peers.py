@@ -35,7 +35,8 @@ class PeerLine:
         import mitsuba as mi
 
         self.dr, self.mi, self.name, self.motion = dr, mi, name, scene.motion
-        self.scene = mi.load_file(scene.file, **{k: str(v) for k, v in scene.options.items()})
+        variables: dict[str, Any] = {k: str(v) for k, v in scene.options.items()}
+        self.scene = mi.load_file(scene.file, **variables)
         self.parameters = mi.traverse(self.scene)
         self.key = f"{scene.motion.shape}.vertex_positions"
         self.rest = np.array(self.parameters[self.key], np.float64).reshape(-1, 3)

@@ -57,9 +57,9 @@ class SceneRun:
         if isinstance(self.scene.reference, Stored):
             image = references.stored_reference(self.scene, self.case)
         else:
-            batch = references.difference_batches(self.scene, self.case, self._key(REFERENCE))
+            difference = references.difference_batches(self.scene, self.case, self._key(REFERENCE))
             count = self.scene.reference.batches
-            image = mean_and_noise(self._batches(f"{name}/image", f"{name}: reference", count, batch))
+            image = mean_and_noise(self._batches(f"{name}/image", f"{name}: reference", count, difference))
         if not np.isfinite(image[0]).all():
             raise NotFinite(f"scene {name}: the reference is not finite")
         if config.vertices is None:
