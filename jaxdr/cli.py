@@ -1,4 +1,4 @@
-"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr optimize`.
+"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr optimize`, `jaxdr chart`.
 
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
 exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
@@ -19,6 +19,8 @@ from tqdm import tqdm
 
 from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
+from jaxdr.chart.config import chart_config
+from jaxdr.chart.run import chart
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
@@ -202,6 +204,19 @@ def _optimize(options) -> int:
     return 0
 
 
+def _chart(options) -> int:
+    path = Path(options.config)
+    config = chart_config(read_toml(path, options.set), path)
+    try:
+        summary = chart(config, resume=options.resume, overwrite=options.overwrite)
+    except Interrupted as interruption:
+        overrides = "".join(f" --set {assignment}" for assignment in options.set)
+        raise Interrupted(f"{interruption}; go on with: jaxdr chart {options.config}{overrides} --resume") from None
+    left = f"{summary['over_budget']} over the budget, {summary['refused']} refused"
+    print(f"{Path(config.output) / 'index.html'}: {summary['measured']} points, {left}")
+    return 0
+
+
 def _load_scene(options) -> Scene:
     """The scene with `--set` applied: names with a dot are scene parameters, others go to the loader.
 
@@ -307,12 +322,24 @@ def _parser() -> argparse.ArgumentParser:
         files = "image file" if name == "render" else "file, or name without suffix for picture and values"
         command.add_argument("-o", "--output", required=True, metavar="FILE", help=files)
 
-    command = add(
-        "optimize", _optimize, "Recover a shape or other parameters of a scene from images, as a TOML file describes."
-    )
-    command.add_argument("config", metavar="CONFIG.toml")
-    command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
-    command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+    for name, function, summary, kept in (
+        (
+            "optimize",
+            _optimize,
+            "Recover a shape or other parameters of a scene from images, as a TOML file describes.",
+            "go on from the checkpoint in the output folder",
+        ),
+        (
+            "chart",
+            _chart,
+            "Chart the error of derivatives against time, by estimator, as a TOML file describes.",
+            "measure only what is missing in the output folder",
+        ),
+    ):
+        command = add(name, function, summary)
+        command.add_argument("config", metavar="CONFIG.toml")
+        command.add_argument("--resume", action="store_true", help=kept)
+        command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     return parser
 
 

@@ -1,0 +1,86 @@
+"""The picture of a scene: error against seconds, both axes logarithmic."""
+
+import importlib.util
+import io
+from collections.abc import Sequence
+
+import numpy as np
+
+MARKERS = "osD^vP*X<>"
+
+
+def require_matplotlib() -> None:
+    """Raise ImportError that says what to install when matplotlib is missing."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ImportError('charts need matplotlib, which is optional: pip install "jaxdr[experiments]"')
+
+
+def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | None:
+    """PNG of the rows of a scene, None when none has an error; `prefix` "vertex_" takes the gradients by vertices.
+
+    A line an estimator. The band is the noise of the reference: points in it are hollow. Dotted: slope -1/2, the same
+    error² · seconds. Ringed: the Pareto front.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    error, seconds = f"{prefix}rmse", f"{prefix}seconds"
+    measured = [row for row in rows if error in row]
+    if not measured:
+        return None
+    noise = measured[0][f"{prefix}noise"]
+    figure = Figure(figsize=(7.2, 5.2))
+    FigureCanvasAgg(figure)
+    panel = figure.add_subplot()
+    for i, name in enumerate(dict.fromkeys(row["estimator"] for row in measured)):
+        mine = sorted((row for row in measured if row["estimator"] == name), key=lambda row: row["samples"])
+        x, y = [row[seconds] for row in mine], [row[error] for row in mine]
+        compiled = [row.get(f"{prefix}compile_seconds") for row in mine]
+        compiled = max((t for t in compiled if t is not None), default=None)
+        label = name if compiled is None else f"{name} (compiles in {compiled:.1f} s)"
+        color, marker = f"C{i % 10}", MARKERS[i % len(MARKERS)]
+        panel.loglog(x, y, "-", color=color, linewidth=1.2)
+        panel.loglog([], [], f"{marker}-", color=color, label=label)
+        for row, a, b in zip(mine, x, y, strict=True):
+            face = color if b > noise else "white"
+            panel.loglog([a], [b], marker, color=color, markerfacecolor=face, markersize=6, zorder=3)
+            panel.annotate(
+                str(row["samples"]), (a, b), textcoords="offset points", xytext=(5, 4), fontsize=7, color=color
+            )
+    _front(panel, measured, error, seconds)
+    _guides(panel, [row[seconds] for row in measured], [row[error] for row in measured])
+    if noise > 0:
+        low, high = panel.get_ylim()
+        panel.axhspan(min(low, noise / 2), noise, color="0.88", zorder=0, label="noise of the reference")
+        panel.set_ylim(min(low, noise / 2), max(high, noise * 1.2))
+    what = "gradient by vertices" if prefix else "derivative image"
+    panel.set(title=title, xlabel=f"seconds a {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
+    panel.grid(True, which="major", alpha=0.3)
+    panel.legend(fontsize=7, loc="best")
+    figure.tight_layout()
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=110)
+    return png.getvalue()
+
+
+def _front(panel, rows, error: str, seconds: str) -> None:
+    from jaxdr.chart.statistics import pareto_front
+
+    points = [(row[seconds], row[error]) for row in rows]
+    front = [points[i] for i in pareto_front(points)]
+    x, y = zip(*front, strict=True)
+    panel.step(x, y, where="post", color="0.35", linewidth=0.9, linestyle="--", zorder=1)
+    panel.loglog(x, y, "o", color="0.2", markerfacecolor="none", markersize=12, label="Pareto front", linestyle="none")
+
+
+def _guides(panel, seconds: Sequence[float], errors: Sequence[float]) -> None:
+    """Lines of slope -1/2 over the points' range, a factor of two apart in the error."""
+    x = np.array([min(seconds) / 1.5, max(seconds) * 1.5])
+    works = np.array(errors) * np.sqrt(seconds)
+    low, high = np.floor(np.log2(works.min())), np.ceil(np.log2(works.max()))
+    limits = (min(errors) / 1.6, max(errors) * 1.6)
+    for power in np.arange(low, high + 1):
+        panel.loglog(x, 2.0**power / np.sqrt(x), ":", color="0.7", linewidth=0.8, zorder=0)
+    panel.loglog([], [], ":", color="0.7", label="slope −1/2")
+    panel.set_xlim(*x)
+    panel.set_ylim(*limits)

@@ -1,0 +1,140 @@
+"""The folder of a chart: every call kept in a file of its own, so that an interrupted one goes on."""
+
+import dataclasses
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxdr.chart.config import ChartConfig
+from jaxdr.images import atomic_path
+
+KEPT = ("references", "cells", "calls", "terms")
+
+
+class Cell(NamedTuple):
+    """A scene by its name, a line by its number, and samples per pixel."""
+
+    scene: str
+    line: int
+    samples: int
+
+    @property
+    def file(self) -> str:
+        """What its files' names begin with."""
+        return f"{self.scene}/{self.line:02d}_{self.samples}"
+
+
+class ChartFolder:
+    """Names and formats of what a chart writes.
+
+    Kept while it runs: `references/` (batches), `cells/` (status, seconds to compile, memory), `calls/` and `terms/`
+    (arrays and seconds of single calls). Results: `rows.csv`, `terms.csv`, a picture a scene, `index.html`,
+    `summary.json`.
+    """
+
+    def __init__(self, config: ChartConfig):
+        self.path = Path(config.output)
+        self.config = config
+
+    def open(self, resume: bool, overwrite: bool) -> None:
+        """Make the folder, or check that it is the one to go on with.
+
+        Raises ValueError when it holds results and neither `resume` nor `overwrite` is given, when it isn't a chart's,
+        and on `resume` when there is nothing to resume or the config differs.
+        """
+        if resume and overwrite:
+            raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
+        if resume:
+            self._check_config()
+            return
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"output {self.path}: is a file; expected a folder")
+        if self.path.exists() and any(self.path.iterdir()):
+            if not (self.path / "chart.json").exists():
+                raise ValueError(f"output {self.path}: is not empty and not the folder of a chart; choose another one")
+            if not overwrite:
+                raise ValueError(f"output {self.path}: already holds results; give --resume or --overwrite")
+            shutil.rmtree(self.path)
+        self.path.mkdir(parents=True, exist_ok=True)
+        self.write_text("chart.json", self._config_json())
+
+    def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
+        """The array in `references/`, made if it isn't there."""
+        path = self._file("references", f"{name}.npy")
+        if not path.exists():
+            array = make()
+            with atomic_path(path) as temporary:
+                np.save(temporary, array)
+        try:
+            return np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as problem:
+            raise ValueError(f"{path}: can't be read ({problem}); delete it and --resume") from None
+
+    def status(self, name: str) -> dict | None:
+        """What is known of a cell."""
+        path = self._file("cells", f"{name}.json")
+        return json.loads(path.read_text()) if path.exists() else None
+
+    def save_status(self, name: str, values: dict) -> dict:
+        """Keep what is known of a cell; returns it."""
+        with atomic_path(self._file("cells", f"{name}.json")) as temporary:
+            temporary.write_text(json.dumps(values))
+        return values
+
+    def has_call(self, cell: Cell, number: int, kind: str = "calls") -> bool:
+        """Whether a call was made."""
+        return self._file(kind, f"{cell.file}_{number}.npz").exists()
+
+    def save_call(self, cell: Cell, number: int, values: dict[str, Any], kind: str = "calls") -> None:
+        """Keep arrays and seconds of a call."""
+        with atomic_path(self._file(kind, f"{cell.file}_{number}.npz")) as temporary:
+            np.savez(temporary, allow_pickle=False, **values)
+
+    def calls(self, cell: Cell, count: int, kind: str = "calls") -> dict[str, np.ndarray]:
+        """Arrays of the calls 0 … count - 1 of a cell, stacked. Raises ValueError for damaged files."""
+        found = []
+        for number in range(count):
+            path = self._file(kind, f"{cell.file}_{number}.npz")
+            try:
+                with np.load(path, allow_pickle=False) as file:
+                    found.append(dict(file))
+            except (OSError, ValueError, zipfile.BadZipFile) as problem:
+                raise ValueError(f"{path}: can't be read ({problem}); delete it and --resume") from None
+        return {name: np.stack([values[name] for values in found]) for name in found[0]}
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write a result."""
+        with atomic_path(self.path / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def write_bytes(self, name: str, content: bytes) -> None:
+        """The same for pictures."""
+        with atomic_path(self.path / name) as temporary:
+            temporary.write_bytes(content)
+
+    def _file(self, kind: str, name: str) -> Path:
+        path = self.path / kind / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def _config_json(self) -> str:
+        return json.dumps(dataclasses.asdict(self.config), indent=2)
+
+    def _check_config(self) -> None:
+        try:
+            stored = json.loads((self.path / "chart.json").read_text())
+        except FileNotFoundError:
+            raise ValueError(f"output {self.path}: there is no chart to resume") from None
+        except json.JSONDecodeError as problem:
+            raise ValueError(f"output {self.path}: chart.json is damaged ({problem})") from None
+        new = json.loads(self._config_json())
+        changed = [key for key in new if key not in ("output", "folder") and stored.get(key) != new[key]]
+        if changed:
+            raise ValueError(
+                f"output {self.path}: can't resume, the config differs from the chart's in {', '.join(changed)}"
+            )

@@ -1,0 +1,103 @@
+"""References with their noise: stored derivative images, central differences, long runs for gradients by vertices."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.chart.config import ChartScene, FiniteDifferences, Stored, Vertices
+from jaxdr.chart.measure import Line
+from jaxdr.chart.scenes import Case
+from jaxdr.integrators import PathTracer
+from jaxdr.render import render
+
+
+def stored_reference(scene: ChartScene, case: Case) -> tuple[Float[np.ndarray, "H W 3"], float]:
+    """The image in the file and its noise. Raises ValueError for one that can't be read or does not fit the scene."""
+    source = scene.reference
+    assert isinstance(source, Stored)
+    place = f"scene {scene.name}: reference.file: {source.file}"
+    try:
+        image = np.load(source.file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as problem:
+        raise ValueError(f"{place} can't be read ({problem}); expected a .npy file") from None
+    _, _, width, height = case.scene.camera.film.window
+    if image.shape != (height, width, 3) or image.dtype.kind != "f":
+        raise ValueError(
+            f"{place}: expected floats of shape [{height}, {width}, 3], as the scene's film is, "
+            f"got {image.dtype} {list(image.shape)}"
+        )
+    if not np.isfinite(image).all():
+        raise ValueError(f"{place}: {int((~np.isfinite(image)).sum())} values are not finite")
+    return image.astype(np.float64), source.noise
+
+
+def difference_batches(scene: ChartScene, case: Case, key: PRNGKeyArray) -> Callable[[int], Float[np.ndarray, "H W 3"]]:
+    """Function of a batch's number: (I(step) - I(-step)) / (2 step), both images from the same random numbers.
+
+    By the path tracer, whichever integrators are measured. No derivative is taken.
+    """
+    source = scene.reference
+    assert isinstance(source, FiniteDifferences)
+    image = _still(case, scene.max_depth, source.samples)
+
+    def batch(number: int):
+        own = jax.random.fold_in(key, number)
+        ahead, behind = (np.asarray(image(t, own), np.float64) for t in (source.step, -source.step))
+        return (ahead - behind) / (2 * source.step)
+
+    return batch
+
+
+def residual(options: Vertices, scene: ChartScene, case: Case, key: PRNGKeyArray) -> Float[np.ndarray, "H W 3"]:
+    """d (half the mean squared difference) / d image at rest, the image to be matched being that at `target`."""
+    image = _still(case, scene.max_depth, options.image_samples)
+    one, two = (np.asarray(image(t, jax.random.fold_in(key, i))) for i, t in enumerate((0.0, options.target)))
+    return (one - two) / one.size
+
+
+def vertex_batches(line: Line, options: Vertices, key: PRNGKeyArray) -> Callable[[int], Float[np.ndarray, "V 3"]]:
+    """Function of a batch's number: gradients by the vertices, of the estimator that is the reference."""
+    program = line.vertices(options.samples)
+
+    def batch(number: int):
+        return line.timed(program, 0.0, number, jax.random.fold_in(key, number))[0]
+
+    return batch
+
+
+def agreement(
+    residual: Float[np.ndarray, "H W 3"],
+    image: Float[np.ndarray, "H W 3"],
+    image_noise: float,
+    gradients: Float[np.ndarray, "B V 3"],
+    velocity: Float[Array, "V 3"],
+) -> dict[str, float]:
+    """The derivative of the loss by t, twice: from the reference image, and from gradients by vertices.
+
+    `difference` with its standard error `error`: the check of the one reference that is itself an estimate. Channels
+    of a pixel count as fully correlated, pixels as independent.
+    """
+    along = (gradients.astype(np.float64) * np.asarray(velocity, np.float64)).sum((1, 2))
+    from_image = float((residual.astype(np.float64) * image).sum())
+    noise2 = image_noise**2 * float((np.abs(residual.astype(np.float64)).sum(-1) ** 2).sum())
+    return {
+        "from_image": from_image,
+        "from_vertices": float(along.mean()),
+        "difference": float(along.mean()) - from_image,
+        "error": float(np.sqrt(noise2 + along.var(ddof=1) / len(along))),
+    }
+
+
+def velocity(case: Case) -> Float[Array, "V 3"]:
+    """d vertices / dt at rest."""
+    zero = jnp.zeros((), case.rest.dtype)
+    return jax.jvp(case.at, (zero,), (jnp.ones_like(zero),))[1]
+
+
+def _still(case: Case, max_depth: int, spp: int) -> Callable[[Any, PRNGKeyArray], Array]:
+    tracer = PathTracer(max_depth=max_depth, boundary=None)
+    return jax.jit(lambda t, key: render(case.moved(jnp.asarray(t, case.rest.dtype)), key, spp=spp, integrator=tracer))

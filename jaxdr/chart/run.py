@@ -1,0 +1,143 @@
+"""A chart from its config to its page."""
+
+import json
+
+import jax
+import numpy as np
+
+from jaxdr.chart.config import ChartConfig, Stored
+from jaxdr.chart.figure import chart_png, require_matplotlib
+from jaxdr.chart.folder import ChartFolder
+from jaxdr.chart.machine import machine
+from jaxdr.chart.page import Section, page
+from jaxdr.chart.peers import require_mitsuba
+from jaxdr.chart.reference import stored_reference
+from jaxdr.chart.scene_run import SceneRun, mean_image
+from jaxdr.chart.scenes import describe, load_case
+from jaxdr.chart.table import COLUMNS, TERM_COLUMNS, csv_text, mark_front, megabytes, row_of, term_rows
+from jaxdr.optimize.progress import Interruption, NotFinite, deferred_interrupt
+
+
+def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+    """Measure everything that a config asks for, write it to `output`, and return the summary.
+
+    What is there is not measured again on `resume`, and gives the same rows. Raises ValueError for a config that can't
+    be run or a folder in use, ImportError before the start when matplotlib or Mitsuba is missing, `Interrupted` after
+    Ctrl-C, and `NotFinite` for references, or at the end when estimates were: the chart is complete then.
+    """
+    require_matplotlib()
+    if config.peers:
+        require_mitsuba()
+    cases = [load_case(s.name, s.file, s.procedural, s.options, s.motion) for s in config.scenes]
+    for scene, case in zip(config.scenes, cases, strict=True):
+        if isinstance(scene.reference, Stored):
+            stored_reference(scene, case)  # a mistake shows before anything is written
+    folder = ChartFolder(config)
+    folder.open(resume, overwrite)
+    rows, terms, sections = [], [], []
+    with deferred_interrupt() as interruption:
+        for scene, case in zip(config.scenes, cases, strict=True):
+            scene_rows, scene_terms, section = _scene(config, scene, case, folder, interruption)
+            rows += scene_rows
+            terms += scene_terms
+            sections.append(section)
+            folder.write_text("rows.csv", csv_text(rows, COLUMNS))
+            folder.write_text("terms.csv", csv_text(terms, TERM_COLUMNS))
+            for suffix, png in zip(("", "_vertices"), section.charts, strict=False):
+                folder.write_bytes(f"{scene.name}{suffix}.png", png)
+            folder.write_text("index.html", page("Speed against accuracy", _about(config), sections))
+            jax.clear_caches()
+    counts = {kind: sum(row["status"].startswith(kind) for row in rows) for kind in ("ok", "over", "refused", "not")}
+    summary = {
+        "rows": len(rows),
+        "measured": counts["ok"] + counts["not"],
+        "over_budget": counts["over"],
+        "refused": counts["refused"],
+        "not_finite": counts["not"],
+        "machine": machine(),
+    }
+    folder.write_text("summary.json", json.dumps(summary, indent=2) + "\n")
+    if counts["not"]:
+        bad = [f"{r['scene']}, {r['estimator']}, {r['samples']} spp" for r in rows if r["status"].startswith("not")]
+        raise NotFinite(
+            f"{folder.path}: the chart is complete, and has estimates that are not finite: {'; '.join(bad)}"
+        )
+    return summary
+
+
+def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: Interruption):
+    """Rows, rows of terms, and the section of the page of one scene."""
+    run = SceneRun(config, scene, case, folder, interruption)
+    run.measure()
+    rows, images = [], []
+    for cell in run.cells():
+        name, status = run.lines[cell.line], folder.status(cell.file)
+        row = {"scene": scene.name, "estimator": name, "samples": cell.samples, "status": status["status"]}
+        if status["status"] == "ok":
+            calls = folder.calls(cell, config.keys)
+            row |= row_of(calls, len(run.positions), run.image, run.vertices)
+            images.append((row, calls["image"][0], mean_image(calls["image"])))
+        row |= {key: status.get(key) for key in ("compile_seconds", "vertex_compile_seconds")}
+        row["program_mb"] = megabytes(status.get("program_bytes"))
+        memory = folder.status(f"{scene.name}/{cell.line:02d}_memory")
+        if memory is not None and memory["samples"] == cell.samples:
+            row |= {"peak_mb": megabytes(memory["peak_bytes"]), "peak_has_compilation": memory["compilation"]}
+        rows.append(row)
+    mark_front(rows)
+    terms = []
+    if config.terms:
+        for line, name in enumerate(run.lines[: len(config.estimators)]):
+            cell = run.term_cell(line)
+            if folder.has_call(cell, 0, "terms"):
+                found = term_rows(folder.calls(cell, config.keys, "terms"), run.image)
+                terms += [{"scene": scene.name, "estimator": name, "samples": config.terms} | row for row in found]
+    charts = [chart_png(scene.name, rows)]
+    if config.vertices is not None:
+        charts.append(chart_png(f"{scene.name}, gradient by vertices", rows, "vertex_"))
+    charts = [png for png in charts if png is not None]
+    return rows, terms, Section(scene.name, _about_scene(run), charts, _images(run, images), rows, terms)
+
+
+def _images(run: SceneRun, images: list) -> list[tuple[str, np.ndarray]]:
+    """The reference; of every line a call, all about equally long, and the mean of all calls of its last rung."""
+    shown = [("reference", run.image[0])]
+    lines = dict.fromkeys(row["estimator"] for row, _, _ in images)
+    last = {name: [entry for entry in images if entry[0]["estimator"] == name] for name in lines}
+    equal = min((entries[-1][0]["seconds"] for entries in last.values()), default=0.0)
+    for name, entries in last.items():
+        row, one, _ = min(entries, key=lambda entry: abs(np.log(entry[0]["seconds"] / equal)))
+        shown.append((f"{name}, one call: {row['samples']} spp, {row['seconds']:.2g} s", one.astype(np.float64)))
+    for name, entries in last.items():
+        row, _, mean = entries[-1]
+        shown.append((f"{name}, mean of {row['calls']} calls, {row['samples']} spp", mean))
+    return shown
+
+
+def _about_scene(run: SceneRun) -> list[str]:
+    scene, source = run.scene, run.scene.reference
+    size = float(np.sqrt(np.mean(run.image[0] ** 2)))
+    made = "stored" if isinstance(source, Stored) else f"central differences, {source.batches} x {source.samples} spp"
+    lines = [
+        f"Derivative by the motion of {describe(scene.motion)}; paths of up to {scene.max_depth} segments.",
+        f"Reference: {made}, step {source.step:g}; its noise is {run.image[1] / size:.2g} of its size {size:.3g}.",
+    ]
+    if run.agreement is not None:
+        a = run.agreement
+        lines.append(
+            f"Gradient by vertices: the reference is a long run of {run.config.vertices.reference}. Along the motion "
+            f"it gives {a['from_vertices']:.4g}, the reference image {a['from_image']:.4g}: "
+            f"the difference is {a['difference'] / a['error']:.1f} standard errors."
+        )
+    return lines
+
+
+def _about(config: ChartConfig) -> list[str]:
+    found = ", ".join(f"{key} {value}" for key, value in machine().items())
+    lines = [
+        f"Measured on: {found}. {config.keys} calls a point, all estimators in turns; times are medians of calls that "
+        "build acceleration structures and guides, and do not compile.",
+        "Errors are of one call, relative to the root mean square of the reference; hollow points lie in its noise.",
+    ]
+    if config.peers:
+        lines.append("Mitsuba's times hold the update of its scene; its 'compile' is what a first call takes longer.")
+    return lines

@@ -1,0 +1,158 @@
+"""The scenes of a chart: procedural ones by name, scene files, and how one of their shapes moves."""
+
+import dataclasses
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxdr.geometry import shapes
+from jaxdr.geometry.shapes import plane, transformed
+from jaxdr.moving import Moving
+from jaxdr.optimize.recovery import scenes as recovery_scenes
+from jaxdr.scene.bsdf import Diffuse, TwoSided
+from jaxdr.scene.camera import Perspective, look_at
+from jaxdr.scene.emitters import AreaEmitter
+from jaxdr.scene.film import Film
+from jaxdr.scene.gltf import is_gltf, load_gltf
+from jaxdr.scene.mitsuba import load_mitsuba
+from jaxdr.scene.scene import Scene, Shape
+
+EPSILON = float(np.finfo(np.float32).eps)
+NUDGES = 61  # more than acceleration structures are kept
+
+
+def ball_and_shadow(*, resolution: int = 32, subdivisions: int = 3, light: float = 0.6) -> Scene:
+    """A bumpy `ball` above a floor, with its soft shadow, under a square lamp of edge length `light`."""
+    ball = shapes.displaced_sphere(subdivisions, radius=0.4, center=(0.0, 0.0, 0.1)).flat()
+    lamp = transformed(shapes.rectangle(light, light), look_at((1.0, -0.6, 2.4), (0, 0, 0), (0, 0, 1)))
+    return Scene(
+        shapes={
+            "ball": Shape(ball, TwoSided(Diffuse(0.5))),
+            "floor": Shape(plane(6.0, center=(0.0, 0.0, -0.6)), TwoSided(Diffuse(0.5))),
+            "lamp": Shape(lamp, Diffuse(0.0), AreaEmitter(6.0 / light**2)),
+        },
+        camera=Perspective(
+            look_at((0.0, -2.6, 1.6), (-0.1, 0.0, -0.25), (0, 0, 1)), 36.0, Film(resolution, resolution)
+        ),
+    )
+
+
+SCENES: dict[str, Callable[..., Scene]] = {"ball_and_shadow": ball_and_shadow, **recovery_scenes.SCENES}
+
+
+class Case(NamedTuple):
+    """A scene at rest, the name of the vertices that move, and where they are at t.
+
+    `nudge`: a motion of four units in the last place of the coordinates.
+    """
+
+    scene: Scene
+    parameter: str
+    shape: str
+    rest: Float[Array, "V 3"]
+    at: Callable[[Any], Float[Array, "V 3"]]
+    moving: Moving
+    nudge: float
+
+    def moved(self, t) -> Scene:
+        """The scene at t; traceable."""
+        return self.scene.replace({self.parameter: self.at(t)})
+
+
+def check_scene_options(name: str, options: dict) -> None:
+    """Raise ValueError for an unknown procedural scene, or an option that its function does not have."""
+    if name not in SCENES:
+        raise ValueError(f"procedural: expected one of {', '.join(SCENES)}, got {name!r}")
+    known = inspect.signature(SCENES[name]).parameters
+    for option in options:
+        if option not in known:
+            raise ValueError(f"options.{option}: {name} has no such option (known: {', '.join(known)})")
+
+
+def load_case(name: str, file: str, procedural: str, options: dict, motion) -> Case:
+    """Scene and `motion` (`jaxdr.chart.config.Motion`). Raises ValueError that starts with the scene's name."""
+    try:
+        if file:
+            reader = load_gltf if is_gltf(Path(file)) else load_mitsuba
+            scene = reader(file, **options)
+        else:
+            scene = SCENES[procedural](**options)
+        return _case(scene, motion)
+    except (TypeError, ValueError) as problem:
+        raise ValueError(f"scene {name}: {problem}") from None
+
+
+def nudged(case: Case, t: float, number: int) -> float:
+    """t, moved by rounding of the coordinates alone, otherwise for each of `NUDGES` calls in a row.
+
+    Acceleration structures are kept by their content: calls at the very same place would not build them.
+    """
+    return t + (number % NUDGES - NUDGES // 2) * case.nudge
+
+
+def _case(scene: Scene, motion) -> Case:
+    movable = [name for name in scene.shapes if f"{name}.vertices" in scene.parameters()]
+    if motion.shape not in movable:
+        raise ValueError(f"motion.shape: expected one of {', '.join(movable)}, got {motion.shape!r}")
+    parameter = f"{motion.shape}.vertices"
+    rest = jnp.asarray(scene.parameters()[parameter])
+    moving = Moving(tuple(name == motion.shape for name in scene.shapes), False, (False,) * len(scene.lights), False)
+    if motion.kind == "rotate":
+        at, speed = _turned(rest, motion)
+    else:
+        velocities = _velocities(rest, motion)
+        at, speed = (lambda t: rest + t * velocities), float(jnp.linalg.norm(velocities, axis=1).max())
+    nudge = 4 * EPSILON * float(jnp.abs(rest).max()) / max(speed, 1e-12)
+    return Case(scene, parameter, motion.shape, rest, at, moving, nudge)
+
+
+def _turned(rest, motion):
+    axis = np.asarray(motion.axis, float) / np.linalg.norm(motion.axis)
+    middle = (rest.min(0) + rest.max(0)) / 2
+    pivot = middle if motion.pivot is None else jnp.asarray(motion.pivot, rest.dtype)
+    axis = jnp.asarray(axis, rest.dtype)
+    arm = rest - pivot
+    along = (arm @ axis)[:, None] * axis
+    across = jnp.cross(axis, arm)
+
+    def at(t):
+        # Rodrigues' formula
+        return pivot + along + jnp.cos(t) * (arm - along) + jnp.sin(t) * across
+
+    return at, float(jnp.linalg.norm(across, axis=1).max())
+
+
+def _velocities(rest, motion) -> Float[Array, "V 3"]:
+    if motion.kind == "translate":
+        return jnp.broadcast_to(jnp.asarray(motion.direction, rest.dtype), rest.shape)
+    if motion.vertex is not None:
+        if not 0 <= motion.vertex < len(rest):
+            raise ValueError(f"motion.vertex: {motion.shape} has {len(rest)} vertices, got {motion.vertex}")
+        return jnp.zeros_like(rest).at[motion.vertex].set(jnp.asarray(motion.direction, rest.dtype))
+    try:
+        field = np.load(motion.velocities, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as problem:
+        raise ValueError(f"motion.velocities: {motion.velocities} can't be read ({problem})") from None
+    if field.shape != rest.shape or not np.isfinite(field).all() or not field.any():
+        raise ValueError(
+            f"motion.velocities: expected finite numbers, not all zero, of shape {list(rest.shape)}; "
+            f"got {list(field.shape)}"
+        )
+    return jnp.asarray(field, rest.dtype)
+
+
+def describe(motion) -> str:
+    """One line for the page: what moves."""
+    values = {k: v for k, v in dataclasses.asdict(motion).items() if v not in (None, "") and k not in ("shape", "kind")}
+    shown = {
+        "translate": ("direction",),
+        "rotate": ("axis", "pivot"),
+        "vertices": ("vertex", "velocities", "direction"),
+    }
+    options = ", ".join(f"{k} {v}" for k, v in values.items() if k in shown[motion.kind])
+    return f"{motion.shape}: {motion.kind} ({options})"
