@@ -37,6 +37,21 @@ class BoundaryEstimator(Protocol):
 
 
 @runtime_checkable
+class FilmEstimator(Protocol):
+    """The same term as an image, from samples that are no path's: see `GuidedEdges`.
+
+    It is zero in value and right in derivative, and an estimate by itself whatever the `count` of path samples that it
+    comes with. `form` of the first hits as in `primary_samples`.
+    """
+
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
+
+    def film_term(
+        self, packed: PackedScene, prepared: Any, count: int, key: PRNGKeyArray, settings: PathSettings, form: str
+    ) -> Float[Array, "H W 3"]: ...
+
+
+@runtime_checkable
 class ConnectedEstimator(Protocol):
     """The same for pairs of subpaths: boundary terms of what every strategy contributes, [C, N, 3], with its weight."""
 
@@ -78,7 +93,7 @@ class PathTracer(eqx.Module):
     """
 
     max_depth: int = eqx.field(static=True, default=3)
-    boundary: BoundaryEstimator | None = eqx.field(static=True, default=KernelDensity())
+    boundary: BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=KernelDensity())
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     antithetic: bool = eqx.field(static=True, default=False)
@@ -169,7 +184,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: ConnectedEstimator | BoundaryEstimator | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=None)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 18)
     rays: str = eqx.field(static=True, default="auto")

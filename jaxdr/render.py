@@ -450,7 +450,11 @@ def _chunk(packed: PackedScene, prepared: Prepared | None, samples, key, chunk_k
         key_camera = jax.random.fold_in(key_edges, 4)
         options = prepared.boundary, integrator.boundary, primary, record, key_camera, settings
         terms["warp"] = gather(warped_camera_term(packed, *options))
-    if prepared.boundary is not None:
+    film_term = getattr(integrator.boundary, "film_term", None)
+    if prepared.boundary is not None and film_term is not None:
+        image = film_term(packed, prepared.boundary, pixels * count, key_boundary, settings, form)
+        terms["boundary"] = weight.sum() * image
+    elif prepared.boundary is not None:
         index = jnp.tile(samples, pixels)
         total = integrator.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
         terms["boundary"] = gather(total)
