@@ -1,8 +1,8 @@
 """From boundary segments to the film: radiance of the source's end, importance of the detector's end, displacement.
 
-For one fixed film point q the boundary term is the integral of f V dl over the directions w from the first hit x_D, with
-f = f_s |cos_D| L and V the angular velocity of the silhouette relative to x_S. Over film points and silhouettes it is an
-integral over (x_B, w_B): with d, D the distances from x_D to x_B and x_S and t the edge's direction,
+For one fixed film point q the boundary term is the integral of f V dl over the directions w from the first hit x_D,
+with f = f_s |cos_D| L and V the angular velocity of the silhouette relative to x_S. Over film points and silhouettes it
+is an integral over (x_B, w_B): with d, D the distances from x_D to x_B and x_S and t the edge's direction,
 
     dq = (dq / dA) dA_D,    dA_D |cos_D| / d^2 = dw_B,    dl = |t x w_B| dx_B / d,
     V d = m . (x_B' - (1 - d/D) x_D' - (d/D) x_S'),
@@ -98,7 +98,7 @@ def gathered_by_bounces(
     key: PRNGKeyArray,
     settings: PathSettings,
 ) -> Float[Array, "B n 3"]:
-    """Radiance that points scatter back against `direction` after at most 0, 1, ... `max_depth` - 2 bounces; detached."""
+    """Radiance that points scatter back against `direction` in at most 0, 1, ... `max_depth` - 2 bounces; detached."""
     bounces = settings.max_depth - 2
     settings = settings._replace(attached=0.0)
 

@@ -38,8 +38,9 @@ class Segments(NamedTuple):
     """Lines past edges; detached.
 
     `towards` is the unit direction to the source. `pole`: unit normal of the plane through edge and line, towards the
-    faces; `scale` the edge's largest coordinate. `silhouette`: the line passes the edge. `emitter`: the point that the line was drawn for, valid where it is
-    on a surface; None where only the direction was drawn.
+    faces; `scale` the edge's largest coordinate, `sine` that of the angle between edge and line. `silhouette`: the line
+    passes the edge. `emitter`: the point that the line was drawn for, valid where it is on a surface; None where only
+    the direction was drawn.
     """
 
     point: EdgePoints

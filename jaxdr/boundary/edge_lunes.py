@@ -25,8 +25,8 @@ class EdgeLunes(NamedTuple):
     """All edges of a scene, in the order of the first primary number; detached.
 
     Row k is edge `edge[k]` of the packed scene, from `start` to `start + side`. In the frame (`first`, `second`) across
-    it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those of silhouettes, and the faces
-    lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per length.
+    it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those of silhouettes, and the
+    faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per length.
     """
 
     edge: Int[Array, " E"]
