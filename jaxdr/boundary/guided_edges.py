@@ -57,7 +57,7 @@ class GuidedEdges(eqx.Module):
     - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
     """
 
-    guide: Literal["none", "grid", "kdtree"] = eqx.field(static=True, default="kdtree")
+    guide: Literal["none", "grid", "kdtree"] = eqx.field(static=True, default="none")
     sampling: Literal["emitter", "direction", "mis"] = eqx.field(static=True, default="mis")
     samples: float = eqx.field(static=True, default=1.0)
     cells: tuple[int, int, int] = eqx.field(static=True, default=(1024, 8, 8))

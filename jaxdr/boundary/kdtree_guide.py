@@ -20,17 +20,22 @@ LEAST = 0.1  # of a leaf's mean, everywhere in it
 
 
 class Leaves(NamedTuple):
-    """Boxes of n nodes and the fits there: values at the corners (z fastest), and `error`, the root mean square of what
-    is left times the volume."""
+    """Boxes of n nodes and the fits there: mean `level`, values at the corners relative to it (z fastest), one
+    everywhere where there is nothing, and `error`, the root mean square of what is left times the volume."""
 
     lower: Float[Array, "*n 3"]
     upper: Float[Array, "*n 3"]
+    level: Float[Array, "*n"]
     corners: Float[Array, "*n 8"]
     error: Float[Array, "*n"]
 
     def mass(self) -> Float[Array, "*n"]:
         """Integral of the fits."""
-        return (self.upper - self.lower).prod(-1) * self.corners.mean(-1)
+        return self.volume() * self.level
+
+    def volume(self) -> Float[Array, "*n"]:
+        """Of the boxes."""
+        return (self.upper - self.lower).prod(-1)
 
 
 class KdTree(NamedTuple):
@@ -65,7 +70,7 @@ class KdTree(NamedTuple):
         size = upper - lower
         there = size.prod(-1) > 0
         x = (primary - lower) / jnp.where(there[:, None], size, 1.0)
-        value = (_basis(x) * corners).sum(-1) / (jnp.where(there, size.prod(-1), 1.0) * corners.mean(-1))
+        value = (_basis(x) * corners).sum(-1) / jnp.where(there, size.prod(-1), 1.0)
         return jnp.where(there, self.leaves.probability(node) * value, 0.0)
 
     def find(self, primary: Float[Array, "n 3"]) -> Int[Array, " n"]:
@@ -111,8 +116,10 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
         corners = values @ inverse.T
         left = values - corners @ basis.T
         error = jnp.sqrt((left**2).mean(-1)) * (upper - lower).prod(-1)
-        least = LEAST * values.mean(-1, keepdims=True) + jnp.finfo(values.dtype).tiny
-        return Leaves(lower, upper, jnp.maximum(corners, least), error)
+        corners = jnp.maximum(corners, LEAST * values.mean(-1, keepdims=True))
+        level = corners.mean(-1)
+        corners = jnp.where(level[..., None] > 0, corners / jnp.where(level > 0, level, 1.0)[..., None], 1.0)
+        return Leaves(lower, upper, level, corners, error)
 
     roots = borders.shape[0] - 1
     lower = jnp.zeros((roots, 3), borders.dtype).at[:, 0].set(borders[:-1])
@@ -146,8 +153,9 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
 
     starts = roots + 2 * count * jnp.arange(ROUNDS)
     nodes, first, axis, used = jax.lax.scan(step, (nodes, first, axis, used), starts)[0]
-    mass = jnp.where(used & (first < 0), nodes.mass(), 0.0)
-    return KdTree(nodes, first, axis, borders[:-1], choice(mass))
+    leaf = used & (first < 0)
+    mass, volume = jnp.where(leaf, nodes.mass(), 0.0), jnp.where(leaf, nodes.volume(), 0.0)
+    return KdTree(nodes, first, axis, borders[:-1], choice(jnp.where(mass.sum() > 0, mass, volume)))
 
 
 def _pattern(samples: int) -> Float[np.ndarray, "n 3"]:

@@ -94,9 +94,8 @@ def test_mis_weights_add_up():
     assert np.quantile(np.abs(np.asarray(back - u))[both].max(1), 0.98) < 1e-2
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def derivatives(boundary, count, keys):
-    of = patch_scene(BLOCKER)
+@partial(jax.jit, static_argnums=(1, 2))
+def derivatives(of, boundary, count, keys):
     vertices = jnp.asarray(of.parameters()["blocker.vertices"])
     prepared = boundary.prepare(pack(of), (True,) * 3, SETTINGS)
 
@@ -113,7 +112,7 @@ def test_derivatives_are_the_closed_form(boundary):
     truth = exact(BLOCKER)
     scale = np.abs(truth).max()
     keys = jax.random.split(jax.random.key(1), 12)
-    rows = np.asarray(derivatives(boundary, 1 << 15, keys), float) / scale
+    rows = np.asarray(derivatives(patch_scene(BLOCKER), boundary, 1 << 15, keys), float) / scale
     deviation = rows.std(0, ddof=1) / len(keys) ** 0.5
     assert deviation.max() < 0.03, deviation
     wrong = np.abs(rows.mean(0) - truth / scale)
