@@ -21,7 +21,7 @@ def guides():
     borders = root_borders(jnp.asarray([0.1, 0.1, 0.35, 0.7, 1.0]), 16)
     return {
         "grid": build_grid(target, (8, 6, 5), 4, jax.random.key(0)),
-        "kdtree": build_kdtree(target, borders, 256, 32, 0.01),
+        "kdtree": build_kdtree(target, borders, 1024, 32, 0.01),
     }
 
 
