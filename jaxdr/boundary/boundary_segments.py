@@ -76,12 +76,16 @@ class DirectionSampling:
         return _segments(lunes, point, lune_directions(lunes, point.row, u[:, 1:]), None)
 
     @staticmethod
-    def density(packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds) -> Float[Array, " n"]:
+    def density(
+        packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds | None = None
+    ) -> Float[Array, " n"]:
         """1 / J_B: per length and solid angle."""
         return lunes.density[drawn.point.row] * lune_pdf(lunes, drawn.point.row)
 
     @staticmethod
-    def numbers(packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds) -> Float[Array, "n 3"]:
+    def numbers(
+        packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds | None = None
+    ) -> Float[Array, "n 3"]:
         """Primary numbers of lines past edges."""
         passed = passing(lunes, drawn.point.row, drawn.towards)
         u = lune_numbers(lunes, drawn.point.row, passed)
