@@ -4,6 +4,7 @@ from importlib.metadata import PackageNotFoundError as _NotInstalled
 from importlib.metadata import version as _version
 
 from jaxdr.aovs import render_aovs as render_aovs
+from jaxdr.boundary.guided_edges import GuidedEdges as GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling as LineSampling
 from jaxdr.boundary.redner_was import RednerWAS as RednerWAS

@@ -2,6 +2,7 @@
 
 from jaxdr.integrators.base import BoundaryEstimator as BoundaryEstimator
 from jaxdr.integrators.base import ConnectedEstimator as ConnectedEstimator
+from jaxdr.integrators.base import FilmEstimator as FilmEstimator
 from jaxdr.integrators.base import Integrator as Integrator
 from jaxdr.integrators.bidirectional import BidirectionalPathTracer as BidirectionalPathTracer
 from jaxdr.integrators.path_tracer import PathTracer as PathTracer

@@ -38,6 +38,21 @@ class BoundaryEstimator(Protocol):
 
 
 @runtime_checkable
+class FilmEstimator(Protocol):
+    """The same term as an image, from samples that are no path's: see `GuidedEdges`.
+
+    It is zero in value and right in derivative, and an estimate by itself whatever the `count` of path samples that it
+    comes with. `form` of the first hits as in `primary_samples`.
+    """
+
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
+
+    def film_term(
+        self, packed: PackedScene, prepared: Any, count: int, key: PRNGKeyArray, settings: PathSettings, form: str
+    ) -> Float[Array, "H W 3"]: ...
+
+
+@runtime_checkable
 class ConnectedEstimator(Protocol):
     """The same for pairs of subpaths: boundary terms of what every strategy contributes, [C, N, 3], with its weight."""
 

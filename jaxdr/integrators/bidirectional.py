@@ -12,6 +12,7 @@ from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     BoundaryEstimator,
     ConnectedEstimator,
+    FilmEstimator,
     check_rough_glass,
     edge_points_per_sample,
     sample_weights,
@@ -62,7 +63,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: ConnectedEstimator | BoundaryEstimator | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=None)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 18)
     rays: str = eqx.field(static=True, default="auto")

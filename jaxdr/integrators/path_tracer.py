@@ -27,6 +27,7 @@ from jaxdr.boundary.warped_camera import warped_camera_term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     BoundaryEstimator,
+    FilmEstimator,
     check_rough_glass,
     edge_points_per_sample,
     pixel_sums,
@@ -80,7 +81,7 @@ class PathTracer(eqx.Module):
     """
 
     max_depth: int = eqx.field(static=True, default=3)
-    boundary: BoundaryEstimator | None = eqx.field(static=True, default=KernelDensity())
+    boundary: BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=KernelDensity())
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     antithetic: bool = eqx.field(static=True, default=False)
@@ -217,10 +218,14 @@ class PathTracer(eqx.Module):
             key_camera = jax.random.fold_in(key_edges, 4)
             options = prepared.boundary, prepared.warp, primary, record, key_camera, settings
             terms["warp"] = gather(warped_camera_term(packed, *options))
-        if prepared.boundary is not None:
+        if prepared.boundary is not None and isinstance(self.boundary, FilmEstimator):
+            image = self.boundary.film_term(packed, prepared.boundary, pixels * count, key_boundary, settings, form)
+            terms["boundary"] = weight.sum() * image
+        elif prepared.boundary is not None:
+            assert isinstance(self.boundary, BoundaryEstimator)
             index = jnp.tile(samples, pixels)
-            total = self.boundary.estimate(packed, prepared.boundary, primary, record, index, key_boundary, settings)
-            terms["boundary"] = gather(total)
+            options = primary, record, index, key_boundary, settings
+            terms["boundary"] = gather(self.boundary.estimate(packed, prepared.boundary, *options))
         if prepared.chains is not None:
             key_chains = jax.random.fold_in(key_edges, 3)
             terms["chains"] = weight.sum() * film_chain_term(

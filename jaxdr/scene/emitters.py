@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 from jaxdr.scene.color import as_rgb, luminance
-from jaxdr.scene.sampling import uniform_sphere
+from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
 class AreaEmitter(eqx.Module):
@@ -33,6 +33,10 @@ class DirectionSampler(eqx.Module):
     @abc.abstractmethod
     def sample(self, u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
         """World directions drawn from `pdf`, from uniform numbers; detached."""
+
+    @abc.abstractmethod
+    def numbers(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+        """The uniform numbers from which `sample` draws unit world directions; detached."""
 
     @abc.abstractmethod
     def pdf(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
@@ -79,6 +83,9 @@ class UniformDirections(DirectionSampler):
 
     def sample(self, u):
         return uniform_sphere(u)
+
+    def numbers(self, direction):
+        return uniform_sphere_numbers(direction)
 
     def pdf(self, direction):
         del direction

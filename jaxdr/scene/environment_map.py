@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from jaxdr.geometry.vector import normalize, transform
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
-from jaxdr.scene.sampling import linear, search_sorted_rows
+from jaxdr.scene.sampling import linear, linear_number, number_in_rows, search_sorted_rows
 
 FLOOR = 0.01  # luminance that every direction is sampled with at least, relative to the mean
 # Share of the mean of a cell in its corners. Bilinear alone, the density is so low at a black texel beside the sun that
@@ -138,6 +138,24 @@ class LatLongSampler(DirectionSampler):
         longitude = (column + 0.5 + along) * (2 * math.pi / width)
         local = jnp.stack([sine * jnp.sin(longitude), cosine, -sine * jnp.cos(longitude)], -1)
         return stop_gradient(normalize(transform(self.to_world, local)))
+
+    def numbers(self, direction):
+        height, width = self.corners.shape
+        cosine, theta, u = _angles(_to_map(self.to_world, stop_gradient(direction)))
+        row, _ = _cell(theta * ((height - 1) / math.pi), height - 1)
+        column, _, along = _columns(u, width)
+        edges = jnp.asarray(_band_edges(height), cosine.dtype)
+        down = jnp.clip((edges[row] - cosine) / (edges[row] - edges[row + 1]), 0.0, 1.0)
+        (a, b), (c, d) = self._at(row, column, (column + 1) % width)
+        rest_row = linear_number(down, a + b, c + d)
+        rest_column = linear_number(along, a + down * (c - a), b + down * (d - b))
+        return jnp.stack(
+            [
+                number_in_rows(self.columns, row, column, rest_column),
+                number_in_rows(self.rows[None], jnp.zeros_like(row), row, rest_row),
+            ],
+            -1,
+        )
 
     def pdf(self, direction):
         height, width = self.corners.shape

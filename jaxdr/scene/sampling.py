@@ -31,6 +31,12 @@ def uniform_sphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), z], -1)
 
 
+def uniform_sphere_numbers(direction: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+    """The numbers from which `uniform_sphere` draws unit directions."""
+    turns = jnp.arctan2(direction[..., 1], direction[..., 0]) / (2 * math.pi)
+    return jnp.stack([0.5 * (1.0 - direction[..., 2]), turns - jnp.floor(turns)], -1)
+
+
 def uniform_triangle(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     """Barycentric coordinates, uniform in area (Heitz 2019, low distortion)."""
     x, y = u[..., 0], u[..., 1]
@@ -38,6 +44,13 @@ def uniform_triangle(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     b0 = jnp.where(upper, 0.5 * x, x - 0.5 * y)
     b1 = jnp.where(upper, y - 0.5 * x, 0.5 * y)
     return jnp.stack([b0, b1, 1.0 - b0 - b1], -1)
+
+
+def uniform_triangle_numbers(barycentric: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
+    """The numbers from which `uniform_triangle` draws barycentric coordinates."""
+    b0, b1 = barycentric[..., 0], barycentric[..., 1]
+    upper = b1 > b0
+    return jnp.stack([jnp.where(upper, 2.0 * b0, b0 + b1), jnp.where(upper, b0 + b1, 2.0 * b1)], -1)
 
 
 def choose(
@@ -55,6 +68,11 @@ def linear(u: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[Array, "
     """Numbers in [0, 1] of a density that is linear from `start` at 0 to `end` at 1, both positive, by inversion."""
     root = jnp.sqrt((1.0 - u) * start * start + u * end * end)
     return jnp.minimum(u * (start + end) / (start + root), 1.0)
+
+
+def linear_number(t: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The number from which `linear` draws `t`."""
+    return t * (2.0 * start + t * (end - start)) / (start + end)
 
 
 def search_sorted_rows(
@@ -76,3 +94,12 @@ def search_sorted_rows(
     before = jnp.where(entry > 0, flat[first + entry - 1], 0.0)
     width = flat[first + entry] - before
     return entry, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
+
+
+def number_in_rows(
+    cdf: Float[Array, "R K"], row: Int[Array, "*n"], entry: Int[Array, "*n"], left: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """The number for which `search_sorted_rows` chooses an entry and leaves a number."""
+    flat, index = cdf.reshape(-1), row * cdf.shape[1] + entry
+    before = jnp.where(entry > 0, flat[index - 1], 0.0)
+    return before + left * (flat[index] - before)

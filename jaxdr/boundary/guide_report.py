@@ -1,0 +1,36 @@
+"""What a guide costs: its memory, and the time to build it."""
+
+import time
+from typing import NamedTuple
+
+import jax
+
+from jaxdr.boundary.guided_edges import GuidedEdges
+from jaxdr.scene.packed import pack
+from jaxdr.scene.scene import Scene
+from jaxdr.transport.path import PathSettings
+
+
+class GuideReport(NamedTuple):
+    """`bytes` of all guides of a `GuidedEdges`; `seconds` to build them once, and with compilation, `first_seconds`."""
+
+    bytes: int
+    seconds: float
+    first_seconds: float
+
+
+def guide_report(scene: Scene, boundary: GuidedEdges, max_depth: int = 3, rays: str = "auto") -> GuideReport:
+    """Build the guides of a scene in which all shapes move, twice."""
+    settings = PathSettings(max_depth, True, rays)
+
+    @jax.jit
+    def build(scene):
+        return boundary.prepare(pack(scene), (True,) * len(scene.shapes), settings).guides
+
+    seconds = []
+    for _ in range(2):
+        start = time.perf_counter()
+        guides = jax.block_until_ready(build(scene))
+        seconds.append(time.perf_counter() - start)
+    memory = sum(leaf.nbytes for leaf in jax.tree.leaves(guides))
+    return GuideReport(memory, seconds[1], seconds[0])

@@ -1,0 +1,202 @@
+"""Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from jaxdr.boundary.beam import detect, gathered_by_bounces, image, moves
+from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.boundary_segments import DirectionSampling, EmitterSampling, Strategy, segment_ends
+from jaxdr.boundary.edge_lunes import EdgeLunes, edge_lunes
+from jaxdr.boundary.flux_maps import flux_maps
+from jaxdr.boundary.guide_target import segment_target
+from jaxdr.boundary.kdtree_guide import build_kdtree, root_borders
+from jaxdr.boundary.primary_guides import Defended, Guide, Target, Unguided, build_grid
+from jaxdr.scene.bsdf.base import spreads_through
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, has_emitters
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import lattice
+
+
+class Plan(NamedTuple):
+    """How segments are drawn by one strategy, and which of the light they carry counts.
+
+    `emission` of what they end on, `gathered`: light that it scatters. Static.
+    """
+
+    strategy: Strategy
+    emission: bool
+    gathered: bool
+
+
+class Prepared(NamedTuple):
+    """What all chunks of an image share: the edges, which shapes move, a guide for every plan."""
+
+    lunes: EdgeLunes
+    moving: Bool[Array, " S"]
+    guides: tuple[Defended, ...]
+
+
+class GuidedEdges(eqx.Module):
+    """Boundary term of every segment behind the first hit, from segments drawn on edges; every field is static.
+
+    Unbiased whatever the guide. Contributions are splatted onto the film.
+
+    - `sampling`: "emitter" draws segments for what emitters send towards them and the rest by direction, "direction"
+      all by direction, "mis" (Yan et al. 2022, 4.2) the emitters' light by both.
+    - `guide`: "none"; "grid", a regular one over edges and directions (Zhang et al. 2020); "kdtree", trees with
+      trilinear fits (Yan et al. 2022, 4.1). Built once for every image. A tenth of the segments is drawn without it.
+    - `samples`: segments per path sample and strategy.
+    - `cells`: of a grid, along the edges and along both numbers of the direction; `leaves`: of all kd-trees of a
+      strategy, about.
+    - `guide_samples`: evaluations in every cell of a grid, or node of a tree.
+    - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
+    """
+
+    guide: Literal["none", "grid", "kdtree"] = eqx.field(static=True, default="none")
+    sampling: Literal["emitter", "direction", "mis"] = eqx.field(static=True, default="mis")
+    samples: float = eqx.field(static=True, default=1.0)
+    cells: tuple[int, int, int] = eqx.field(static=True, default=(1024, 8, 8))
+    leaves: int = eqx.field(static=True, default=4096)
+    guide_samples: int | None = eqx.field(static=True, default=None)
+    threshold: float = eqx.field(static=True, default=0.1)
+
+    def __check_init__(self):
+        for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", ("none", "grid", "kdtree"))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"GuidedEdges: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
+        if not (self.samples > 0 and self.threshold > 0):
+            raise ValueError("GuidedEdges: samples and threshold must be positive")
+        if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
+            raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
+
+    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[Plan, ...]:
+        """The strategies that this scene needs at this depth."""
+        indirect = settings.max_depth > 2
+        glows = packed.has_area_emitters or packed.environment is not None
+        plans = []
+        if glows and self.sampling != "direction":
+            plans.append(Plan(EmitterSampling, True, False))
+        by_direction = glows and self.sampling != "emitter"
+        if by_direction or indirect:
+            plans.append(Plan(DirectionSampling, by_direction, indirect))
+        return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
+
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
+        """Edges and guides, once for a whole image. `moving`: which shapes can move.
+
+        Raises ValueError for what no segment covers, and for what has not been verified yet.
+        """
+        _check(packed, settings)
+        detached = jax.tree.map(stop_gradient, packed)
+        lunes, flags = edge_lunes(packed, moving), jnp.asarray(moving)
+        # A key of its own: all images of the same scene have the same guide.
+        key_maps, *keys = jax.random.split(jax.random.key(0), 3)
+        maps = flux_maps(detached, key_maps, settings) if self.guide != "none" and settings.max_depth > 2 else None
+
+        def guide(plan: Plan, key) -> Defended:
+            def target(primary):
+                options = plan.strategy, plan.emission, plan.gathered, primary, key, settings
+                return segment_target(detached, lunes, flags, maps, *options)
+
+            return Defended(self._guide(target, lunes, key))
+
+        guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
+        return Prepared(lunes, flags, guides)
+
+    def _guide(self, target: Target, lunes: EdgeLunes, key) -> Guide:
+        if self.guide == "grid":
+            return build_grid(target, self.cells, self.guide_samples or 4, key)
+        if self.guide == "kdtree":
+            borders = root_borders(lunes.cdf, max(1, self.leaves // 4))
+            return build_kdtree(target, borders, self.leaves, self.guide_samples or 32, self.threshold)
+        return Unguided()
+
+    def film_term(
+        self,
+        packed: PackedScene,
+        prepared: Prepared,
+        count: int,
+        key: PRNGKeyArray,
+        settings: PathSettings,
+        form: str,
+    ) -> Float[Array, "H W 3"]:
+        """Boundary term for `count` path samples: an image that is zero in value, right in derivative.
+
+        `prepared` by `prepare`; `form` of the first hits, see `primary_samples`.
+        """
+        _, _, width, height = packed.camera.film.window
+        total = jnp.zeros((height, width, 3), packed.vertices.dtype)
+        count = max(1, round(count * self.samples))
+        for number in range(len(self.plans(packed, settings))):
+            total += self._term(packed, prepared, number, count, jax.random.fold_in(key, number), settings, form)
+        return total
+
+    def _term(self, packed, prepared: Prepared, number: int, count: int, key, settings, form) -> Float[Array, "H W 3"]:
+        """The term of segments drawn by one plan."""
+        detached, lunes = jax.tree.map(stop_gradient, packed), prepared.lunes
+        plans = self.plans(packed, settings)
+        plan, guide = plans[number], prepared.guides[number]
+        key_segments, key_detector, key_source = jax.random.split(key, 3)
+        # Of a lattice in four dimensions: the one in three leaves gaps that shadows fit in.
+        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[0, :, :3]
+        primary = guide.sample(u)
+        # Most lines towards emitters pass no edge as a silhouette: the others are gathered in front.
+        drawn = plan.strategy.segments(detached, lunes, primary)
+        used = drawn.silhouette.sum()
+        slots = jnp.nonzero(drawn.silhouette, size=count, fill_value=0)[0]
+
+        def values(slot, place):
+            active = place < used
+            drawn_here = plan.strategy.segments(detached, lunes, primary[slot])
+            ends = segment_ends(detached, drawn_here, active, settings.rays)
+            ends = ends._replace(valid=ends.valid & moves(detached, prepared.moving, lunes, drawn_here, ends))
+            pdf = []
+            for p, g in zip(plans, prepared.guides, strict=True):
+                own = p.strategy is plan.strategy
+                u = primary[slot] if own else p.strategy.numbers(detached, lunes, drawn_here, ends)
+                pdf.append(p.strategy.density(detached, lunes, drawn_here, ends) * g.pdf(u, count))
+            seen = detect(detached, drawn_here, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
+            carries = (seen.value != 0).any((0, 2))
+            radiance = jnp.zeros_like(seen.value)
+            if plan.emission:
+                density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
+                sent = emitted(detached, ends.source, -drawn_here.towards)
+                radiance += jnp.where(carries[:, None], sent / _nonzero(density)[:, None], 0.0)
+            if plan.gathered:
+                source = ends.source._replace(valid=ends.source.valid & carries)
+                light = gathered_by_bounces(detached, source, drawn_here.towards, slot, key_source, settings)
+                radiance += light[::-1] / _nonzero(pdf[number])[:, None]
+            return image(packed, lunes, drawn_here, ends, seen, stop_gradient(radiance), form)
+
+        return sum_over_blocks(values, slots, used)
+
+
+def _nonzero(x) -> Any:
+    return jnp.where(x > 0, x, 1.0)
+
+
+def _check(packed: PackedScene, settings: PathSettings) -> None:
+    """Raises ValueError for what no segment covers, and for what has not been verified yet."""
+    what = None
+    if settings.max_depth > 2:
+        what = f"only direct light (max_depth=2), but max_depth is {settings.max_depth}"
+    elif packed.has_delta_lobes:
+        what = "no visibility changes over mirrors and smooth glass"
+    elif packed.normals is not None:
+        what = "no horizons of surfaces with interpolated normals"
+    elif any(spreads_through(group.bsdf) for group in packed.bsdfs):
+        what = "nothing that is seen through rough glass"
+    elif not isinstance(packed.camera, Perspective):
+        what = f"no {type(packed.camera).__name__} camera, only Perspective"
+    if what is not None:
+        raise ValueError(
+            f"render: GuidedEdges covers {what}; take KernelDensity or LineSampling, or boundary=None for the interior "
+            "term alone"
+        )

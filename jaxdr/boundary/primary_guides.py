@@ -1,0 +1,163 @@
+"""Densities over the primary numbers of boundary segments (Yan et al. 2022, 4.1): what a guide is, none, and a grid."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxdr.scene.sampling import search_sorted_rows
+
+# Share of the segments that are drawn as if there were no guide: what it missed has at most ten times the weight.
+DEFENSIVE = 0.1
+BATCH = 1 << 16  # evaluations of the target at once
+
+# The function that a guide's density should follow: primary numbers to values, not negative.
+Target = Callable[[Float[Array, "n 3"]], Float[Array, " n"]]
+
+
+@runtime_checkable
+class Guide(Protocol):
+    """A density over the unit cube that is drawn from, and known, exactly. It may vanish: see `Defended`."""
+
+    def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Primary numbers from uniform ones, which keep what evenness they have as far as may be."""
+        ...
+
+    def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Their density."""
+        ...
+
+
+class Defended(NamedTuple):
+    """A guide, and a share of samples without it: by number, the first ones, so that evenly spread ones stay so."""
+
+    guide: Guide
+
+    def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Primary numbers from uniform ones, all samples at once."""
+        alone = self._alone(u.shape[0])
+        return jnp.concatenate([u[:alone], self.guide.sample(u[alone:])])
+
+    def pdf(self, primary: Float[Array, "n 3"], count: int) -> Float[Array, " n"]:
+        """Mean density over `count` samples: that of the balance heuristic."""
+        share = self._alone(count) / count
+        return share + (1 - share) * self.guide.pdf(primary)
+
+    def _alone(self, count: int) -> int:
+        return max(1, round(DEFENSIVE * count))
+
+
+class Unguided(NamedTuple):
+    """The uniform density."""
+
+    def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """The numbers themselves."""
+        return u
+
+    def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """One."""
+        return jnp.ones_like(primary[:, 0])
+
+
+class Choice(NamedTuple):
+    """Probabilities of K entries in rows of about the square root of K: two short sums keep small ones exact."""
+
+    rows: Float[Array, "1 R"]
+    columns: Float[Array, "R C"]
+
+    def sample(self, u: Float[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
+        """(entries, uniform numbers that are left)."""
+        row, left = search_sorted_rows(self.rows, jnp.zeros(u.shape, jnp.int32), u)
+        column, left = search_sorted_rows(self.columns, row, left)
+        return row * self.columns.shape[1] + column, left
+
+    def probability(self, entry: Int[Array, " n"]) -> Float[Array, " n"]:
+        """With which `sample` chooses entries."""
+        row, column = jnp.divmod(entry, self.columns.shape[1])
+        return _probability(self.rows, jnp.zeros_like(row), row) * _probability(self.columns, row, column)
+
+
+def choice(weight: Float[Array, " K"]) -> Choice:
+    """Probabilities in proportion to weights that are not negative; even if all are zero."""
+    count = weight.shape[0]
+    columns = max(1, round(count**0.5))
+    rows = jnp.pad(weight, (0, -count % columns)).reshape(-1, columns)
+    return Choice(cumulative(rows.sum(1)[None]), cumulative(rows))
+
+
+def cumulative(weight: Float[Array, "R K"]) -> Float[Array, "R K"]:
+    """Cumulative probabilities in every row; even where a row has no weight."""
+    weight = jnp.where(weight.sum(1, keepdims=True) > 0, weight, 1.0)
+    total = jnp.cumsum(weight, axis=1)
+    return total / total[:, -1:]
+
+
+class Grid(NamedTuple):
+    """A density that is constant in every cell of a regular grid over the unit cube (Zhang et al. 2020).
+
+    Cumulative probabilities along x, along y for every x, and along z for every x and y.
+    """
+
+    x: Float[Array, "1 X"]
+    y: Float[Array, "X Y"]
+    z: Float[Array, "XY Z"]
+
+    def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Primary numbers from uniform ones, by inversion axis by axis."""
+        x, left_x = search_sorted_rows(self.x, jnp.zeros(u.shape[0], jnp.int32), u[:, 0])
+        y, left_y = search_sorted_rows(self.y, x, u[:, 1])
+        z, left_z = search_sorted_rows(self.z, x * self.y.shape[1] + y, u[:, 2])
+        cell, left = jnp.stack([x, y, z], -1), jnp.stack([left_x, left_y, left_z], -1)
+        return below_one((cell + left) / jnp.asarray(self._size, u.dtype))
+
+    def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Their density."""
+        size = jnp.asarray(self._size)
+        cell = jnp.clip(jnp.floor(primary * size).astype(jnp.int32), 0, size - 1)
+        x, y, z = cell[:, 0], cell[:, 1], cell[:, 2]
+        along_x = _probability(self.x, jnp.zeros_like(x), x)
+        along_y = _probability(self.y, x, y)
+        along_z = _probability(self.z, x * self.y.shape[1] + y, z)
+        return along_x * along_y * along_z * size.prod()
+
+    @property
+    def _size(self) -> tuple[int, int, int]:
+        return self.x.shape[1], self.y.shape[1], self.z.shape[1]
+
+
+def _probability(cdf: Float[Array, "R K"], row: Int[Array, " n"], entry: Int[Array, " n"]) -> Float[Array, " n"]:
+    """Of entries in rows: differences of the very sums that are searched."""
+    flat, index = cdf.reshape(-1), row * cdf.shape[1] + entry
+    return flat[index] - jnp.where(entry > 0, flat[index - 1], 0.0)
+
+
+def below_one(u):
+    """Numbers that rounding may have made 1."""
+    return jnp.minimum(u, 1.0 - jnp.finfo(u.dtype).epsneg)
+
+
+def grid_of(values: Float[Array, "X Y Z"]) -> Grid:
+    """A grid of density in proportion to values of its cells."""
+    columns = values.reshape(-1, values.shape[2])
+    rows = columns.sum(1).reshape(values.shape[:2])
+    return Grid(cumulative(rows.sum(1)[None]), cumulative(rows), cumulative(columns))
+
+
+def build_grid(target: Target, size: tuple[int, int, int], samples: int, key) -> Grid:
+    """A grid of the means of `samples` random evaluations of the target in every cell."""
+    lower = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in size), indexing="ij"), -1).reshape(-1, 3)
+    u = jax.random.uniform(key, (samples, *lower.shape))
+    points = ((lower + u) / jnp.asarray(size)).reshape(-1, 3)
+    values = evaluate(target, points).reshape(samples, *size).mean(0)
+    return grid_of(values)
+
+
+def evaluate(target: Target, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """The target at many points, in batches."""
+    count = points.shape[0]
+    batches = -(-count // BATCH)
+    size = -(-count // batches)
+    padded = jnp.pad(points, ((0, batches * size - count), (0, 0)))
+    return jax.lax.map(target, padded.reshape(batches, size, 3)).reshape(-1)[:count]

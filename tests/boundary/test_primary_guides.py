@@ -1,0 +1,83 @@
+"""Guides over the unit cube: what is drawn has the density that is reported, and that integrates to one."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxdr.boundary.kdtree_guide import KdTree, build_kdtree, root_borders
+from jaxdr.boundary.primary_guides import Defended, build_grid
+
+
+def target(p):
+    """Smooth, with a ridge and a part where there is nothing."""
+    x, y, z = p.T
+    return jnp.where(y < 0.6, x * x + jnp.exp(-40 * (y - 0.3 * z) ** 2) * (z > 0.2), 0.0)
+
+
+def guides():
+    borders = root_borders(jnp.asarray([0.1, 0.1, 0.35, 0.7, 1.0]), 16)
+    return {
+        "grid": build_grid(target, (8, 6, 5), 4, jax.random.key(0)),
+        "kdtree": build_kdtree(target, borders, 1024, 32, 0.01),
+    }
+
+
+@pytest.fixture(scope="module", params=("grid", "kdtree"))
+def guide(request):
+    with jax.enable_x64(True):
+        return jax.jit(lambda: guides()[request.param])()
+
+
+def boxes(guide):
+    """Boxes (lower, upper) in which the density is constant or trilinear."""
+    if isinstance(guide, KdTree):
+        used = np.asarray(guide.leaves.probability(jnp.arange(guide.first.shape[0]))) > 0
+        assert used.sum() > 100
+        return guide.nodes.lower[used], guide.nodes.upper[used]
+    size = (guide.x.shape[1], guide.y.shape[1], guide.z.shape[1])
+    cell = jnp.stack(jnp.meshgrid(*map(jnp.arange, size), indexing="ij"), -1).reshape(-1, 3)
+    return cell / jnp.asarray(size), (cell + 1) / jnp.asarray(size)
+
+
+def test_density_integrates_to_one(guide):
+    """Two-point Gauss quadrature in every box, exact for what is linear along each axis; the boxes fill the cube."""
+    with jax.enable_x64(True):
+        lower, upper = boxes(guide)
+        assert abs(float((upper - lower).prod(-1).sum()) - 1) < 1e-6
+        nodes = 0.5 + jnp.asarray(np.stack(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)) / 12**0.5
+        points = lower[:, None] + nodes * (upper - lower)[:, None]
+        weight = (upper - lower).prod(-1) / 8
+        for pdf in (guide.pdf, partial(Defended(guide).pdf, count=1000)):
+            total = (jax.jit(pdf)(points.reshape(-1, 3)).reshape(-1, 8).sum(-1) * weight).sum()
+            assert abs(float(total) - 1) < 1e-6
+
+
+def test_samples_have_the_density(guide):
+    """The mean of f / p over samples is the integral of f, for f of several frequencies; 1 / p has the mean 1."""
+    with jax.enable_x64(True):
+        u = jax.random.uniform(jax.random.key(1), (1 << 14, 3))
+        points = jax.jit(Defended(guide).sample)(u)
+        pdf = jax.jit(partial(Defended(guide).pdf, count=u.shape[0]))(points)
+        assert float(points.min()) >= 0 and float(points.max()) < 1
+        points, pdf = np.asarray(points), np.asarray(pdf)
+        waves = np.array(list(np.ndindex(3, 3, 3)))
+        f = np.cos(np.pi * points[:, None] * waves).prod(-1) / pdf[:, None]
+        wrong = f.mean(0) - (waves == 0).all(1)
+        assert np.all(np.abs(wrong) < 4.5 * f.std(0) / u.shape[0] ** 0.5), wrong
+
+
+def test_guides_follow_the_target(guide):
+    """The variance of target / density is a fraction of the target's own."""
+    with jax.enable_x64(True):
+        u = jax.random.uniform(jax.random.key(2), (1 << 13, 3))
+
+        @jax.jit
+        def deviations(guide, u):
+            guided = Defended(guide).sample(u)
+            return (target(guided) / Defended(guide).pdf(guided, u.shape[0])).std(), target(u).std()
+
+        guided, unguided = deviations(guide, u)
+        assert float(guided) < 0.7 * float(unguided)
