@@ -100,7 +100,7 @@ def test_a_diffuse_scene_pays_for_nothing_else(monkeypatch):
         monkeypatch.setattr(texture, "lookup", refuse)
     monkeypatch.setattr(PackedScene, "texture_point", refuse)
     for name in ("chain_edges", "film_chain_term"):
-        monkeypatch.setattr(importlib.import_module("jaxdr.render"), name, refuse)
+        monkeypatch.setattr(importlib.import_module("jaxdr.integrators.path_tracer"), name, refuse)
     assert program(scene(jd.Diffuse(0.5))) == plain
 
 
