@@ -85,7 +85,7 @@ def test_overrides(write, override, read):
         ("lights = []", r"lights: the scene is dark"),
         (
             '[integrator]\nboundary = "Kernel"',
-            r"integrator\.boundary: expected one of GuidedEdges, KernelDensity, .*RednerWAS, WarpedArea, none, got 'Kernel'",
+            r"integrator\.boundary: expected one of GuidedEdges, KernelDensity, .*WarpedArea, none, got 'Kernel'",
         ),
         (
             "[integrator.boundary_options]\nradios = 1",
