@@ -64,7 +64,7 @@ class WarpedArea(eqx.Module):
     sigma0: float = eqx.field(static=True, default=0.006)
     power: float = eqx.field(static=True, default=3.0)
     samples: int = eqx.field(static=True, default=8)
-    boundary_power: float = eqx.field(static=True, default=3.0)
+    boundary_power: float = eqx.field(static=True, default=6.0)
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
