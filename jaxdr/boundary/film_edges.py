@@ -246,10 +246,13 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     along = normalize(end - start)
     normal = jnp.stack([along[:, 1], -along[:, 0]], -1)
     detached = jax.tree.map(stop_gradient, packed)
-    step = 1e-5 * max(film.width, film.height)
     sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
     still = stop_gradient(view)
-    origin, direction = still.rays(stop_gradient(film_point) + sides * step * normal)
+    pixel = still.pixel_size(stop_gradient(point))
+    # Far from the origin points are known to rounding only.
+    rounding = 4 * jnp.finfo(point.dtype).eps * jnp.abs(stop_gradient(ends)).max((-1, -2))
+    step = jnp.maximum(1e-5 * max(film.width, film.height), rounding / pixel)
+    origin, direction = still.rays(stop_gradient(film_point) + sides * step[:, None] * normal)
     origin = jnp.broadcast_to(origin, direction.shape)
     begin, reach = still.clipped(origin, direction)
     rays = direction.reshape(-1, 3)
@@ -258,7 +261,7 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     first = jax.tree.map(lambda x: x.reshape(2, count, *x.shape[1:]), first)
     distance = jnp.where(first.valid, norm(first.position - origin), jnp.inf)
     edge_distance = norm(stop_gradient(point) - origin)
-    tolerance = 1e-5 * edge_distance + 50 * step * still.pixel_size(stop_gradient(point))
+    tolerance = 1e-5 * edge_distance + 50 * step * pixel
     near = jnp.abs(distance - edge_distance) <= tolerance
     neighbours = packed.edges.faces[edge]
     at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
@@ -271,8 +274,15 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     across = across * jnp.sign(dot(across, beside[0] - beside[1]))[:, None]
     opposite = packed.edges.opposite[edge]
     height = ((detached.vertices[opposite] - point[:, None]) * across[:, None]).sum(-1)
-    height = jnp.where(neighbours >= 0, height, 0.0)
+    # Faces without area are on neither side.
+    flat = jnp.abs(height) <= (rounding * norm(across))[:, None]
+    height = jnp.where((neighbours >= 0) & ~flat, height, 0.0)
     on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
+    # Where a face is thinner than the step, both rays of both of its edges end beyond it, and each would count all that
+    # jumps there.
+    thin = (jnp.abs(height) <= 2 * (step * pixel * norm(across))[:, None]) & (neighbours >= 0)
+    once = jnp.maximum(1.0 - 0.5 * thin.sum(-1), 0.0)
+    weight = jnp.where(at_edge.all(0), once * weight, weight)
     # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
     # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
     corners = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
