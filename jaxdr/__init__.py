@@ -23,6 +23,8 @@ from jaxdr.optimize.adam import adam_uniform as adam_uniform
 from jaxdr.optimize.chamfer import chamfer as chamfer
 from jaxdr.optimize.preconditioner import LargeSteps as LargeSteps
 from jaxdr.optimize.remesh import remesh as remesh
+from jaxdr.plan.plan import plan as plan
+from jaxdr.plan.report import Plan as Plan
 from jaxdr.render import derivative_terms as derivative_terms
 from jaxdr.render import render as render
 from jaxdr.scene.bsdf import Conductor as Conductor

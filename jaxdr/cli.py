@@ -1,4 +1,4 @@
-"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr optimize`, `jaxdr chart`.
+"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr plan`, `jaxdr optimize`, `jaxdr chart`.
 
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
 exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
@@ -6,6 +6,7 @@ exit code 2, before anything is written. A run that meets NaN ends with exit cod
 
 import argparse
 import contextlib
+import json
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -30,6 +31,7 @@ from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
+from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan
 from jaxdr.render import render
 from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
@@ -179,6 +181,23 @@ def _color_limit(options, result: np.ndarray) -> float:
     return limit or float(np.abs(result).max()) or 1.0
 
 
+def _plan(options) -> int:
+    scene = _load_scene(options)
+    boundary = AUTO if options.boundary == AUTO else ESTIMATORS[options.boundary]()
+    found = plan(
+        scene,
+        options.wrt or None,
+        options.budget,
+        key=jax.random.key(options.seed),
+        max_depth=options.max_depth,
+        boundary=boundary,
+        spp=options.spp,
+        depth_tolerance=options.depth_tolerance,
+    )
+    print(json.dumps(found.to_dict(), indent=2) if options.json else found)
+    return 0
+
+
 def _optimize(options) -> int:
     path = Path(options.config)
     table = read_toml(path, options.set)
@@ -294,20 +313,17 @@ def _parser() -> argparse.ArgumentParser:
     for name, function, summary in (
         ("render", _render, f"Render a scene file to {', '.join(SUFFIXES)}."),
         ("gradient", _gradient, "Derivative image of a scene for one motion or parameter."),
+        ("plan", _plan, "Measure and explain what the derivatives of a scene are best estimated with."),
     ):
         command = add(name, function, summary)
         command.add_argument("scene", metavar="SCENE", help="Mitsuba 3 XML, .glb or .gltf file")
         command.add_argument(
             "--ignore-unsupported", action="store_true", help="warn of what a scene file has and jaxdr has not"
         )
-        command.add_argument(
-            "--spp", type=_positive(int), help=f"samples per pixel (default: the file's sample_count, or {SAMPLES})"
-        )
-        command.add_argument(
-            "--max-depth",
-            type=_positive(int),
-            help=f"longest path in segments (default: the file's max_depth up to {DEEPEST}, or {MAX_DEPTH})",
-        )
+        spp = "as many as the budget allows" if name == "plan" else f"the file's sample_count, or {SAMPLES}"
+        command.add_argument("--spp", type=_positive(int), help=f"samples per pixel (default: {spp})")
+        depth = "measured" if name == "plan" else f"the file's max_depth up to {DEEPEST}, or {MAX_DEPTH}"
+        command.add_argument("--max-depth", type=_positive(int), help=f"longest path in segments (default: {depth})")
         command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
         if name == "render":
             what = "path tracer (default), or bidirectional one: for caustics and light from behind corners"
@@ -319,6 +335,9 @@ def _parser() -> argparse.ArgumentParser:
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)
             command.add_argument("--boundary", choices=ESTIMATORS, default="KernelDensity", help="boundary estimator")
             command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
+        if name == "plan":
+            _add_plan_options(command)
+            continue
         files = "image file" if name == "render" else "file, or name without suffix for picture and values"
         command.add_argument("-o", "--output", required=True, metavar="FILE", help=files)
 
@@ -341,6 +360,18 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--resume", action="store_true", help=kept)
         command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     return parser
+
+
+def _add_plan_options(command) -> None:
+    what = "parameter or motion that is differentiated, repeatable (default: all vertices)"
+    command.add_argument("--wrt", action="append", default=[], metavar="NAME", help=what)
+    what = "seconds of a derivative image (default 1)"
+    command.add_argument("--budget", type=_positive(float), default=1.0, metavar="SECONDS", help=what)
+    what = "boundary estimator (default: measured)"
+    command.add_argument("--boundary", choices=(AUTO, *ESTIMATORS), default=AUTO, help=what)
+    what = f"share of light and derivative that longer paths may carry (default {DEPTH_TOLERANCE})"
+    command.add_argument("--depth-tolerance", type=_positive(float), default=DEPTH_TOLERANCE, help=what)
+    command.add_argument("--json", action="store_true", help="print the plan as JSON, with all figures")
 
 
 def _positive(kind):

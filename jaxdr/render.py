@@ -14,13 +14,14 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.texture_jumps import check_still_maps
-from jaxdr.integrators import Integrator, PathTracer
+from jaxdr.integrators import Integrator
+from jaxdr.integrators.defaults import default_integrator
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 
 
-class Plan(NamedTuple):
+class Program(NamedTuple):
     """Everything static about a rendering; hashable."""
 
     structure: Any  # a jax.tree_util.PyTreeDef
@@ -36,12 +37,13 @@ def render(
 
     `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the
     same image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
-    differentiated is known when the program is traced, and only the terms they need are compiled.
+    differentiated is known when the program is traced, and only the terms they need are compiled. Without an
+    `integrator` it is `PathTracer()`, with `LineSampling` for meshes of 300,000 faces and more; `jaxdr.plan` measures.
     Raises ValueError for spp < 1 or an argument of the wrong kind.
     """
-    integrator = PathTracer() if integrator is None else integrator
     if not isinstance(scene, Scene):
         raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
+    integrator = default_integrator(scene) if integrator is None else integrator
     if not isinstance(integrator, Integrator):
         raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
     if int(spp) != spp or spp < 1:
@@ -50,7 +52,7 @@ def render(
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
-    return _render(Plan(structure, is_float, int(spp), integrator), floats, others, key)
+    return _render(Program(structure, is_float, int(spp), integrator), floats, others, key)
 
 
 def derivative_terms(
@@ -63,7 +65,7 @@ def derivative_terms(
     `primary="warp"` `warp` in place of `silhouettes` and `creases`.
     Everything counts as moving unless `moving` says otherwise.
     """
-    integrator = PathTracer() if integrator is None else integrator
+    integrator = default_integrator(scene) if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
     return _estimate(scene, key, spp, integrator, moving)
@@ -74,21 +76,21 @@ def _split(leaves, is_float):
     return floats, tuple(leaf for leaf, f in zip(leaves, is_float, strict=True) if not f)
 
 
-def _join(plan: Plan, floats, others) -> Scene:
+def _join(program: Program, floats, others) -> Scene:
     floats, others = iter(floats), iter(others)
-    return jax.tree.unflatten(plan.structure, [next(floats) if f else next(others) for f in plan.is_float])
+    return jax.tree.unflatten(program.structure, [next(floats) if f else next(others) for f in program.is_float])
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _render(plan: Plan, floats, others, key):
-    return _image(plan, floats, others, jax.random.split(key)[0])
+def _render(program: Program, floats, others, key):
+    return _image(program, floats, others, jax.random.split(key)[0])
 
 
 @partial(_render.defjvp, symbolic_zeros=True)
-def _render_jvp(plan, primals, tangents):
+def _render_jvp(program, primals, tangents):
     floats, others, key = primals
     image_key, derivative_key = jax.random.split(key)
-    image = _image(plan, floats, others, image_key)
+    image = _image(program, floats, others, image_key)
     active = tuple(not isinstance(t, SymbolicZero) for t in tangents[0])
     if not any(active):
         return image, jnp.zeros_like(image)
@@ -96,25 +98,25 @@ def _render_jvp(plan, primals, tangents):
     at = tuple(f for f, a in zip(floats, active, strict=True) if a)
 
     def estimate(at):
-        return _derivative_image(plan, active, at, floats, others, derivative_key)
+        return _derivative_image(program, active, at, floats, others, derivative_key)
 
     return image, jax.jvp(estimate, (at,), (moved,))[1]
 
 
 @partial(jax.jit, static_argnums=0)
-def _image(plan: Plan, floats, others, key):
-    terms = _estimate(_join(plan, floats, others), key, plan.spp, plan.integrator, None)
+def _image(program: Program, floats, others, key):
+    terms = _estimate(_join(program, floats, others), key, program.spp, program.integrator, None)
     return terms["interior"]
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _derivative_image(plan: Plan, active, at, floats, others, key):
+def _derivative_image(program: Program, active, at, floats, others, key):
     at = iter(at)
     floats = [next(at) if a else jax.lax.stop_gradient(f) for f, a in zip(floats, active, strict=True)]
-    flags = _join(plan, active, (False,) * (len(plan.is_float) - sum(plan.is_float)))
-    if plan.integrator.boundary is not None:
+    flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
+    if program.integrator.boundary is not None:
         check_still_maps(flags)
-    terms = _estimate(_join(plan, floats, others), key, plan.spp, plan.integrator, moving_in(flags))
+    terms = _estimate(_join(program, floats, others), key, program.spp, program.integrator, moving_in(flags))
     return sum(terms.values())
 
 

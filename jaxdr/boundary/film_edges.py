@@ -30,13 +30,15 @@ PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an ed
 
 
 class EdgeDistribution(NamedTuple):
-    """What edge points are drawn from; detached. `start`, `end` are the film points of the visible part of each edge.
+    """What edge points are drawn from; detached. Its rows are the edges of the moving shapes, numbered by `edge`.
 
-    `clip` are the fractions of the 3D edge at the ends between near and far plane, `homogeneous` the denominators of
-    the projection there, `range` the part of the projected edge inside the film window. `importance` per unit length;
-    the cdfs are of length x importance. Seen through an aperture, an edge's `extent` bounds its length from all of it.
+    `start`, `end` are the film points of the visible part of each edge, `clip` the fractions of the 3D edge at the ends
+    between near and far plane, `homogeneous` the denominators of the projection there, `range` the part of the
+    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance. Seen
+    through an aperture, an edge's `extent` bounds its length from all of it.
     """
 
+    edge: Int[Array, " E"]
     start: Float[Array, "E 2"]
     end: Float[Array, "E 2"]
     clip: Float[Array, "E 2"]
@@ -51,10 +53,10 @@ class EdgeDistribution(NamedTuple):
 def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
     """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
     packed = jax.tree.map(stop_gradient, packed)
-    camera, edges = packed.camera, packed.edges
+    camera, number = packed.camera, packed.edges_of(moving)
     view = camera.view()
-    local = view.local(packed.vertices)
-    p0, p1 = local[edges.vertices[:, 0]], local[edges.vertices[:, 1]]
+    ends = packed.vertices[packed.edges.vertices[number]]
+    p0, p1 = view.local(ends[:, 0]), view.local(ends[:, 1])
     (near0, near1), (far0, far1) = (
         _clip(sign * (limit - p0[:, 2]), sign * (limit - p1[:, 2]))
         for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
@@ -72,9 +74,10 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
         extent, margin = extent + jnp.abs(blur0 - blur1), jnp.maximum(jnp.abs(blur0), jnp.abs(blur1))
     s0, s1 = _inside_window(camera.film, start, end, margin)
     length = jnp.where(in_front, extent * jnp.maximum(s1 - s0, 0.0), 0.0)
-    silhouette, importance = _importance(packed, moving, key)
+    silhouette, importance = _importance(packed, moving, number, key)
     mass = length * importance
     return EdgeDistribution(
+        edge=number,
         start=start,
         end=end,
         clip=jnp.stack([t0, t1], -1),
@@ -108,29 +111,31 @@ def _inside_window(film, start, end, margin=None):
     return low, high
 
 
-def _importance(packed: PackedScene, moving, key):
+def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
     """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
 
     Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, a share of
     their fold that stands for all other light, and how much their textures differ. Silhouettes: what the visible face
     receives, and a typical value for the background. Only the noise depends on these estimates.
     """
-    corner = packed.vertices[packed.faces[:, 0]]
-    normal = normalize(packed.face_normals())
+    faces, row_of = packed.faces_of(moving)
+    corners, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
+    corner = corners[:, 0]
+    normal = normalize(jnp.cross(corners[:, 1] - corner, corners[:, 2] - corner))
     front = dot(normal, packed.camera.view().towards(corner)) > 0
     # Normals turned towards the camera: two faces that continue each other have no crease.
     normal = jnp.where(front[:, None], normal, -normal)
-    smooth = jnp.asarray(packed.smooth)[packed.face_shape]
-    lit = front | packed.two_sided[packed.face_shape]  # one-sided faces seen from behind are black
+    smooth = jnp.asarray(packed.smooth)[shape]
+    lit = front | packed.two_sided[shape]  # one-sided faces seen from behind are black
     if (through := packed.spreads_through) is not None:
-        lit |= through[packed.face_shape]
+        lit |= through[shape]
     received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
 
-    edges = packed.edges
-    face0 = edges.faces[:, 0]
-    face1 = jnp.where(edges.faces[:, 1] >= 0, edges.faces[:, 1], face0)
+    pair, interior = packed.edges.faces[number], packed.edges.interior[number]
+    face0 = row_of(pair[:, 0])
+    face1 = jnp.where(pair[:, 1] >= 0, row_of(pair[:, 1]), face0)
     # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
-    silhouette = ~edges.interior | (front[face0] != front[face1])
+    silhouette = ~interior | (front[face0] != front[face1])
     if packed.camera.aperture:  # and those that are silhouettes from a part of it
         turns = packed.camera.turns(corner, normal)
         silhouette = silhouette | turns[face0] | turns[face1]
@@ -140,12 +145,11 @@ def _importance(packed: PackedScene, moving, key):
     crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.uvs is not None:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
-        crease = crease + light * seam_jumps(packed, jnp.arange(face0.shape[0]))
+        crease = crease + light * seam_jumps(packed, number)
     if packed.glow:  # as irradiance that a white surface would send on
-        crease = crease + jnp.pi * glow_jumps(packed, jnp.arange(face0.shape[0]))
+        crease = crease + jnp.pi * glow_jumps(packed, number)
     bright = jnp.maximum(received[face0], received[face1])
-    importance = jnp.where(silhouette, 0.5 * (typical + bright), crease)
-    return silhouette, jnp.where(jnp.asarray(moving)[edges.shape], importance, 0.0)
+    return silhouette, jnp.where(silhouette, 0.5 * (typical + bright), crease)
 
 
 def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
@@ -224,8 +228,9 @@ class _EdgePoints(NamedTuple):
 
 def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settings) -> _EdgePoints:
     camera, film = packed.camera, packed.camera.film
-    edge, fraction, weight = _sample(distribution, cdf, count, key)
-    d = jax.tree.map(lambda table: table[edge], distribution)
+    row, fraction, weight = _sample(distribution, cdf, count, key)
+    d = jax.tree.map(lambda table: table[row], distribution)
+    edge = d.edge
     # The point of the 3D edge seen at this fraction of the projected edge; it moves with the edge.
     h0, h1 = d.homogeneous[:, 0], d.homogeneous[:, 1]
     tau = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)
@@ -369,7 +374,7 @@ def _near_field(view: View, first: SurfacePoint) -> NearField:
 def _sample(
     distribution: EdgeDistribution, cdf: Float[Array, " E"], count: int, key
 ) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """Edges, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
+    """Rows, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
     total = cdf[-1]
     strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
     target = strata / count * total

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
 from jaxdr.boundary.lobe_kernel import lobe_term
+from jaxdr.boundary.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.silhouettes import (
     PathSegments,
     Projection,
@@ -38,12 +39,14 @@ from jaxdr.transport.primary import PrimarySamples
 class Prepared(NamedTuple):
     """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges.
 
-    `group` numbers the emitters' planes; None where the radiance of no emitter varies.
+    `group` numbers the emitters' planes; None where the radiance of no emitter varies. `moving`: the edges that move,
+    for segments that stand still; None where all edges do.
     """
 
     radius: Float[Array, " E"]
     tree: EdgeTree
     group: Int[Array, " F"] | None = None
+    moving: MovingEdges | None = None
 
 
 class BoundaryPoints(NamedTuple):
@@ -135,7 +138,6 @@ class KernelDensity(eqx.Module):
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges, once for a whole image."""
-        del moving  # every edge may bound what moving surfaces see
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
@@ -143,7 +145,10 @@ class KernelDensity(eqx.Module):
         tree = queries.edge_tree(
             packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts, settings.rays
         )
-        return Prepared(radius, tree, emitter_groups(packed) if packed.glow else None)
+        group = emitter_groups(packed) if packed.glow else None
+        # Every edge may bound what moving surfaces see, only moving ones what still surfaces see of still ones.
+        apart = self.kernel == "edge" and any(moving) and not all(moving)
+        return Prepared(radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None)
 
     def estimate(
         self,
@@ -216,7 +221,8 @@ class KernelDensity(eqx.Module):
         widest = self.widest * span
         if there:  # longer by a radius at most
             widest = widest / max(1.0 - self.widest, 0.5)
-        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, both_sides, key, rays)
+        still = None if prepared.moving is None else paths.stand_still(prepared.moving.shapes)
+        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, still, both_sides, key, rays)
 
         valid = pairs.segment >= 0
         segment = jnp.where(valid, pairs.segment, 0)
@@ -298,8 +304,11 @@ class KernelDensity(eqx.Module):
     def _capacity(self, segments: int) -> int:
         return min(max(4096, round(self.capacity * segments)), 1 << 24)
 
-    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, both_sides, key, rays: str):
-        """(candidates, edge, fraction along the edge or None, length of edges per point or None)."""
+    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, still, both_sides, key, rays: str):
+        """(candidates, edge, fraction along the edge or None, length of edges per point or None).
+
+        Segments that stand `still` only have moving edges near them.
+        """
         capacity = self._capacity(scale.shape[0])
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
@@ -308,7 +317,11 @@ class KernelDensity(eqx.Module):
         segments = (ends.apex, ends.target, ends.normal, scale, widest, seed)
         options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
         if self.kernel == "edge":
-            pairs = queries.edge_candidates(prepared.tree, *table, radius, *segments, **options)
+            if still is None:
+                pairs = queries.edge_candidates(prepared.tree, *table, radius, *segments, **options)
+            else:
+                query = (ends.apex, ends.target, ends.normal, scale, widest, still)
+                pairs = apart_candidates(packed, prepared.tree, radius, prepared.moving, *query, key_seed, options)
             return pairs, pairs.element, None, None
         edges, along, length = self._edge_points(packed, radius, key_points)
         segment = stop_gradient(packed.vertices)[packed.edges.vertices[edges]]

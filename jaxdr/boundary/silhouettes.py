@@ -76,6 +76,19 @@ class PathSegments:
         """Where sampled directions are held fixed in lobes of some width; None where they never are."""
         return None if self.vertices is None else self.vertices.narrow
 
+    def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
+        """Which segments have two ends that do not move, from which shapes do; detached.
+
+        Where vertices slide, one moves with its own shape or any one before.
+        """
+        shape, table = self.packed.face_shape, self.table
+        apex = moving[shape[table.apex_face]]
+        if self.vertices is not None:
+            before = jax.lax.cummax(apex.reshape(-1, self.paths).astype(jnp.int32), axis=0)
+            apex = before.reshape(-1) > 0
+        target = jnp.where(table.infinite, self.packed.environment_turns, moving[shape[table.target_face]])
+        return ~(apex | target)
+
     def path(self, index: Int[Array, " C"]) -> Int[Array, " C"]:
         """Which path a segment belongs to."""
         return index % self.paths

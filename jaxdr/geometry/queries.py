@@ -52,13 +52,13 @@ class Candidates(NamedTuple):
     """Compacted (segment, element) pairs; unused slots have `segment` -1.
 
     `count` is the number of pairs found. When it exceeds the capacity the pairs are thinned at random without bias and
-    `weight` is the inverse of the survival probability, else 1.
+    `weight` is the inverse of the survival probability, else 1; of two lists that were joined each pair has its own.
     """
 
     segment: Int[Array, " C"]
     element: Int[Array, " C"]
     count: Int[Array, ""]
-    weight: Float[Array, ""]
+    weight: Float[Array, "*n"]
 
 
 class Crossings(NamedTuple):

@@ -12,6 +12,7 @@ from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import PathTracer
 from jaxdr.optimize.strict_toml import build, read_toml
+from jaxdr.plan.plan import AUTO
 
 Color = float | tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -138,26 +139,53 @@ class Floor:
 @dataclass(frozen=True)
 class Integrator:
     """The path tracer: see `jaxdr.PathTracer`. `boundary` names an estimator or is "none" (interior term only);
-    `boundary_options` are the estimator's arguments."""
+    `boundary_options` are the estimator's arguments. With "auto" for `max_depth`, `boundary` or both `jaxdr.plan`
+    measures before the run begins; so it does for both where a file says nothing about the integrator."""
 
-    max_depth: int = 2
+    max_depth: int | Literal["auto"] = 2
     primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
     sampling: Literal["mis", "emitter"] = "mis"
     boundary: str = "KernelDensity"
     boundary_options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        self.build()
+        if not self.planned:
+            self.build()
+            return
+        for key, default in (("primary", "fixed_ray"), ("sampling", "mis")):
+            rule = f'must be {default!r} with max_depth or boundary "auto"'
+            require(getattr(self, key) == default, key, rule, getattr(self, key))
+        if self.boundary == AUTO:
+            require(not self.boundary_options, "boundary_options", 'boundary "auto" has none', self.boundary_options)
+        else:
+            self.estimator()
+        if self.max_depth != AUTO:
+            self._check_depth()
 
-    def build(self) -> PathTracer:
-        """The integrator; ValueErrors start with the key that is wrong."""
+    @property
+    def planned(self) -> bool:
+        """Whether anything is left to `jaxdr.plan`."""
+        return AUTO in (self.max_depth, self.boundary)
+
+    def estimator(self) -> Any:
+        """The boundary estimator; ValueErrors start with the key that is wrong."""
+        choices = {**ESTIMATORS, AUTO: None}
+        if self.boundary not in choices:
+            raise ValueError(f"boundary: expected one of {', '.join(choices)}, got {self.boundary!r}")
         _check_call("boundary", ESTIMATORS, self.boundary, self.boundary_options, "boundary_options")
         try:
-            boundary = ESTIMATORS[self.boundary](**self.boundary_options)
+            return ESTIMATORS[self.boundary](**self.boundary_options)
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
-        require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
-        return PathTracer(self.max_depth, boundary, self.primary, self.sampling)
+
+    def build(self) -> PathTracer:
+        """The integrator, unless it is `planned`; ValueErrors start with the key that is wrong."""
+        boundary = self.estimator()
+        self._check_depth()
+        return PathTracer(int(self.max_depth), boundary, self.primary, self.sampling)
+
+    def _check_depth(self) -> None:
+        require(int(self.max_depth) >= 1, "max_depth", "must be at least 1", self.max_depth)
 
 
 @dataclass(frozen=True)
@@ -273,11 +301,16 @@ def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:
 
 def optimize_config(table: dict, path: Path) -> OptimizeConfig:
     """The config in a TOML table, which was read from `path`."""
-    config = build(OptimizeConfig, table, str(path))
+    config = build(OptimizeConfig, with_integrator(table), str(path))
     if not config.target.path:
         return config
     file = found_file(path, "target.path", config.target.path, "a mesh file")
     return dataclasses.replace(config, target=dataclasses.replace(config.target, path=file))
+
+
+def with_integrator(table: dict) -> dict:
+    """The table of a config file, whose integrator is left to `jaxdr.plan` if it has none."""
+    return {"integrator": {"max_depth": AUTO, "boundary": AUTO}} | table
 
 
 def found_file(config: Path, key: str, name: str, kind: str = "a file") -> str:

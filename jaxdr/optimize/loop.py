@@ -13,13 +13,15 @@ from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoi
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
+from jaxdr.optimize.planned import planned
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
 from jaxdr.optimize.targets import rendered, target_views
+from jaxdr.plan.report import Plan
 
 # Streams of random numbers under the run's seed.
-TARGETS, STEPS, PICTURES = 0, 1, 2
+TARGETS, STEPS, PICTURES, PLAN = 0, 1, 2, 3
 
 
 def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -47,12 +49,14 @@ class _Run:
         if self.remeshing:
             require_gpytoolbox()  # now, not after an hour
         self.folder = RunFolder(config)
+        self.plan: Plan | None = None
         self.interruption = Interruption()
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
 
     def run(self, resume: bool) -> dict:
         total = self.config.optimizer.iterations
+        self.plan_integrator(resume)
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
         targets = self.targets(resume)
@@ -78,6 +82,14 @@ class _Run:
                 if self.interruption.requested and iteration < total:
                     raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
         return self.finish(phase, state)
+
+    def plan_integrator(self, resume: bool) -> None:
+        """Where the config leaves it to a plan: of derivatives of the first view by the initial vertices."""
+        options, scene, spp = self.config.integrator, self.problem.scene, self.config.samples.gradient
+        key = jax.random.fold_in(self.key, PLAN)
+        self.plan = planned(options, scene, [f"{OBJECT}.vertices"], spp, key, self.folder, resume)
+        if self.plan is not None:
+            self.problem = self.problem._replace(integrator=self.plan.integrator)
 
     def fresh(self) -> tuple[int, Phase, State]:
         phase = make_phase(self.config, self.problem, self.initial, 0)
@@ -156,6 +168,8 @@ class _Run:
             "chamfer_ratio": before / after,
             "device": jax.devices()[0].device_kind,
         }
+        if self.plan is not None:
+            summary["plan"] = self.plan.to_dict()
         self.folder.save_mesh("result", phase.current_mesh(state))
         self.folder.save_summary(summary)
         return summary

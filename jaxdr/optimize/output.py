@@ -15,6 +15,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import atomic_path, diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.recovery.config import RecoveryConfig
+from jaxdr.plan.report import Plan
 
 COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer")
 
@@ -23,7 +24,8 @@ class RunFolder:
     """Names and formats of everything a run writes.
 
     `metrics.csv` has a line for every step, `pictures/` grids and `meshes/` GLB files of the state after so many
-    steps, `checkpoint.npz` what `resume` needs, `metrics.json` the summary of a finished run.
+    steps, `checkpoint.npz` and `plan.json` (where the integrator was left to `jaxdr.plan`) what `resume` needs,
+    `metrics.json` the summary of a finished run.
     """
 
     def __init__(self, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
@@ -116,6 +118,23 @@ class RunFolder:
             raise ValueError(
                 f"{path}: the target views can't be read ({problem}); start again with --overwrite"
             ) from None
+
+    @property
+    def has_plan(self) -> bool:
+        """Whether a plan was made for the run."""
+        return (self.path / "plan.json").exists()
+
+    def save_plan(self, plan: Plan) -> None:
+        """Write `plan.json`: a resumed run does not measure again."""
+        self._write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
+
+    def load_plan(self) -> Plan:
+        """The plan that the run was begun with. Raises ValueError when it is damaged."""
+        path = self.path / "plan.json"
+        try:
+            return Plan.from_dict(json.loads(path.read_text()))
+        except (OSError, ValueError) as problem:
+            raise ValueError(f"{path}: can't be read ({problem}); start again with --overwrite") from None
 
     def save_grid(
         self, iteration: int, targets: Float[np.ndarray, "N H W 3"], images: Float[np.ndarray, "M H W 3"]

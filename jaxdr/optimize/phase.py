@@ -81,7 +81,7 @@ def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
     return lambda count: decay(count + start)
 
 
-def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer) -> Callable:
+def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None) -> Callable:
     """Jitted (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
     old = scene.shapes[OBJECT]
     shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}

@@ -22,12 +22,15 @@ GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
 class Problem(NamedTuple):
-    """A scene with the initial mesh as shape `object`, the target mesh, and camera-to-world matrices of the views."""
+    """A scene with the initial mesh as shape `object`, the target mesh, and camera-to-world matrices of the views.
+
+    `integrator` is None until a plan is made, where the config leaves it to one.
+    """
 
     scene: Scene
     target: Mesh
     views: Float[np.ndarray, "N 4 4"]
-    integrator: PathTracer
+    integrator: PathTracer | None
 
 
 def build_problem(config: OptimizeConfig) -> Problem:
@@ -46,7 +49,8 @@ def build_problem(config: OptimizeConfig) -> Problem:
     for number, light in enumerate(config.lights):
         shapes[f"light_{number}"] = _light(light)
     environment = ConstantEnvironment(config.environment) if np.any(config.environment) else None
-    return Problem(Scene(shapes, camera, environment), build_target(config.target), views, config.integrator.build())
+    integrator = None if config.integrator.planned else config.integrator.build()
+    return Problem(Scene(shapes, camera, environment), build_target(config.target), views, integrator)
 
 
 def build_target(target: Target) -> Mesh:

@@ -7,7 +7,7 @@ with smooth shapes, texture coordinates only with textures that use them.
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -130,6 +130,16 @@ class PackedScene(eqx.Module):
         members = [group.member for group in self.bsdfs if spreads_through(group.bsdf)]
         return jnp.stack(members).any(0) if members else None
 
+    def edges_of(self, shapes: tuple[bool, ...]) -> Int[Array, " E"]:
+        """Numbers of the edges of some shapes."""
+        return _rows_of(np.cumsum([0, *self.edge_counts]), shapes)
+
+    def faces_of(self, shapes: tuple[bool, ...]) -> tuple[Int[Array, " F"], Callable[[Array], Array]]:
+        """(numbers of the faces of some shapes, function from such numbers to their rows among these)."""
+        first, counts = np.asarray(self.first_face[:-1]), np.diff(self.first_face) * np.asarray(shapes)
+        shift = jnp.asarray(first - np.cumsum([0, *counts])[:-1], jnp.int32)
+        return _rows_of(self.first_face, shapes), lambda face: face - shift[self.face_shape[face]]
+
     def shape_bounds(self) -> tuple[Float[Array, "S 3"], Float[Array, "S 3"]]:
         """Lowest and highest coordinates of every shape (scene units), detached."""
         points = stop_gradient(self.vertices)[self.faces]
@@ -200,6 +210,12 @@ class PackedScene(eqx.Module):
             power = power * share + area * (EVENLY / area.sum())
         cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
         return cumulative / cumulative[-1]
+
+
+def _rows_of(first, shapes: tuple[bool, ...]) -> Int[Array, " n"]:
+    """Rows first[i] to first[i + 1] of every chosen shape i."""
+    chosen = [jnp.arange(int(first[i]), int(first[i + 1]), dtype=jnp.int32) for i, used in enumerate(shapes) if used]
+    return jnp.concatenate(chosen)
 
 
 def pack(scene: Scene) -> PackedScene:

@@ -135,7 +135,7 @@ def trace_paths(
     if bounces == 0:
         return PathRecord(radiance, jnp.zeros_like(radiance), None, None)
     scatterer = Scatterer(packed, first, -direction)
-    parts = _gather(packed, scatterer, bounces, u, key, settings, near)
+    parts = gather(packed, scatterer, bounces, u, key, settings, near)
     light, emission = parts.light, parts.emission
     own = stop_gradient(light + emission)
     # What every BSDF-sampled segment carries from its far end: the light that later bounces add, summed from the end.
@@ -159,7 +159,7 @@ def trace_paths(
     )
 
 
-def _gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
+def gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
     """All bounces of paths from their first vertex on, [B, N, ...]."""
 
     given = u if u.ndim == 3 else None

@@ -170,9 +170,31 @@ def test_edges_without_a_jump_are_left_out():
     standing = jd.Scene(
         {"quad": jd.Shape(rectangle()), "box": jd.Shape(box(center=(0.0, 0.0, 3.0)))}, scene({"q": SQUARE}).camera
     )
-    still = edge_distribution(pack(standing), (True, False), jax.random.key(0)).importance
-    shape = np.asarray(pack(standing).edges.shape)
-    assert np.any(np.asarray(still)[shape == 0] > 0) and np.all(np.asarray(still)[shape == 1] == 0)
+    # Shapes come sorted by their names: the box is the first.
+    for moving in ((True, False), (False, True)):
+        found = edge_distribution(pack(standing), moving, jax.random.key(0))
+        shape = np.asarray(pack(standing).edges.shape)
+        np.testing.assert_array_equal(found.edge, np.flatnonzero(np.asarray(moving)[shape]))
+        assert found.importance.shape == found.edge.shape and np.any(np.asarray(found.importance) > 0)
+
+
+def test_edges_of_what_stands_still_change_nothing():
+    """The same rows with and without other shapes that move, but for what is typical of the light."""
+    shapes = {
+        "a": jd.Shape(box(center=(-1.0, 0.0, 4.0))),
+        "b": jd.Shape(rectangle(3.0, 3.0, (0.0, 0.0, 6.0))),
+        "c": jd.Shape(box((0.5, 0.7, 0.9), center=(1.0, 0.2, 4.0))),
+    }
+    packed = pack(jd.Scene(shapes, scene({"q": SQUARE}).camera))
+    every = edge_distribution(packed, (True, True, True), jax.random.key(0))
+    for moving in ((True, False, True), (False, False, True), (True, False, False)):
+        found = edge_distribution(packed, moving, jax.random.key(0))
+        rows = np.asarray(found.edge)
+        for name in ("start", "end", "clip", "homogeneous", "range"):
+            np.testing.assert_array_equal(getattr(found, name), np.asarray(getattr(every, name))[rows])
+        sides = [np.diff(np.asarray(d.silhouettes), prepend=0) > 0 for d in (found, every)]
+        np.testing.assert_array_equal(sides[0], sides[1][rows])
+        assert sides[0].any()
 
 
 # A lit box that turns: creases.

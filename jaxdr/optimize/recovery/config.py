@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.optimize.config import Cameras, Integrator, Reporting, Samples, Vector, found_file, require
+from jaxdr.optimize.config import Cameras, Integrator, Reporting, Samples, Vector, found_file, require, with_integrator
 from jaxdr.optimize.recovery.parameters import Motion
 from jaxdr.optimize.recovery.scenes import check_options
 from jaxdr.optimize.strict_toml import build
@@ -210,7 +210,7 @@ def recovery_config(table: dict, path: Path) -> RecoveryConfig:
 
     Raises ValueError that names the file, the key and what was expected.
     """
-    config = build(RecoveryConfig, table, str(path))
+    config = build(RecoveryConfig, with_integrator(table), str(path))
     scene, target = config.scene, config.target
     images = tuple(found_file(path, f"target.images[{i}]", file) for i, file in enumerate(target.images))
     scene = _with_files(path, "scene", scene)

@@ -10,17 +10,19 @@ from jaxtyping import Array, Float
 
 from jaxdr.optimize.checkpoint import load_state, save_state
 from jaxdr.optimize.output import RunFolder, views_to_show
+from jaxdr.optimize.planned import planned
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.recovery.adam import AdamSteps
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.errors import Errors
 from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps
-from jaxdr.optimize.recovery.problem import build_problem
+from jaxdr.optimize.recovery.problem import Problem, build_problem
 from jaxdr.optimize.targets import rendered, target_views
+from jaxdr.plan.report import Plan
 
 METHODS = {"adam": AdamSteps, "levenberg_marquardt": LeastSquaresSteps}
 # Streams of random numbers under the run's seed.
-TARGETS, STEPS, PICTURES, LOSS = 0, 1, 2, 3
+TARGETS, STEPS, PICTURES, LOSS, PLAN = 0, 1, 2, 3, 4
 
 
 def recover(config: RecoveryConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -42,18 +44,34 @@ class _Run:
 
     def __init__(self, config: RecoveryConfig):
         self.config = config
-        self.problem = build_problem(config)
         self.key = jax.random.key(config.seed)
-        key = jax.random.fold_in(self.key, STEPS)
-        self.method: Any = METHODS[config.optimizer.kind](config, config.optimizer, self.problem, key)
-        self.errors = Errors(self.problem, config)
+        self.set_problem(build_problem(config))
         self.folder = RunFolder(config, ("iteration", *self.method.columns, "seconds", *self.errors.names))
-        self.image = jax.jit(self.problem.image, static_argnums=4)
+        self.plan: Plan | None = None
         self.interruption = Interruption()
         self.clock = time.monotonic()
 
+    def set_problem(self, problem: Problem) -> None:
+        """What is optimised, and all that is made for it."""
+        self.problem = problem
+        key, optimizer = jax.random.fold_in(self.key, STEPS), self.config.optimizer
+        self.method: Any = METHODS[optimizer.kind](self.config, optimizer, problem, key)
+        self.errors = Errors(problem, self.config)
+        self.image = jax.jit(problem.image, static_argnums=4)
+
+    def plan_integrator(self, resume: bool) -> None:
+        """Where the config leaves the integrator to a plan: of derivatives of the scene at its start."""
+        options, names = self.config.integrator, [parameter.name for parameter in self.config.parameters]
+        scene, spp = self.problem.scene.replace(self.problem.values(self.problem.start())), self.config.samples.gradient
+        key = jax.random.fold_in(self.key, PLAN)
+        self.plan = planned(options, scene, names, spp, key, self.folder, resume)
+        if self.plan is not None:
+            self.set_problem(self.problem._replace(integrator=self.plan.integrator))
+
     def run(self, resume: bool) -> dict:
         total = self.config.optimizer.iterations
+        if self.config.integrator.planned:
+            self.plan_integrator(resume)
         targets = self.targets(resume)
         if resume and self.folder.checkpoint.exists():
             state, iteration, seconds = load_state(self.folder.checkpoint, self.method.template(targets))
@@ -113,6 +131,8 @@ class _Run:
             "values": {name: value.tolist() for name, value in values.items() if value.size <= 16},
             "device": jax.devices()[0].device_kind,
         }
+        if self.plan is not None:
+            summary["plan"] = self.plan.to_dict()
         self.folder.save_values(values)
         self.folder.save_summary(summary)
         return summary

@@ -30,6 +30,7 @@ class Problem(NamedTuple):
     - `scene`: with all values that are not optimised; `parameters`: parametrisation by name.
     - `target`: the scene that is rendered as target, or None; then `images` [N, H, W, 3] are given.
     - `views`: camera-to-world matrices; `fixed_views`: whether the camera itself is not optimised.
+    - `integrator`: None until a plan is made, where the config leaves it to one.
     """
 
     scene: Scene
@@ -38,7 +39,7 @@ class Problem(NamedTuple):
     images: Float[np.ndarray, "N H W 3"] | None
     views: Float[np.ndarray, "N 4 4"]
     fixed_views: bool
-    integrator: PathTracer
+    integrator: PathTracer | None
 
     def start(self) -> Latents:
         """Latent numbers at the start."""
@@ -95,7 +96,8 @@ def build_problem(config: RecoveryConfig) -> Problem:
     else:
         views = np.asarray((scene if target is None else target).camera.to_world)[None]
     fixed = not any(name == "camera.to_world" for name in parameters)
-    return Problem(scene, parameters, target, images, views, fixed, config.integrator.build())
+    integrator = None if config.integrator.planned else config.integrator.build()
+    return Problem(scene, parameters, target, images, views, fixed, integrator)
 
 
 def parametrization(scene: Scene, options: Parameter) -> Parametrization:

@@ -1,0 +1,88 @@
+"""Candidates among fewer edges: what stands still, seen from where nothing moves, carries no derivative.
+
+The normal velocity of a boundary point is that of the edge's projection less that of the material point behind it. It
+is zero where the edge, the apex and the target stand still. So segments with two ends that stand still only meet moving
+edges, in a small tree of their own, and the edges of all that stands still are left to the others.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.geometry import queries
+from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.geometry.queries import Candidates
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.path import PathSettings
+
+
+class MovingEdges(NamedTuple):
+    """Which `shapes` move, the numbers of their edges, and the tree over them."""
+
+    shapes: Bool[Array, " S"]
+    edge: Int[Array, " m"]
+    tree: EdgeTree
+
+
+def moving_edges(
+    packed: PackedScene, moving: tuple[bool, ...], radius: Float[Array, " E"], settings: PathSettings
+) -> MovingEdges:
+    """The edges of the `moving` shapes (not all of them, and one at least), of kernel radii `radius`."""
+    number, edges = packed.edges_of(moving), packed.edges
+    counts = [count for count, moves in zip(packed.edge_counts, moving, strict=True) if moves]
+    tables = edges.vertices[number], edges.opposite[number], edges.interior[number], radius[number]
+    tree = queries.edge_tree(packed.vertices, *tables, counts, settings.rays)
+    return MovingEdges(jnp.asarray(moving), number, tree)
+
+
+def apart_candidates(
+    packed: PackedScene,
+    tree: EdgeTree,
+    radius: Float[Array, " E"],
+    moving: MovingEdges,
+    apex: Float[Array, "N 3"],
+    target: Float[Array, "N 3"],
+    normal: Float[Array, "N 3"],
+    scale: Float[Array, " N"],
+    widest: Float[Array, " N"],
+    still: Bool[Array, " N"],
+    key: PRNGKeyArray,
+    options: dict[str, Any],
+) -> Candidates:
+    """`queries.edge_candidates` with all edges for segments that move, with `moving` ones for those that stand `still`.
+
+    Weights are one a pair.
+    """
+    edges, number = packed.edges, moving.edge
+    key_all, key_moving, key_kept = jax.random.split(key, 3)
+
+    def found(key, tree, vertices, opposite, radius, scale):
+        seed = jax.random.randint(key, (), 0, 1 << 30)
+        tables = (packed.vertices, vertices, opposite, radius)
+        return queries.edge_candidates(tree, *tables, apex, target, normal, scale, widest, seed, **options)
+
+    scale = stop_gradient(scale)
+    every = found(key_all, tree, edges.vertices, edges.opposite, radius, jnp.where(still, 0.0, scale))
+    few = found(
+        key_moving, moving.tree, edges.vertices[number], edges.opposite[number], radius[number],
+        jnp.where(still, scale, 0.0),
+    )  # fmt: skip
+    return _joined(every, few._replace(element=number[few.element]), key_kept)
+
+
+def _joined(one: Candidates, two: Candidates, key: PRNGKeyArray) -> Candidates:
+    """Both lists in the room of one; what exceeds it is thinned at random without bias."""
+    capacity = one.segment.shape[0]
+    segment = jnp.concatenate([one.segment, two.segment])
+    element = jnp.concatenate([one.element, two.element])
+    weight = jnp.repeat(jnp.stack([one.weight, two.weight]), capacity)
+    used = segment >= 0
+    count = used.sum()
+    # The order changes only where something has to go.
+    place = jnp.where(count > capacity, jax.random.uniform(key, used.shape), 0.0)
+    kept = jnp.argsort(jnp.where(used, place, 2.0), stable=True)[:capacity]
+    thinned = jnp.maximum(count / capacity, 1.0).astype(weight.dtype)
+    return Candidates(segment[kept], element[kept], one.count + two.count, weight[kept] * thinned)

@@ -1,0 +1,45 @@
+"""The integrator of a run, where the config leaves it to `jaxdr.plan`: measured once, then kept in the run's folder."""
+
+import sys
+from collections.abc import Sequence
+
+from jaxtyping import PRNGKeyArray
+
+from jaxdr.optimize.config import Integrator
+from jaxdr.optimize.output import RunFolder
+from jaxdr.plan.plan import AUTO, plan
+from jaxdr.plan.report import Plan
+from jaxdr.scene.scene import Scene
+
+
+def planned(
+    options: Integrator,
+    scene: Scene,
+    params: Sequence[str],
+    spp: int,
+    key: PRNGKeyArray,
+    folder: RunFolder,
+    resume: bool,
+) -> Plan | None:
+    """The plan for derivatives of `spp` samples by `params`, or None where the config names the integrator.
+
+    It is printed to stderr and written to `plan.json`; a run that is resumed takes the one that is there, with nothing
+    measured again. Raises ValueError as `plan` does, and for a file that is damaged.
+    """
+    if not options.planned:
+        return None
+    if resume and folder.has_plan:
+        return folder.load_plan()
+    print("jaxdr: plan: a pilot measures which integrator to take; see [integrator] to choose it", file=sys.stderr)
+    found = plan(
+        scene,
+        params,
+        key=key,
+        max_depth=None if options.max_depth == AUTO else int(options.max_depth),
+        boundary=AUTO if options.boundary == AUTO else options.estimator(),
+        spp=spp,
+    )
+    for line in found.lines:
+        print(f"jaxdr: plan: {line}", file=sys.stderr)
+    folder.save_plan(found)
+    return found

@@ -1,0 +1,84 @@
+"""Which estimators are tried on a scene, and why others are not: rules that were measured, and reasons by nature."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+
+from jaxdr.boundary.guided_edges import GuidedEdges
+from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary.line_sampling import LineSampling
+from jaxdr.integrators import PathTracer
+from jaxdr.integrators.base import edge_points_per_sample
+from jaxdr.integrators.defaults import FINE
+from jaxdr.plan.static_look import StaticLook
+
+# Tried in this order; what comes first wins where two are equal. A wider kernel finds more edges, each at less weight.
+ESTIMATORS: dict[str, Any] = {
+    "LineSampling": LineSampling(),
+    "KernelDensity": KernelDensity(),
+    "KernelDensity, radius 0.06": KernelDensity(radius=0.06),
+    "GuidedEdges": GuidedEdges(),
+}
+# Never tried: right only in a limit that no budget reaches. They can be asked for by name.
+LEFT_OUT = {
+    "RednerWAS": "half of a derivative is missing at its default settings",
+    "WarpedArea": "up to 5 % short with few auxiliary points, and noisier than the others wherever it was measured",
+}
+SPLIT = 4.0  # by how much the samples of a term are raised or lowered against the others, for a try
+DOMINANT, NEGLIGIBLE = 0.7, 0.05  # shares of the variance from which on, and up to which, that is worth a try
+
+
+class Candidates(NamedTuple):
+    """Boundary estimators to be tried, by name, and those that are not, with the reason."""
+
+    tried: dict[str, Any]
+    left_out: dict[str, str]
+
+
+def candidates(look: StaticLook, max_depth: int) -> Candidates:
+    """What to try where a path tracer of this depth is differentiated."""
+    if not look.moving.any or max_depth == 1:
+        return Candidates({"KernelDensity": KernelDensity()}, {})  # no boundary term is in the program
+    tried, left_out = dict(ESTIMATORS), dict(LEFT_OUT)
+    reason = None
+    if look.fine is not None:
+        reason = f"6 % too large and more on meshes of {FINE:,} faces, as {look.fine} has"
+    elif look.many_emitter_faces:
+        reason = f"biased under area emitters of many faces, here {look.emitter_faces:,}"
+    if reason is not None:
+        for name in [name for name, made in tried.items() if isinstance(made, KernelDensity)]:
+            del tried[name]
+        left_out["KernelDensity"] = reason
+    if max_depth > 2:
+        del tried["GuidedEdges"]
+        left_out["GuidedEdges"] = "only for direct light"
+    return Candidates(tried, left_out)
+
+
+def splits(tracer: Any, shares: dict[str, float]) -> dict[str, Any]:
+    """Tracers with samples moved between terms, by what was changed, from the terms' shares of the variance.
+
+    Empty where no term is out of proportion. Edges in the image are what `edge_samples` draws, boundary segments what
+    `LineSampling.chords` and `GuidedEdges.samples` do; of the interior there are as many as of samples per pixel.
+    """
+    if not isinstance(tracer, PathTracer):
+        return {}
+    in_image = shares.get("silhouettes", 0.0) + shares.get("creases", 0.0)
+    changed, changes = tracer, []
+    if in_image > DOMINANT or ("silhouettes" in shares and in_image < NEGLIGIBLE):
+        points = edge_points_per_sample(tracer) * (SPLIT if in_image > DOMINANT else 1 / SPLIT)
+        changed = replaced(changed, edge_samples=points)
+        changes.append(f"edge_samples={points:g}")
+    field = {LineSampling: "chords", GuidedEdges: "samples"}.get(type(tracer.boundary))
+    if field is not None and shares.get("boundary", 0.0) > DOMINANT:
+        count = getattr(tracer.boundary, field) * SPLIT
+        changed = replaced(changed, boundary=replaced(tracer.boundary, **{field: count}))
+        changes.append(f"{field}={count:g}")
+    return {", ".join(changes): changed} if changes else {}
+
+
+def replaced(module: Any, **fields: Any) -> Any:
+    """A module of static fields with some of them changed."""
+    assert isinstance(module, eqx.Module)
+    return dataclasses.replace(module, **fields)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,136 @@
+"""How long paths have to be: light and its derivative by the number of segments, from a pilot of long paths."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.plan.directions import Direction
+from jaxdr.scene.packed import pack
+from jaxdr.scene.scene import Scene
+from jaxdr.transport.depths import radiance_by_depth
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import primary_samples
+
+DEEPEST = 16  # segments of the pilot's paths
+KEYS, SAMPLES = 8, 4  # independent calls, and samples per pixel of each
+
+
+class Share(NamedTuple):
+    """What is left out at `max_depth` 1, 2, …, relative to all of it, and its standard error; [D]."""
+
+    rest: Float[np.ndarray, " D"]
+    error: Float[np.ndarray, " D"]
+
+
+class DepthChoice(NamedTuple):
+    """The smallest `max_depth` that leaves out no more than `tolerance`; `reached` is off where none does.
+
+    `energy` of the image, `gradient` of the derivative's interior term: None where that is no more than noise.
+    """
+
+    max_depth: int
+    tolerance: float
+    reached: bool
+    energy: Share
+    gradient: Share | None
+
+    def line(self) -> str:
+        """One line that says why."""
+        index, deepest = self.max_depth - 1, len(self.energy.rest)
+        left = f"{self.energy.rest[index]:.1%} of the light"
+        if self.gradient is not None:
+            left += f" and {self.gradient.rest[index]:.1%} of the derivative"
+        else:
+            left += " (the interior derivative is too small to tell)"
+        what = f"depth: {self.max_depth} segments; longer paths, up to {deepest}, carry {left}"
+        if self.reached:
+            return f"{what}, within {self.tolerance:.1%}"
+        return f"{what}; whether that is within {self.tolerance:.1%} the pilot's noise hides"
+
+
+def choose_depth(scene: Scene, along: Direction, tolerance: float, key: PRNGKeyArray) -> DepthChoice:
+    """Measure and choose; one program is compiled. Raises ValueError for a tolerance that is not positive."""
+    if not tolerance > 0:
+        raise ValueError(f"plan: depth_tolerance must be positive (a share), got {tolerance}")
+
+    @jax.jit
+    def program(scene, along, key):
+        def images(t):
+            return images_by_depth(along.at(scene, t), key)
+
+        return jax.jvp(images, (jnp.zeros(()),), (jnp.ones(()),))
+
+    found = [jax.tree.map(np.asarray, program(scene, along, k)) for k in jax.random.split(key, KEYS)]
+    values, derivatives = (np.stack(part).astype(np.float64) for part in zip(*found, strict=True))
+    return depth_choice(energy_share(values), derivative_share(derivatives), tolerance)
+
+
+def images_by_depth(scene: Scene, key: PRNGKeyArray) -> Float[Array, "D H W 3"]:
+    """Images of the paths of 1, 2, … `DEEPEST` segments, of few samples."""
+    packed = pack(scene)
+    _, _, width, height = packed.camera.film.window
+    key_film, key_path = jax.random.split(key)
+    settings = PathSettings(DEEPEST, True, "auto")
+    primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, settings.rays, "fixed")
+    rows = radiance_by_depth(packed, primary.first, primary.direction, primary.u, key_path, settings)
+    return rows.reshape(DEEPEST, height, width, SAMPLES, 3).mean(3)
+
+
+def energy_share(images: Float[np.ndarray, "K D H W 3"]) -> Share:
+    """What longer paths add to the mean of the image."""
+    by_depth = images.mean((2, 3, 4))
+    total = by_depth.sum(1).mean()
+    if not total > 0:
+        return Share(np.zeros(by_depth.shape[1]), np.zeros(by_depth.shape[1]))
+    rest = _after(by_depth) / total
+    return Share(rest.mean(0), rest.std(0, ddof=1) / math.sqrt(len(rest)))
+
+
+def derivative_share(images: Float[np.ndarray, "K D H W 3"]) -> Share | None:
+    """Root mean square of what longer paths add to the derivative image, relative to its own.
+
+    From products of independent calls, so that noise adds nothing; None where the whole is within its noise of zero.
+    """
+    rest = _after(images)
+    whole, whole_error = _square(images.sum(1)[:, None])
+    if not whole[0] > 2.0 * whole_error[0]:
+        return None
+    square, error = _square(rest)
+    size = np.sqrt(np.maximum(square, 0.0) / whole[0])
+    above = np.sqrt(np.maximum(square + error, 0.0) / whole[0])
+    return Share(size, above - size)
+
+
+def depth_choice(energy: Share, gradient: Share | None, tolerance: float) -> DepthChoice:
+    """The smallest depth whose rests are within the tolerance, a standard error added; or without, if none is."""
+    shares = [energy] if gradient is None else [energy, gradient]
+    for errors in (1.0, 0.0):
+        fits = np.all([share.rest + errors * share.error <= tolerance for share in shares], axis=0)
+        fits[-1] = False  # of nothing deeper is anything known
+        if fits.any():
+            return DepthChoice(int(fits.argmax()) + 1, tolerance, errors > 0, energy, gradient)
+    return DepthChoice(len(energy.rest), tolerance, False, energy, gradient)
+
+
+def _after(rows: Float[np.ndarray, "K D *rest"]) -> Float[np.ndarray, "K D *rest"]:
+    """Sums over all later depths."""
+    return rows[:, ::-1].cumsum(1)[:, ::-1] - rows
+
+
+def _square(values: Float[np.ndarray, "K D *rest"]) -> tuple[np.ndarray, np.ndarray]:
+    """(mean square of the means, its standard error by the jackknife over calls), [D], from pairs of calls."""
+    axes = tuple(range(2, values.ndim))
+
+    def pairs(some):
+        count = len(some)
+        products = (some.sum(0) ** 2 - (some**2).sum(0)) / (count * (count - 1))
+        return products.mean(tuple(axis - 1 for axis in axes))
+
+    count = len(values)
+    without = np.stack([pairs(np.delete(values, k, 0)) for k in range(count)])
+    error = np.sqrt((count - 1) / count * ((without - without.mean(0)) ** 2).sum(0))
+    return pairs(values), error

@@ -1,0 +1,189 @@
+"""Pilot runs: variance and seconds of derivative images, all candidates in turns, and the choice among them."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PRNGKeyArray
+
+from jaxdr.integrators import Integrator
+from jaxdr.moving import Moving
+from jaxdr.plan.directions import Direction
+from jaxdr.render import derivative_terms
+from jaxdr.scene.scene import Scene
+
+FIRST = 4  # samples per pixel of the first round
+MOST = 256  # and at most of the second
+TURNS = 6  # independent calls of every candidate in a round
+CLOSE = 2.0  # how much worse than the best a candidate may be in the first round and go on to the second
+FINALISTS = 2
+BETTER = 0.9  # what a change has to come to, relative to what it is a change of
+LEAST_SECONDS = 1e-4  # below, the clock is all that is measured
+EPSILON = float(np.finfo(np.float32).eps)
+
+Setting = tuple[Any, int]  # integrator, samples per pixel
+
+
+class Measured(NamedTuple):
+    """One call at `spp` samples per pixel: median `seconds`, `variance` of the image, and the terms' `shares` of it."""
+
+    spp: int
+    seconds: float
+    variance: float
+    shares: dict[str, float]
+
+    @property
+    def work(self) -> float:
+        """Squared error times seconds: what it costs whatever the budget is."""
+        return self.variance * self.seconds
+
+
+class Refused(NamedTuple):
+    """What an estimator says about a scene that it doesn't know."""
+
+    message: str
+
+
+Measure = Callable[[dict[str, Setting]], dict[str, Measured | Refused]]
+Changes = Callable[[Any, dict[str, float]], dict[str, Any]]  # (integrator, shares) -> changed ones by what is changed
+
+
+class Choice(NamedTuple):
+    """The integrator by `name`, its samples per pixel, everything that was measured (by round), and the reasons."""
+
+    name: str
+    integrator: Any
+    spp: int
+    rounds: list[dict[str, Measured | Refused]]
+    lines: list[str]
+
+
+class Pilot:
+    """Measures settings on a scene along a direction. Compilation is not in the seconds, everything else is."""
+
+    def __init__(self, scene: Scene, along: Direction, moving: Moving, key: PRNGKeyArray):
+        self.scene, self.along, self.moving, self.key = scene, along, moving, key
+
+    def __call__(self, settings: dict[str, Setting]) -> dict[str, Measured | Refused]:
+        """Every setting by name, in turns, each round beginning with another one."""
+        programs: dict[str, Any] = {}
+        found: dict[str, Measured | Refused] = {}
+        for name, setting in settings.items():
+            try:
+                programs[name] = self._program(*setting)
+            except ValueError as problem:
+                found[name] = Refused((str(problem).splitlines() or [""])[0])
+        calls: dict[str, list] = {name: [] for name in programs}
+        names = list(programs)
+        for turn in range(TURNS + 1):  # the first one is slow for other reasons too
+            for i in range(len(names)):
+                name = names[(i + turn) % len(names)]
+                answer = self._call(programs[name], turn)
+                if turn > 0:
+                    calls[name].append(answer)
+        for name, some in calls.items():
+            found[name] = measured(settings[name][1], [c[0] for c in some], [c[1] for c in some])
+        return {name: found[name] for name in settings}
+
+    def _program(self, integrator: Integrator, spp: int):
+        def derivative(scene, along, t, key):
+            def images(t):
+                return derivative_terms(along.at(scene, t), key, spp, integrator, self.moving)
+
+            return jax.jvp(images, (t,), (jnp.ones_like(t),))[1]
+
+        integrator.check(self.scene)
+        return jax.jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key).compile()
+
+    def _call(self, program, turn: int) -> tuple[dict[str, Array], float]:
+        # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.
+        t = jax.block_until_ready(jnp.asarray(4 * EPSILON * (turn + 1)))
+        key = jax.random.fold_in(self.key, turn)
+        start = time.perf_counter()
+        answer = jax.block_until_ready(program(self.scene, self.along, t, key))
+        return answer, time.perf_counter() - start
+
+
+def measured(spp: int, calls: list[dict[str, Array]], seconds: list[float]) -> Measured:
+    """From derivative images by term, of independent calls."""
+    images = {term: np.stack([np.asarray(call[term], np.float64) for call in calls]) for term in calls[0]}
+    total = float(sum(images.values()).var(0, ddof=1).mean())  # pyright: ignore[reportAttributeAccessIssue]
+    own = {term: float(stack.var(0, ddof=1).mean()) for term, stack in images.items()}
+    whole = sum(own.values())
+    shares = {term: value / whole if whole > 0 else 0.0 for term, value in own.items()}
+    return Measured(spp, max(statistics.median(seconds), LEAST_SECONDS), total, shares)
+
+
+def choose(
+    tried: dict[str, Any], measure: Measure, changes: Changes, budget: float, spp: int | None, ratio: float = 1.0
+) -> Choice:
+    """The setting of least squared error times seconds, and the samples per pixel that fill the budget.
+
+    `budget`: seconds of one derivative image, `ratio` times as many pixels as the pilot's; `spp` in its place where it
+    is given. A first round of few samples; those close to the best, and `changes` of the best, go on to a second one
+    with as many as the budget allows. Raises ValueError where all are refused, or not finite.
+    """
+    first = measure({name: (integrator, spp or FIRST) for name, integrator in tried.items()})
+    lines = [f"not possible here: {name} ({m.message})" for name, m in first.items() if isinstance(m, Refused)]
+    good = _ranked(first)
+    if not good:
+        raise ValueError("plan: no estimator can differentiate this scene; " + "; ".join(lines or ["none is finite"]))
+    chosen, last = next(iter(good.items()))
+    known: dict[str, Any] = {n: tried[n] for n in list(good)[:FINALISTS] if good[n].work <= CLOSE * last.work}
+    variants = {f"{chosen}, {change}": made for change, made in changes(tried[chosen], last.shares).items()}
+    counts = {name: spp or _fitting(good[name], budget / ratio) for name in known}
+    counts |= dict.fromkeys(variants, counts[chosen])
+    rounds = [first]
+    if len(counts) > 1 or counts[chosen] > last.spp:
+        rounds.append(measure({name: ((known | variants)[name], count) for name, count in counts.items()}))
+        again = _ranked(rounds[-1])
+        chosen, last = next(((n, m) for n, m in again.items() if n in known), (chosen, last))
+        change = next((n for n in again if n in variants), None)
+        if change is not None and again[change].work <= BETTER * last.work:
+            chosen, last = change, again[change]
+        lines += [f"tried and not taken: {name}" for name in variants if name != chosen]
+    calls = [m for some in rounds for name, m in _ranked(some).items() if name == chosen]
+    count = spp or _filling(calls, budget / ratio)
+    seconds = _predicted(calls, count) * ratio
+    works = {name: m.work for some in rounds for name, m in _ranked(some).items() if name != chosen}
+    reference = last.work if last.work > 0 else 1.0
+    compared = ", ".join(f"{name} {work / reference:.2g}" for name, work in works.items())
+    lines.append(f"estimator: {chosen}; squared error x seconds of the others, relative to it: {compared or 'none'}")
+    lines.append(f"variance by term: {', '.join(f'{term} {share:.0%}' for term, share in last.shares.items())}")
+    lines.append(f"samples: {count} per pixel, about {seconds:.2g} s a derivative image")
+    return Choice(chosen, (tried | variants)[chosen], count, rounds, lines)
+
+
+def _ranked(found: dict[str, Measured | Refused]) -> dict[str, Measured]:
+    """What was measured and is finite, the best first; without noise the fastest."""
+    good = {name: m for name, m in found.items() if isinstance(m, Measured) and np.isfinite(m.variance)}
+    return dict(sorted(good.items(), key=lambda entry: (entry[1].work, entry[1].seconds)))
+
+
+def _fitting(found: Measured, seconds: float) -> int:
+    """Samples for the second round: what fits the seconds if all of them were spent on samples, within limits."""
+    return int(np.clip(round(found.spp * seconds / found.seconds), FIRST, MOST))
+
+
+def _line(found: list[Measured]) -> tuple[float, float]:
+    """(seconds that a call takes anyway, seconds per sample): through two counts of samples, through one by ratio."""
+    one, two = found[0], found[-1]
+    if two.spp > one.spp and two.seconds > one.seconds:
+        slope = (two.seconds - one.seconds) / (two.spp - one.spp)
+        if one.seconds > slope * one.spp:
+            return one.seconds - slope * one.spp, slope
+    return 0.0, two.seconds / two.spp
+
+
+def _filling(found: list[Measured], seconds: float) -> int:
+    fixed, each = _line(found)
+    return max(1, int((seconds - fixed) / each + 1e-6))
+
+
+def _predicted(found: list[Measured], spp: int) -> float:
+    fixed, each = _line(found)
+    return fixed + each * spp

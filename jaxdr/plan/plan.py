@@ -1,0 +1,155 @@
+"""`jaxdr.plan`: look at a scene, trace a few paths, and say what its derivatives are best estimated with."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+from jax.core import Tracer
+from jaxtyping import PRNGKeyArray
+
+from jaxdr.integrators import Integrator, PathTracer
+from jaxdr.plan.candidates import candidates, replaced, splits
+from jaxdr.plan.depth import DepthChoice, choose_depth
+from jaxdr.plan.directions import direction, moving_along
+from jaxdr.plan.pilot import Choice, Measured, Pilot, choose
+from jaxdr.plan.ray_queries import RayChoice, time_rays
+from jaxdr.plan.report import Plan
+from jaxdr.plan.static_look import StaticLook, static_look
+from jaxdr.scene.film import Film
+from jaxdr.scene.scene import Scene
+
+PIXELS = 48 * 48  # of the pilots' film, at most
+DEPTH_TOLERANCE = 0.02
+AUTO: Any = "auto"
+
+
+def plan(
+    scene: Scene,
+    params: Sequence[str] | None = None,
+    budget: float = 1.0,
+    *,
+    key: PRNGKeyArray | None = None,
+    integrator: Integrator | None = None,
+    max_depth: int | None = None,
+    boundary: Any = AUTO,
+    spp: int | None = None,
+    depth_tolerance: float = DEPTH_TOLERANCE,
+) -> Plan:
+    """Choose integrator and samples for derivatives of a scene by `params`, and explain each choice in a line.
+
+    `params`: names of `scene.parameters()`, or motions such as `spot.translate.x`; None for all vertices. `budget`:
+    seconds of a derivative image. What is given is kept: `max_depth`, the `boundary` estimator (or None), `spp`, or a
+    whole `integrator`. `depth_tolerance`: share of the light, and of its derivative, that longer paths may carry.
+
+    Runs the estimators at few samples on an image of at most 48 x 48 pixels: some minutes, nearly all of them spent on
+    compilation. Not for use under `jit`. Timings vary, and with them choices between equals: keep the plan
+    (`Plan.to_dict`) where a run has to be repeated. Raises ValueError for bad arguments, and where nothing can
+    differentiate the scene.
+    """
+    _check(scene, budget, max_depth, spp, integrator, boundary)
+    key_direction, key_depth, key_pilot = jax.random.split(jax.random.key(0) if key is None else key, 3)
+    along = direction(scene, params, key_direction)
+    moving = moving_along(scene, tuple(along.values))
+    look = static_look(scene, moving)
+    small, ratio = small_film(scene)
+    lines, figures = look.lines(), {"params": list(along.values)}
+
+    depth = None
+    if integrator is not None:
+        max_depth = integrator.max_depth
+    elif max_depth is None:
+        depth = choose_depth(small, along, depth_tolerance, key_depth)
+        max_depth = depth.max_depth
+    lines.append(depth.line() if depth else f"depth: {max_depth} segments, as asked for")
+    rays = time_rays(scene) if look.may_try_all and integrator is None else RayChoice({})
+    lines.append(rays.line(look.faces) if integrator is None else f"rays: {getattr(integrator, 'rays', 'its own')}")
+
+    tried, left_out = {}, {}
+    if integrator is not None:
+        tried = {"as asked for": integrator}
+    elif _automatic(boundary):
+        found = candidates(look, max_depth)
+        tried = {name: PathTracer(max_depth, estimator) for name, estimator in found.tried.items()}
+        left_out = found.left_out
+    else:
+        name = "interior term only" if boundary is None else type(boundary).__name__
+        tried = {f"{name}, as asked for": PathTracer(max_depth, boundary)}
+    lines += [f"not tried: {name} ({reason})" for name, reason in left_out.items()]
+
+    def changes(best: Any, shares: dict[str, float]) -> dict[str, Any]:
+        if integrator is not None:
+            return {}
+        brute = {"every face tried": replaced(best, rays="jax")} if rays.brute_force else {}
+        return splits(best, shares) | brute
+
+    chosen = choose(tried, Pilot(small, along, moving, key_pilot), changes, budget, spp, ratio)
+    figures |= _figures(look, depth, rays, chosen)
+    return Plan(chosen.integrator, chosen.spp, tuple(lines + chosen.lines), figures)
+
+
+def small_film(scene: Scene) -> tuple[Scene, float]:
+    """(the scene with a film of fewer pixels that sees the same, how many times as many pixels it had)."""
+    film = scene.camera.film
+    _, _, width, height = film.window
+    scale = math.sqrt(PIXELS / (width * height))
+    if scale >= 1.0:
+        return scene, 1.0
+    size = [max(1, round(scale * n)) for n in (film.width, film.height)]
+    crop = film.crop
+    if crop is not None:
+        corner = [min(int(scale * n), limit - 1) for n, limit in zip(crop[:2], size, strict=True)]
+        sides = [max(1, min(round(scale * n), s - c)) for n, s, c in zip(crop[2:], size, corner, strict=True)]
+        crop = (corner[0], corner[1], sides[0], sides[1])
+    fewer = Film(size[0], size[1], film.filter, crop)
+
+    def is_film(node) -> bool:
+        return isinstance(node, Film)
+
+    small = jax.tree.map(lambda node: fewer if is_film(node) else node, scene, is_leaf=is_film)
+    _, _, columns, rows = fewer.window
+    return small, width * height / (columns * rows)
+
+
+def _automatic(boundary: Any) -> bool:
+    return isinstance(boundary, str) and boundary == AUTO
+
+
+def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
+    if not isinstance(scene, Scene):
+        raise ValueError(f"plan: expected a jaxdr.Scene, got {type(scene).__name__}")
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
+        raise ValueError("plan: measures time, so it can't run under jit or grad; make the plan before")
+    if not budget > 0:
+        raise ValueError(f"plan: budget must be positive (seconds of a derivative image), got {budget}")
+    for name, value in (("max_depth", max_depth), ("spp", spp)):
+        if value is not None and (int(value) != value or value < 1):
+            raise ValueError(f"plan: {name} must be a positive whole number, got {value}")
+    if integrator is not None and not isinstance(integrator, Integrator):
+        raise ValueError(
+            f"plan: integrator must be one such as jaxdr.PathTracer(), or None, got {type(integrator).__name__}"
+        )
+    if isinstance(boundary, str) and boundary != AUTO:
+        raise ValueError(f"plan: boundary must be an estimator such as jaxdr.LineSampling(), or None, got {boundary!r}")
+    if integrator is not None and (max_depth is not None or not _automatic(boundary)):
+        raise ValueError("plan: an integrator that is given has its own max_depth and boundary; leave those out")
+
+
+def _figures(look: StaticLook, depth: DepthChoice | None, rays: RayChoice, chosen: Choice) -> dict[str, Any]:
+    """Numbers for JSON."""
+    static = {name: value for name, value in look._asdict().items() if name != "moving"}
+    static["textures"] = list(look.textures)
+    figures: dict[str, Any] = {"static": static, "moving": _plain(look.moving._asdict()), "rays": rays.seconds}
+    if depth is not None:
+        shares = {"energy": depth.energy} | ({"gradient": depth.gradient} if depth.gradient is not None else {})
+        figures["depth"] = {n: {"rest": s.rest.tolist(), "error": s.error.tolist()} for n, s in shares.items()}
+    figures["chosen"] = chosen.name
+    figures["rounds"] = [
+        {n: m._asdict() | ({"work": m.work} if isinstance(m, Measured) else {}) for n, m in found.items()}
+        for found in chosen.rounds
+    ]
+    return figures
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in table.items()}

@@ -1,0 +1,82 @@
+"""What a plan says: an integrator, samples, and why; as text and as a table that can be read back."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+
+from jaxdr.boundary import ESTIMATORS
+from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+
+INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTracer": BidirectionalPathTracer}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to differentiate a scene with: `integrator`, `spp` samples per pixel, and the reasons, a line each.
+
+    `figures` has what was measured. `str` gives the lines; `to_dict` a table for JSON from which `Plan.from_dict` makes
+    the same plan, with nothing measured again.
+    """
+
+    integrator: Any
+    spp: int
+    lines: tuple[str, ...]
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Integrator, samples, lines and figures, of numbers, strings, lists and tables."""
+        return {
+            "integrator": settings(self.integrator),
+            "spp": self.spp,
+            "lines": list(self.lines),
+            "figures": self.figures,
+        }
+
+    @staticmethod
+    def from_dict(table: dict[str, Any]) -> "Plan":
+        """The plan that `to_dict` was of. Raises ValueError for anything else."""
+        try:
+            chosen = integrator(table["integrator"])
+            return Plan(chosen, int(table["spp"]), tuple(table["lines"]), dict(table["figures"]))
+        except (KeyError, TypeError, ValueError) as problem:
+            raise ValueError(f"not a plan of this version ({problem!r})") from None
+
+
+def settings(integrator: Any) -> dict[str, Any]:
+    """The fields of an integrator as a table. Raises ValueError for one that is not of this library's."""
+    kind = type(integrator).__name__
+    if INTEGRATORS.get(kind) is not type(integrator):
+        raise ValueError(f"a plan keeps {' and '.join(INTEGRATORS)}, not {kind}")
+    table: dict[str, Any] = {"kind": kind}
+    for entry in dataclasses.fields(integrator):
+        value = getattr(integrator, entry.name)
+        table[entry.name] = _estimator_settings(value) if entry.name == "boundary" else value
+    return table
+
+
+def integrator(table: dict[str, Any]) -> Integrator:
+    """The integrator of a table that `settings` made."""
+    options = {name: value for name, value in table.items() if name != "kind"}
+    estimator = options["boundary"]
+    if estimator is not None:
+        fields = {name: _value(value) for name, value in estimator.items() if name != "kind"}
+        options["boundary"] = ESTIMATORS[estimator["kind"]](**fields)
+    return INTEGRATORS[table["kind"]](**options)
+
+
+def _estimator_settings(estimator: Any) -> dict[str, Any] | None:
+    if estimator is None:
+        return None
+    kind = type(estimator).__name__
+    if ESTIMATORS.get(kind) is not type(estimator) or not isinstance(estimator, eqx.Module):
+        raise ValueError(f"a plan keeps boundary estimators by name ({', '.join(ESTIMATORS)}), not {kind}")
+    return {"kind": kind} | {entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)}
+
+
+def _value(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value

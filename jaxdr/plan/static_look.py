@@ -1,0 +1,93 @@
+"""What a scene has, and what its program therefore holds: no ray is traced."""
+
+from collections import Counter
+from typing import NamedTuple
+
+from jaxdr.boundary.emitter_planes import FEW_FACES
+from jaxdr.integrators.defaults import fine_mesh
+from jaxdr.moving import Moving
+from jaxdr.scene.scene import Scene, textures_of, unwrap
+
+BRUTE_FORCE = 256  # faces up to which every face may be tried for every ray
+
+
+class StaticLook(NamedTuple):
+    """Models by name with how often they occur, textures by parameter, faces and edges.
+
+    - `emitter_faces`: of area emitters. `fine`: the shape that is too fine for a kernel, or None.
+    - `film_edges`: those that move relative to the camera; they, and no others, are drawn in the image.
+    - `still_edges`: of shapes that stand still. Behind the first hit they carry derivatives only where a path segment
+      ends on something that moves; segments with still ends don't look at them.
+    """
+
+    lobes: dict[str, int]
+    lights: dict[str, int]
+    textures: tuple[str, ...]
+    faces: int
+    emitter_faces: int
+    edges: int
+    film_edges: int
+    still_edges: int
+    fine: str | None
+    moving: Moving
+
+    @property
+    def may_try_all(self) -> bool:
+        """Whether there are so few faces that brute force is worth a measurement."""
+        return self.faces <= BRUTE_FORCE
+
+    @property
+    def many_emitter_faces(self) -> bool:
+        """Whether area emitters are more than a few polygons."""
+        return self.emitter_faces > FEW_FACES
+
+    def lines(self) -> list[str]:
+        """One line each: what is in the program, and which edges."""
+        moving = self.moving
+        found = [
+            f"lobes: {_counted(self.lobes)}; no other model is in the program",
+            f"lights: {_counted(self.lights) or 'none'}",
+            f"textures: {', '.join(self.textures) or 'none'}",
+        ]
+        if not moving.any:
+            found.append(f"edges: none of {self.edges:,} carries a derivative, for nothing moves: no boundary terms")
+            return found
+        shapes = f"{sum(moving.shapes)} of {len(moving.shapes)} shapes"
+        what = "the camera" if moving.camera else shapes
+        if any(moving.lights) or moving.environment:
+            what += " and lights"
+        found.append(f"edges: {what} move: {self.film_edges:,} of {self.edges:,} edges can move in the image")
+        if self.still_edges and any(moving.seen):
+            found.append(
+                f"edges behind the first hit: the {self.still_edges:,} of what stands still count only for path "
+                "segments that end on something that moves"
+            )
+        return found
+
+
+def static_look(scene: Scene, moving: Moving) -> StaticLook:
+    """Look at a scene in which `moving` is differentiated."""
+    emitters = [shape for shape in scene.shapes.values() if shape.emitter is not None]
+    lights = Counter(type(light).__name__ for light in scene.lights.values())
+    if emitters:
+        lights["AreaEmitter"] = len(emitters)
+    if scene.environment is not None:
+        lights[type(scene.environment).__name__] = 1
+    edges = [shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values()]
+    film = sum(count for count, moves in zip(edges, moving.seen, strict=True) if moves)
+    return StaticLook(
+        lobes=dict(Counter(type(unwrap(shape.bsdf)).__name__ for shape in scene.shapes.values())),
+        lights=dict(lights),
+        textures=tuple(f"{name}.{field}" for name, shape in scene.shapes.items() for field, _ in textures_of(shape)),
+        faces=sum(shape.mesh.faces.shape[0] for shape in scene.shapes.values()),
+        emitter_faces=sum(shape.mesh.faces.shape[0] for shape in emitters),
+        edges=sum(edges),
+        film_edges=film,
+        still_edges=sum(edges) - film,
+        fine=fine_mesh(scene),
+        moving=moving,
+    )
+
+
+def _counted(models: dict[str, int]) -> str:
+    return ", ".join(name if count == 1 else f"{name} ({count})" for name, count in models.items())

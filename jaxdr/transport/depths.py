@@ -1,0 +1,29 @@
+"""What a path tracer gathers, apart by the length of the paths."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted
+from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.path import PathSettings, gather
+from jaxdr.transport.shading import Scatterer
+
+
+def radiance_by_depth(
+    packed: PackedScene,
+    first: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    u: Float[Array, "N 4"],
+    key: PRNGKeyArray,
+    settings: PathSettings,
+) -> Float[Array, "D N 3"]:
+    """Radiance towards the camera: row k is that of paths of k + 1 segments, D = `settings.max_depth`.
+
+    Differentiable; the sum of the rows is the radiance of `trace_paths`, from the same numbers.
+    """
+    seen = emitted(packed, first, -direction)[None]
+    if settings.max_depth == 1:
+        return seen
+    parts = gather(packed, Scatterer(packed, first, -direction), settings.max_depth - 1, u, key, settings, None)
+    return jnp.concatenate([seen, parts.light + parts.emission])
