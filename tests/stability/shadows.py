@@ -1,0 +1,139 @@
+"""A cube, or what is left of one, and its shadow on a floor: all of these are one compiled program an estimator."""
+
+import numpy as np
+
+from jaxdr.geometry import shapes
+from tests.stability.case import Case
+from tests.stability.stage import camera as view
+from tests.stability.stage import cube, floor, lamp, placed, resized, rotation, table
+
+# Of the shadow alone, of a blocker at HIGH.
+HIGH = (0.0, 0.0, 1.0)
+SHADE = ((-0.64, -1.5, 0.7), (-0.64, 0.36, 0.0))
+ALONG = (1.0, 0.4, 0.2)
+ABOUT_Z = rotation((0, 0, 1), 0.5)
+TURN_SMALL = rotation((0.6, 0.5, 0.8), 0.4)
+
+
+def case(name, about, source, scene, velocity=ALONG, step=0.02, **options) -> Case:
+    """The blocker moves."""
+    return Case(name, "shadows", about, source, scene, {"blocker.vertices": np.asarray(velocity)}, step, **options)
+
+
+def scaled(name, scale, offset=(0.0, 0.0, 0.0)) -> Case:
+    """The first scene in other units."""
+    about = f"scale {scale:g}" if not any(offset) else f"scale {scale:g}, {offset[0]:g} from the origin"
+    source = "fixed ray offsets and epsilons of earlier differentiable renderers (redner, Mitsuba 2)"
+    scene = resized(table(cube()), scale, offset)
+    # The lamp's radiance is that of the first scene: what is seen stays the same, and t is in the scene's units.
+    return case(name, about, source, scene, step=0.02 * scale)
+
+
+def spike():
+    """A cube whose far side is shrunk to almost a point."""
+    points = np.asarray(shapes.box().vertices, float)
+    points[points[:, 0] > 0] *= (1.0, 0.02, 0.02)
+    return shapes.box().with_vertices(points)
+
+
+def collapsed():
+    """A cube whose top has shrunk to a point: two faces without area, four that are halves of others."""
+    points = np.asarray(shapes.box().vertices, float)
+    points[points[:, 2] > 0, :2] = 0.0
+    return shapes.box().with_vertices(points)
+
+
+def cases() -> list[Case]:
+    """Values of one structure: cube, floor of two triangles, lamp of two triangles."""
+    inside = rotation((0, 0, 1), 0.3)
+    bare, shade = table(cube()), view(*SHADE, 45.0)
+    return [
+        case("shadow", "a cube, its shadow, a square lamp", "control: nothing is hard here", bare),
+        case("shadow_alone", "the same, the cube out of view", "control", table(cube(at=HIGH), view=shade)),
+        case(
+            "tiny_light",
+            "lamp a hundred and fiftieth of its distance wide",
+            "2026 paper, limits: kernels wider than the penumbra; Mitsuba discussions about small emitters",
+            table(cube(at=HIGH), light=lamp(0.016), view=shade),
+            reference_spp=512,
+        ),
+        case(
+            "soft_light",
+            "lamp wider than the scene",
+            "2026 paper, Fig. 13: an extremely soft shadow",
+            table(cube(at=HIGH), light=lamp(7.0, (0.6, -0.3, 3.0)), view=shade),
+            reference_spp=512,
+        ),
+        case(
+            "sharp_corner",
+            "shadow of a spike",
+            "2026 paper, limits: a kernel at a corner of the boundary, worse with a large radius",
+            table(placed(spike(), rotation((0, 0, 1), 0.6), HIGH, (0.9, 0.5, 0.5)), view=shade),
+            extra=("KernelDensity, radius 0.2",),
+        ),
+        scaled("scale_small", 1e-3),
+        scaled("scale_large", 1e3),
+        scaled("offset", 1.0, (1e3, -1e3, 1e3)),
+        case(
+            "contact",
+            "a cube that slides over the floor it stands on; its lowest side lies in the floor's plane",
+            "z-fighting of coplanar faces and shadows that start at zero distance (redner, psdr-jit issues)",
+            table(cube(0.5, (0.0, 0.0, 0.25), ABOUT_Z)),
+            (1.0, 0.4, 0.0),
+        ),
+        case(
+            "interpenetrating",
+            "a cube that is sunk into the floor and slides: where they meet is no edge of a mesh",
+            "known gap of edge-based methods (Li et al. 2018, limitations)",
+            table(cube(0.6, (0.0, 0.0, 0.2))),
+            (1.0, 0.4, 0.0),
+        ),
+        case(
+            "rising_through",
+            "the same cube, rising through the floor",
+            "known gap of edge-based methods (Li et al. 2018, limitations)",
+            table(cube(0.6, (0.0, 0.0, 0.2))),
+            (0.0, 0.0, 1.0),
+        ),
+        case(
+            "emitter_at_wall",
+            "the lamp stands on the floor, which it touches with one side",
+            "1/r² of emitters that touch what they light (Mitsuba issues about NaN and fireflies)",
+            table(
+                cube(0.4, (0.0, 0.1, 0.25)),
+                light=lamp(1.0, (1.0, 0.3, 0.5), (0.0, 0.3, 0.5)).with_vertices(
+                    np.array([[1.0, -0.2, 0.0], [1.0, 0.8, 0.0], [1.0, -0.2, 1.0], [1.0, 0.8, 1.0]])
+                ),
+            ),
+        ),
+        case(
+            "image_border",
+            "the cube crosses the border of the image",
+            "silhouettes clipped at the film's border (redner, psdr-jit issues)",
+            table(cube(0.7, (0.75, 0.0, 0.5)), view=view(fov=34.0)),
+        ),
+        case(
+            "behind_camera",
+            "a beam from in front of the camera to behind it: its edges cross the camera's plane",
+            "projection of edges that are partly behind the camera (redner issues)",
+            table(cube((0.3, 6.0, 0.3), (0.55, -1.0, 1.1), rotation((0, 0, 1), 0.05))),
+        ),
+        case(
+            "camera_inside",
+            "camera, lamp and floor are inside the cube, whose walls move",
+            "back faces and inside silhouettes (Mitsuba issues)",
+            table(cube(6.4, (0.1, 0.2, 1.0), inside), floor(2.0), view=view((0.0, -2.6, 1.7), (0.1, 0.3, 0.9), 75.0)),
+        ),
+        case(
+            "slivers",
+            "a sheet a thousand times wider than thick: sides of sliver triangles",
+            "normals of slivers, edges on top of each other (Loubet et al. 2019; psdr-jit issues)",
+            table(cube((0.7, 0.7, 0.0007), HIGH, rotation((1.0, 0.3, 0.0), 0.2)), view=shade),
+        ),
+        case(
+            "zero_area",
+            "a cube whose top is shrunk to a point, as by an optimisation: two faces without area",
+            "0 / 0 in normals of faces that collapse during an optimisation (Nicolet et al. 2021)",
+            table(placed(collapsed(), TURN_SMALL, (0.0, 0.0, 0.7), 0.6)),
+        ),
+    ]
