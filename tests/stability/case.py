@@ -77,8 +77,8 @@ class Case:
     batches: int = 32
     spp: int = 16
     calls: int = 32
-    tolerance: float = 0.05
-    spread: float | Mapping[str, float] = 5.0
+    tolerance: float = 0.03
+    spread: float | Mapping[str, float] = 3.0
     expected: Mapping[str, Expected] = field(default_factory=dict)
     boundary: bool = True
     extra: tuple[str, ...] = ()

@@ -66,7 +66,6 @@ def uv_seams() -> Case:
         max_depth=3,
         reference_spp=512,
         expected=dict.fromkeys(("RednerWAS", "GuidedEdges"), DIRECT_ONLY),
-        extra=("LineSampling, attached",),
     )
 
 

@@ -28,6 +28,11 @@ def placed(mesh: jd.Mesh, turn=None, at=(0.0, 0.0, 0.0), scale=1.0) -> jd.Mesh:
 TURN = rotation((0.3, 0.5, 0.8), 0.7)
 
 
+def standing(x: float = 1.0, low: float = -0.2, high: float = 0.8) -> np.ndarray:
+    """Corners of a `lamp` that stands on the floor at `x` and shines towards -x, as `shapes.rectangle` has them."""
+    return np.array([[x, high, 0.0], [x, low, 0.0], [x, high, high - low], [x, low, high - low]])
+
+
 def cube(size=0.5, at=(0.0, 0.0, 0.7), turn=TURN) -> jd.Mesh:
     """A turned box; `size` may be three numbers."""
     return placed(shapes.box(), turn, at, size)
@@ -53,15 +58,20 @@ def grey(reflectance=GREY) -> jd.TwoSided:
     return jd.TwoSided(jd.Diffuse(reflectance))
 
 
-def table(blocker: jd.Mesh, ground=None, light=None, power: float = 6.0, view=None, ground_bsdf=None) -> jd.Scene:
-    """A `blocker` over the `floor` under the `lamp`, all diffuse; the lamp sends `power`, whatever its size."""
+def table(
+    blocker: jd.Mesh, ground=None, light=None, power: float = 6.0, view=None, ground_bsdf=None, shade=GREY
+) -> jd.Scene:
+    """A `blocker` over the `floor` under the `lamp`, all diffuse; the lamp sends `power`, whatever its size.
+
+    `shade`: reflectance of the blocker.
+    """
     ground = floor() if ground is None else ground
     light = lamp() if light is None else light
     corners = np.asarray(light.vertices, float)[np.asarray(light.faces)]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     return jd.Scene(
         shapes={
-            "blocker": jd.Shape(blocker, grey()),
+            "blocker": jd.Shape(blocker, grey(shade)),
             "floor": jd.Shape(ground, grey() if ground_bsdf is None else ground_bsdf),
             "lamp": jd.Shape(light, jd.Diffuse(0.0), jd.AreaEmitter(power / area)),
         },
