@@ -14,7 +14,7 @@ from tests.stability.case import Case, integrator
 
 POSITIONS = 8  # within the step of the reference
 SURE = 3.0  # standard errors
-ROUNDS = {"WarpedArea": 2, "RednerWAS": 2}  # ten times as slow as the others
+ROUNDS = {"WarpedArea": 1, "RednerWAS": 1}  # ten times as slow as the others
 ENOUGH = 0.01  # standard error of a projection after which no more calls are made
 UNRESOLVED = 0.15  # standard error of a projection above which nothing is known
 

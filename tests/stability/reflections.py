@@ -8,6 +8,7 @@ from tests.stability.stage import camera as view
 from tests.stability.stage import cube, lamp, table
 
 ALONG = (1.0, 0.4, 0.2)
+DOWN = ((0.0, -2.2, 1.3), (0.08, -0.75, 0.0), 36.0)  # into the mirror: what is above it is not seen itself
 
 
 def mirror(alpha: float) -> jd.RoughConductor:
@@ -24,15 +25,15 @@ def glossy_shadow(name, alpha, about, source, **options) -> Case:
 
 def pair() -> jd.Mesh:
     """A small box above a large one, one mesh: it shadows itself."""
-    low, high = cube((0.7, 0.7, 0.3), (0.0, 0.3, 0.35)), cube(0.3, (0.2, 0.15, 0.95))
+    low, high = cube((0.7, 0.7, 0.3), (0.0, 0.3, 0.65)), cube(0.3, (0.2, 0.15, 1.25))
     points = [np.asarray(mesh.vertices, float) for mesh in (low, high)]
     return jd.Mesh(np.vstack(points), np.vstack([np.asarray(low.faces), np.asarray(high.faces) + len(points[0])]))
 
 
 def reflected(name, alpha, about, source, light=None, **options) -> Case:
-    """Two boxes over a mirror, mostly seen in it: camera, mirror, box, lamp."""
-    light = lamp(0.6, (0.8, -0.6, 2.4), (0.0, 0.2, 0.5)) if light is None else light
-    scene = table(pair(), light=light, ground_bsdf=mirror(alpha), view=view((0.0, -2.2, 1.3), (0.05, 0.0, -0.1)))
+    """Two boxes over a mirror, seen in it: camera, mirror, box, lamp."""
+    light = lamp(0.6, (0.8, -0.6, 2.7), (0.0, 0.2, 0.8)) if light is None else light
+    scene = table(pair(), light=light, ground_bsdf=mirror(alpha), view=view(*DOWN))
     return Case(
         name,
         "reflections",
@@ -52,7 +53,7 @@ def reflected(name, alpha, about, source, light=None, **options) -> Case:
 def uv_seams() -> Case:
     """A box, every side with the whole of a texture that does not join at the edges, over a rough mirror."""
     pixels = np.random.default_rng(0).uniform(0.1, 0.9, (4, 4, 3))
-    scene = table(cube(0.7, (0.0, 0.2, 0.75)), ground_bsdf=mirror(0.1), view=view((0.0, -2.2, 1.3), (0.05, 0.0, -0.1)))
+    scene = table(cube(0.5, (0.0, 0.2, 0.95)), ground_bsdf=mirror(0.1), view=view(*DOWN))
     painted = jd.TwoSided(jd.Diffuse(jd.Bitmap(pixels)))
     members = dict(scene.shapes) | {"blocker": jd.Shape(scene.shapes["blocker"].mesh, painted)}
     return Case(
@@ -85,7 +86,7 @@ def cases() -> list[Case]:
             0.05,
             "the lamp right above: one box shadows the other, seen in a mirror of roughness 0.05",
             "shadows behind the first bounce (psdr-jit issues: direct shadows alone are handled)",
-            lamp(0.4, (0.6, -0.1, 2.2), (0.1, 0.2, 0.6)),
+            lamp(0.4, (0.6, -0.1, 2.4), (0.1, 0.2, 0.9)),
         ),
         uv_seams(),
     ]
