@@ -115,8 +115,10 @@ class Case:
         for leaf in jax.tree.leaves((self.scene, self.velocities())):
             # Moments, not bits: the last bit differs between processors.
             values = np.asarray(leaf).astype(np.float64).ravel()
-            moments = values.sum(), (values**2).sum(), (values * np.cos(np.arange(values.size))).sum()
-            found.update(repr((np.shape(leaf), *(f"{moment + 0.0:.4e}" for moment in moments))).encode())
+            size = np.abs(values).sum()
+            moments = values.sum(), (values * np.cos(np.arange(values.size))).sum(), (values**2).sum() ** 0.5
+            shares = [round(float(moment / (size or 1.0)), 4) + 0.0 for moment in moments]
+            found.update(repr((np.shape(leaf), f"{size:.4e}", shares)).encode())
         film = self.scene.camera.film
         found.update(repr((film, self.step, self.max_depth, self.reference_spp, self.batches)).encode())
         return found.hexdigest()[:16]
