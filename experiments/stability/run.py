@@ -16,16 +16,10 @@ from experiments import common
 from experiments.stability.table import DOCUMENT, write_table
 from jaxdr.optimize.progress import Progress
 from tests.stability import catalogue as kept
-from tests.stability.case import ESTIMATORS, Case, integrator
+from tests.stability.case import ESTIMATORS, Case
 from tests.stability.measure import measure, reference
 
 STUDY = "stability"
-
-
-def fingerprint(case: Case, estimator: str) -> str:
-    """What a cell's numbers depend on beside the library."""
-    method = integrator(estimator, case.max_depth)
-    return f"{case.digest()} {method!r} {case.spp} x {case.calls}"
 
 
 def main(arguments=None):
@@ -70,7 +64,7 @@ def _missing(chosen, options, folder):
         for estimator in case.estimators():
             if options.estimator and estimator not in options.estimator:
                 continue
-            same = done.get(estimator, {}).get("fingerprint") == fingerprint(case, estimator)
+            same = done.get(estimator, {}).get("fingerprint") == case.fingerprint(estimator)
             if options.overwrite or not same:
                 cells.append((case, estimator))
     order = {}
@@ -86,7 +80,7 @@ def _cell(case: Case, estimator: str, quick: bool) -> dict:
         kept.store(case, against)
     start = time.perf_counter()
     found = measure(case, estimator, against, most=1 if quick else 0)
-    return found | {"seconds": time.perf_counter() - start, "fingerprint": fingerprint(case, estimator)}
+    return found | {"seconds": time.perf_counter() - start, "fingerprint": case.fingerprint(estimator)}
 
 
 def _load(path) -> dict:

@@ -55,7 +55,11 @@ def write_table(cases, folder: Path) -> None:
 def _load(path: Path, case: Case) -> dict:
     """Cells by estimator, judged by the case as it is now."""
     found = json.loads(path.read_text())["cells"] if path.exists() else {}
-    return {name: cell | {"verdict": verdict(case, name, cell)} for name, cell in found.items()}
+    return {
+        name: cell | {"verdict": verdict(case, name, cell)}
+        for name, cell in found.items()
+        if name in ESTIMATORS and cell["fingerprint"] == case.fingerprint(name)
+    }
 
 
 def _row(*texts) -> str:
@@ -111,8 +115,8 @@ def _cell(case: Case, cells: dict, estimator: str) -> str:
 
 
 def _known(cases: list[Case], cells: dict) -> list[str]:
-    """Every cell that is not right, with what is known about it."""
-    lines = []
+    """Every reason once, with the cells that are not right because of it."""
+    met: dict[str, list[str]] = {}
     for case in cases:
         for estimator in case.estimators():
             found = cells[case.name].get(estimator)
@@ -120,8 +124,8 @@ def _known(cases: list[Case], cells: dict) -> list[str]:
                 continue
             expected: Expected | None = case.expected.get(estimator)
             why = expected.why if expected and expected.verdict == found["verdict"] else "not explained yet"
-            lines.append(f"* `{case.name}`, {estimator}: {found['verdict']}. {why[0].upper()}{why[1:]}.")
-    return lines or ["Nothing."]
+            met.setdefault(f"{found['verdict']}: {why}.", []).append(f"`{case.name}` ({estimator})")
+    return [f"* {', '.join(names)}: {why}" for why, names in met.items()] or ["Nothing."]
 
 
 def _refusals(cases: list[Case], cells: dict) -> list[str]:

@@ -24,10 +24,8 @@ ESTIMATORS = {
     # Options that some cases are about.
     "KernelDensity, radius 0.2": (jd.KernelDensity(0.2), "mis"),
     "LineSampling, attached": (jd.LineSampling(attached=0.3), "mis"),
-    "WarpedArea, sigma0 0.03": (jd.WarpedArea(sigma0=0.03), "mis"),
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),
-    "KernelDensity, BDPT": (jd.KernelDensity(), "bdpt"),
 }
 COLUMNS = tuple(ESTIMATORS)[1:6]
 
@@ -35,8 +33,6 @@ COLUMNS = tuple(ESTIMATORS)[1:6]
 def integrator(estimator: str, max_depth: int):
     """The integrator of a column of the table."""
     boundary, sampling = ESTIMATORS[estimator]
-    if sampling == "bdpt":
-        return jd.BidirectionalPathTracer(max_depth, boundary)
     return jd.PathTracer(max_depth, boundary, sampling=sampling)
 
 
@@ -122,3 +118,7 @@ class Case:
         film = self.scene.camera.film
         found.update(repr((film, self.step, self.max_depth, self.reference_spp, self.batches)).encode())
         return found.hexdigest()[:16]
+
+    def fingerprint(self, estimator: str) -> str:
+        """Of everything that a cell depends on beside the library."""
+        return f"{self.digest()} {integrator(estimator, self.max_depth)!r} {self.spp} x {self.calls}"

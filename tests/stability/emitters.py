@@ -55,7 +55,7 @@ def solid_lights() -> list[Case]:
         moved(
             "moving_emitter_at_wall",
             "a glowing slab that stands on the floor slides over it",
-            "1/r² of emitters that touch what they light (Mitsuba issues about NaN and fireflies)",
+            "1 / r² of emitters that touch what they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
         ),
@@ -78,7 +78,7 @@ def textured_emitter() -> Case:
         "textured_emitter",
         "emitters",
         "a lamp with a picture on it moves over a cube",
-        "radiance that moves with the emitter is left out where emitters are sampled by direction (Mitsuba issues)",
+        "radiance that moves with the emitter (own list)",
         jd.Scene({**scene.shapes, "lamp": shining}, scene.camera),
         {"lamp.vertices": (1.0, 0.4, 0.2)},
         0.03,
@@ -120,16 +120,16 @@ def skies() -> list[Case]:
     turned = "the environment's rotation is a boundary term of silhouettes before it (own finding)"
     found = [
         ("bright_sun", "one pixel of the sky is the sun, which half of the edges see",
-         "guides and kernels that look at edges alone (2026 paper, limits)", sun, slides, 0.02, True),
+         "guides and kernels that look at edges alone (own list)", sun, slides, 0.02, True),
         ("smooth_sky", "a sky without a sun", "control", (), slides, 0.02, True),
-        ("pole_of_sky", "the brightest pixels are at the pole", "sin θ = 0 at the poles of a map (Mitsuba issues)",
+        ("pole_of_sky", "the brightest pixels are at the pole", "sin θ = 0 at the poles of a map (own list)",
          [(0, j, 20.0) for j in range(SKY[1])], slides, 0.02, True),
         ("turning_sky", "the sky turns about the vertical", turned, (), {"environment.to_world": turning}, 0.02, True),
         ("turning_sun", "the sky turns, and the sun with it", turned, sun, {"environment.to_world": turning}, 0.02,
          True),
         ("sky_pixel", "a pixel of the sky brightens: no boundary moves", "gradients of single pixels of a map",
          sun, {"environment.radiance": pixel}, 0.1, False),
-        ("sky_pole", "the row of pixels at the pole brightens", "sin θ = 0 at the poles of a map (Mitsuba issues)",
+        ("sky_pole", "the row of pixels at the pole brightens", "sin θ = 0 at the poles of a map (own list)",
          (), {"environment.radiance": pole}, 0.1, False),
     ]  # fmt: skip
     return [

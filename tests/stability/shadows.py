@@ -35,7 +35,7 @@ def case(name, about, source, scene, velocity=ALONG, step=0.02, **options) -> Ca
 def scaled(name, scale, offset=(0.0, 0.0, 0.0)) -> Case:
     """The first scene in other units."""
     about = f"scale {scale:g}" if not any(offset) else f"scale {scale:g}, {offset[0]:g} from the origin"
-    source = "fixed ray offsets and epsilons of earlier differentiable renderers (redner, Mitsuba 2)"
+    source = "fixed offsets and epsilons fit one scale (redner issue 62: a black image with the camera at the origin)"
     scene = resized(table(cube()), scale, offset)
     # The lamp's radiance is that of the first scene: what is seen stays the same, and t is in the scene's units.
     expected = dict.fromkeys(COLUMNS, FAR) if any(offset) else {}
@@ -66,7 +66,7 @@ def cases() -> list[Case]:
         case(
             "tiny_light",
             "lamp a hundred and fiftieth of its distance wide",
-            "2026 paper, limits: kernels wider than the penumbra; Mitsuba discussions about small emitters",
+            "kernels that are wider than the penumbra (own list)",
             table(cube(at=HIGH), light=lamp(0.016), view=shade),
             reference_spp=512,
         ),
@@ -80,7 +80,7 @@ def cases() -> list[Case]:
         case(
             "sharp_corner",
             "shadow of a spike",
-            "2026 paper, limits: a kernel at a corner of the boundary, worse with a large radius",
+            "a kernel over a corner of the boundary, worse with a large radius (own finding)",
             table(placed(spike(), rotation((0, 0, 1), 0.6), HIGH, (0.9, 0.5, 0.5)), view=shade),
             extra=("KernelDensity, radius 0.2",),
         ),
@@ -90,28 +90,28 @@ def cases() -> list[Case]:
         case(
             "contact",
             "a cube that slides over the floor it stands on; its lowest side lies in the floor's plane",
-            "z-fighting of coplanar faces and shadows that start at zero distance (redner, psdr-jit issues)",
+            "z-fighting of coplanar faces, shadows that start at no distance (own list)",
             table(cube(0.5, (0.0, 0.0, 0.25), ABOUT_Z)),
             (1.0, 0.4, 0.0),
         ),
         case(
             "interpenetrating",
             "a dark cube that is sunk into the floor and slides: where they meet is no edge of a mesh",
-            "known gap of edge-based methods (Li et al. 2018, limitations)",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md, docs/warped_area.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
         ),
         case(
             "rising_through",
             "the same cube rises through the floor",
-            "known gap of edge-based methods (Li et al. 2018, limitations)",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md, docs/warped_area.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
         ),
         case(
             "emitter_at_wall",
             "the lamp stands on the floor, which it touches with one side",
-            "1/r² of emitters that touch what they light (Mitsuba issues about NaN and fireflies)",
+            "1 / r² of emitters that touch what they light (own list)",
             table(
                 cube(0.4, (0.0, 0.1, 0.25)),
                 light=lamp().with_vertices(standing()),
@@ -120,31 +120,31 @@ def cases() -> list[Case]:
         case(
             "image_border",
             "the cube crosses the border of the image",
-            "silhouettes clipped at the film's border (redner, psdr-jit issues)",
+            "silhouettes that the film's border cuts (own list)",
             table(cube(0.7, (0.75, 0.0, 0.5)), view=view(fov=34.0)),
         ),
         case(
             "behind_camera",
             "a beam from in front of the camera to behind it: its edges cross the camera's plane",
-            "projection of edges that are partly behind the camera (redner issues)",
+            "projections of edges that are partly behind the camera (own list)",
             table(cube((0.3, 6.0, 0.3), (0.55, -1.0, 1.1), rotation((0, 0, 1), 0.05))),
         ),
         case(
             "camera_inside",
             "camera, lamp and floor are inside the cube, whose walls move",
-            "back faces and inside silhouettes (Mitsuba issues)",
+            "back faces, silhouettes from inside (own list)",
             table(cube(6.4, (0.1, 0.2, 1.0), inside), floor(2.0), view=view((0.0, -2.6, 1.7), (0.1, 0.3, 0.9), 75.0)),
         ),
         case(
             "slivers",
             "a sheet a thousand times wider than thick: sides of sliver triangles",
-            "normals of slivers, edges on top of each other (Loubet et al. 2019; psdr-jit issues)",
+            "NaN gradients of triangles that are seen edge-on (PyTorch3D issue 110)",
             table(cube((0.7, 0.7, 0.0007), HIGH, rotation((1.0, 0.3, 0.0), 0.2)), view=shade),
         ),
         case(
             "zero_area",
             "a cube whose top is shrunk to a point, as by an optimisation: two faces without area",
-            "0 / 0 in normals of faces that collapse during an optimisation (Nicolet et al. 2021)",
+            "0 / 0 in normals; gradients turn to NaN in the middle of an optimisation (redner issue 13)",
             table(placed(collapsed(), TURN_SMALL, (0.0, 0.0, 0.7), 0.6)),
             expected=dict.fromkeys(COLUMNS, FLAT),
         ),

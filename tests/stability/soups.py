@@ -14,8 +14,8 @@ from tests.stability.stage import camera as view
 TRIANGLES = 12
 SEEN_TWICE = Expected(
     "biased",
-    "edges on one another that share no vertices are silhouettes of the image each: what the camera sees of them counts "
-    "twice; `Mesh` warns of such edges and names the remedy, and `load_mesh` joins vertices by position",
+    "edges on one another that share no vertices are silhouettes of the image each: what the camera sees of them "
+    "counts twice; `Mesh` warns of such edges and names the remedy, and `load_mesh` joins vertices by position",
 )
 SHADOWED_TWICE = Expected(
     "biased",
@@ -66,7 +66,7 @@ def cases() -> list[Case]:
         case(
             "split_vertices",
             "a cube of twelve triangles that share no vertex",
-            "Mitsuba 3.9 has 1.6 times the derivative of a cube with split vertices (own measurement)",
+            "Mitsuba issue 1895: the visible boundary of a cube is 2.7 times too large",
             soup(*whole),
             np.asarray(ALONG),
             True,
@@ -75,7 +75,7 @@ def cases() -> list[Case]:
         case(
             "flipped",
             "the same, every third triangle turned over",
-            "inconsistent orientation of downloaded meshes (redner, psdr-jit issues)",
+            "orientation of meshes from elsewhere (own list)",
             soup(*flipped),
             np.asarray(ALONG),
             True,
@@ -84,21 +84,21 @@ def cases() -> list[Case]:
         case(
             "crossing_boundaries",
             "shadows of two triangles at different heights cross, and move in different directions",
-            "2023 paper, limits: where two boundaries cross the velocity is not continuous",
+            "a continuous velocity can't be that of both where they cross (docs/warped_area.md)",
             soup(low, high),
             each(one, two),
         ),
         case(
             "coplanar",
             "two triangles overlap in one plane, and slide over each other in it",
-            "z-fighting; edges that lie on another face count twice (psdr-jit issues)",
+            "z-fighting; edges that lie on another face (own list)",
             soup(low, beside),
             each(one, (-0.3, 0.9, 0.0)),
         ),
         case(
             "duplicated",
             "every triangle is there twice",
-            "duplicated faces of downloaded meshes count twice (redner issues)",
+            "doubled faces of meshes from elsewhere (own list)",
             soup(low, low, high, high),
             each(one, one, two, two),
             expected=dict.fromkeys(("KernelDensity", "GuidedEdges"), SHADOWED_TWICE),
@@ -106,7 +106,7 @@ def cases() -> list[Case]:
         case(
             "crossing_triangles",
             "two triangles that pierce each other; their shadows alone are seen",
-            "interpenetrating meshes (Li et al. 2018, limitations)",
+            "interpenetrating meshes (docs/line_sampling.md promises their shadows)",
             soup(low, tilted),
             each(one, two),
         ),
@@ -125,7 +125,7 @@ def open_box() -> Case:
     return case(
         "open_non_manifold",
         "a box without lid, and a fin: open edges, and one edge with three faces",
-        "closed meshes taken for granted (silhouette tests by two faces an edge; redner issues)",
+        "silhouette tests that take two faces at an edge for granted (redner issue 122: edge sampling hangs or crashes)",
         placed(mesh, TURN, (0.0, 0.0, 0.6), 0.5),
         np.asarray(ALONG),
         True,
