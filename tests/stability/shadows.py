@@ -20,6 +20,11 @@ FAR = Expected(
     "a bug: a thousand times its size from the origin a scene has no silhouettes in the image, and half of its creases "
     "(right at 100 times; terms `silhouettes` and `creases` of `derivative_terms`)",
 )
+NO_EDGE = Expected(
+    "biased",
+    "by nature: the curve in which two surfaces intersect is no edge of a mesh, and its motion in the image is missed; "
+    "shadows are promised, and what is missing is 4 % here",
+)
 FLAT = Expected(
     "biased",
     "a bug: two edges that lie on one another, with a face without area between them, count as a crease twice "
@@ -97,16 +102,17 @@ def cases() -> list[Case]:
         case(
             "interpenetrating",
             "a dark cube that is sunk into the floor and slides: where they meet is no edge of a mesh",
-            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md, docs/warped_area.md)",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
         ),
         case(
             "rising_through",
             "the same cube rises through the floor",
-            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md, docs/warped_area.md)",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
+            expected=dict.fromkeys(COLUMNS, NO_EDGE),
         ),
         case(
             "emitter_at_wall",

@@ -125,7 +125,7 @@ def open_box() -> Case:
     return case(
         "open_non_manifold",
         "a box without lid, and a fin: open edges, and one edge with three faces",
-        "silhouette tests that take two faces at an edge for granted (redner issue 122: edge sampling hangs or crashes)",
+        "two faces at an edge taken for granted (redner issue 122: edge sampling hangs or crashes)",
         placed(mesh, TURN, (0.0, 0.0, 0.6), 0.5),
         np.asarray(ALONG),
         True,
