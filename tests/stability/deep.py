@@ -45,7 +45,7 @@ def tessellated(name: str, faces: int) -> Case:
         f"tessellation_{name}",
         "tessellation",
         f"shadow of a bumpy ball of about {faces:,} faces",
-        "13 to 17 % too large with all silhouettes of Eq. 18 of the 2026 paper (own finding); edges as short as rounding",
+        "13 to 17 % too large with all edges of Eq. 18 of the 2026 paper (own finding); edges as short as rounding",
         made,
         {"blocker.vertices": ALONG},
         0.02,
