@@ -5,15 +5,22 @@ import math
 import numpy as np
 
 import jaxdr as jd
-from tests.stability.case import Case, Expected
+from tests.stability.case import COLUMNS, Case, Expected
 from tests.stability.stage import camera, cube, floor, grey, lamp, rotation, table
 
 SKY = (8, 16)  # pixels of the environment map
 
 
-def glowing(light: jd.Mesh, blocker: jd.Mesh, radiance: float) -> jd.Scene:
+TOUCHES = Expected(
+    "noisy",
+    "by nature: the interior term, which all estimators share, has a derivative of 1 / r² at the lamp's points next to "
+    "what they light",
+)
+
+
+def glowing(light: jd.Mesh, blocker: jd.Mesh, radiance: float, view=None) -> jd.Scene:
     """The table with a lamp of twelve triangles."""
-    scene = table(blocker)
+    scene = table(blocker, view=view)
     shining = jd.Shape(light, jd.Diffuse(0.0), jd.AreaEmitter(radiance))
     return jd.Scene({**scene.shapes, "lamp": shining}, scene.camera)
 
@@ -37,7 +44,9 @@ def solid_lights() -> list[Case]:
             "cube_light",
             "a glowing cube moves: all of its outlines are edges where normals jump",
             "2023 paper, Fig. 18: the public implementation of Bangaru et al. 2020 is biased there",
-            glowing(cube(0.6, (0.4, 0.1, 1.2)), cube(0.3, (-0.6, 0.2, 0.2)), 4.0),
+            glowing(
+                cube(0.6, (0.4, 0.1, 1.2)), cube(0.3, (-0.4, -0.4, 0.2)), 4.0, camera(target=(0.1, -0.6, 0.0), fov=36.0)
+            ),
             (1.0, 0.4, 0.2),
             expected={
                 "RednerWAS, no normal edges": Expected("biased", outlines),
@@ -58,6 +67,7 @@ def solid_lights() -> list[Case]:
             "1 / r² of emitters that touch what they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
+            expected=dict.fromkeys(COLUMNS, TOUCHES),
         ),
         moved(
             "moving_receiver",
