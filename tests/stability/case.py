@@ -44,7 +44,7 @@ class Expected:
     why: str
 
 
-DIRECT_ONLY = Expected("refuses", "only direct light")
+DIRECT_ONLY = Expected("refuses", "direct light")
 
 
 @dataclass(frozen=True, eq=False)

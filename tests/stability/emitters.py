@@ -13,8 +13,8 @@ SKY = (8, 16)  # pixels of the environment map
 
 TOUCHES = Expected(
     "noisy",
-    "by nature: the interior term, which all estimators share, has a derivative of 1 / r² at the lamp's points next to "
-    "what they light",
+    "the noise is in terms that all estimators share, not in theirs (KernelDensity and LineSampling have the same "
+    "numbers); the likely cause is the interior's 1 / r² at points of the lamp next to what they light",
 )
 
 
