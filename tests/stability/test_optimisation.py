@@ -69,7 +69,7 @@ def deformed(tmp_path, lam: float):
     summary = optimize(dataclasses.replace(config, optimizer=options))
     with open(f"{config.output}/metrics.csv") as file:
         columns = next(csv.reader(file))
-    return folded(jd.load_mesh(f"{config.output}/result.ply")), " ".join([*columns, json.dumps(summary)])
+    return folded(jd.load_mesh(f"{config.output}/meshes/result.glb")), " ".join([*columns, json.dumps(summary)])
 
 
 def test_the_preconditioner_keeps_a_large_deformation_whole(tmp_path, monkeypatch):
