@@ -20,6 +20,8 @@ FAR = Expected(
     "a bug: a thousand times its size from the origin a scene has no silhouettes in the image, and half of its creases "
     "(right at 100 times; terms `silhouettes` and `creases` of `derivative_terms`)",
 )
+SOFT = Expected("noisy", "by nature: the penumbra is many kernels wide (2026 paper, Fig. 13)")
+NARROW = Expected("noisy", "its kernel is 0.006 of the segment by default; wider ones are less noisy")
 NO_EDGE = Expected(
     "biased",
     "by nature: the curve in which two surfaces intersect is no edge of a mesh, and its motion in the image is missed; "
@@ -30,6 +32,8 @@ FLAT = Expected(
     "a bug: two edges that lie on one another, with a face without area between them, count as a crease twice "
     "(term `creases` of `derivative_terms`)",
 )
+
+NOISY = {"WarpedArea": NARROW}
 
 
 def case(name, about, source, scene, velocity=ALONG, step=0.02, **options) -> Case:
@@ -67,13 +71,20 @@ def cases() -> list[Case]:
     bare, shade = table(cube()), view(*SHADE, 45.0)
     return [
         case("shadow", "a cube, its shadow, a square lamp", "control: nothing is hard here", bare),
-        case("shadow_alone", "the same, the cube out of view", "control", table(cube(at=HIGH), view=shade)),
+        case(
+            "shadow_alone",
+            "the same, the cube out of view",
+            "control",
+            table(cube(at=HIGH), view=shade),
+            expected=NOISY,
+        ),
         case(
             "tiny_light",
             "lamp a hundred and fiftieth of its distance wide",
             "kernels that are wider than the penumbra (own list)",
             table(cube(at=HIGH), light=lamp(0.016), view=shade),
             reference_spp=512,
+            expected=NOISY,
         ),
         case(
             "soft_light",
@@ -81,6 +92,7 @@ def cases() -> list[Case]:
             "2026 paper, Fig. 13: an extremely soft shadow",
             table(cube(at=HIGH), light=lamp(7.0, (0.6, -0.3, 3.0)), view=shade),
             reference_spp=512,
+            expected={"KernelDensity": SOFT},
         ),
         case(
             "sharp_corner",
