@@ -14,7 +14,7 @@ def white_box(depth: int) -> Case:
     """A cube in a closed white room with a lamp under its ceiling."""
     scene = table(
         cube(0.7, (0.1, 0.2, 0.8)),
-        shapes.box(2.6, (0.0, 0.0, 1.3)),
+        shapes.box([2.6, 2.6, 2.6], (0.0, 0.0, 1.3)),
         lamp(0.8, (0.0, 0.2, 2.55), (0.0, 0.2, 0.0)),
         view=view((0.0, -1.25, 1.3), (0.0, 0.2, 0.9), 70.0),
         ground_bsdf=grey(WHITE),

@@ -103,7 +103,7 @@ def test_remeshing_an_open_mesh_keeps_its_border(remeshing):
 
 def test_remeshing_a_seamed_mesh_opens_no_seam(remeshing):
     """UVs are indexed separately, so that a seam is no border: the box stays closed. Its UVs are dropped."""
-    box = shapes.box(1.0)
+    box = shapes.box()
     assert box.uvs is not None and box.closed
     result = jd.remesh(box, 0.2)
     assert result.closed and result.uvs is None
