@@ -179,9 +179,11 @@ def test_kept_references_know_their_scene():
 
 def test_numbers_that_are_not_finite_are_named(monkeypatch):
     """JAX's own checks are on while cells are measured."""
-    monkeypatch.setattr(
-        jd, "render", lambda scene, *rest: scene.shapes["lamp"].mesh.vertices[:, :3] / jax.numpy.zeros(())
-    )
+
+    def broken(scene, *rest):
+        return scene.shapes["blocker"].mesh.vertices / jax.numpy.zeros(())
+
+    monkeypatch.setattr(jd, "render", broken)
     case = dataclasses.replace(CASES["shadow"], spp=3)  # a program of its own
     found = measure(case, "KernelDensity", against(case))
     assert found["verdict"] == "not finite", found
