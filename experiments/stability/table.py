@@ -34,7 +34,8 @@ unless noted).
 * **biased**: they are not;
 * **noisy**: more spread than the bound, or a projection whose standard error is above {unresolved};
 * *refuses*: a ValueError says what is missing and what to take (listed below);
-* **not finite**: NaN or infinity.
+* **not finite**: NaN or infinity;
+* not measured: the run has not come to it yet, which says nothing about the estimator.
 """
 
 
@@ -136,7 +137,9 @@ def _refusals(cases: list[Case], cells: dict) -> list[str]:
             found = cells[case.name].get(estimator)
             if found is not None and found["verdict"] == "refuses":
                 met.setdefault(found["message"], []).append(case.name)
-    return [f'* {", ".join(f"`{n}`" for n in dict.fromkeys(names))}: "{text}"' for text, names in met.items()]
+    return [f'* {", ".join(f"`{n}`" for n in dict.fromkeys(names))}: "{text}"' for text, names in met.items()] or [
+        "Nothing that was measured."
+    ]
 
 
 def _elsewhere() -> list[str]:
