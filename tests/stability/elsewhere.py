@@ -1,0 +1,67 @@
+"""Cases that are no derivative image of a scene here, and the tests that have them: (case, what is asserted, test)."""
+
+HERE = "tests/stability/test_optimisation.py::"
+ELSEWHERE = (
+    (
+        "start at the optimum",
+        "mean gradient of the two-key loss is zero within its noise, every vertex",
+        HERE + "test_nothing_drifts_at_the_optimum",
+    ),
+    (
+        "preconditioner off, large deformation",
+        "with it no edge folds",
+        HERE + "test_the_preconditioner_keeps_a_large_deformation_whole",
+    ),
+    (
+        "collapse is detected and reported",
+        "**fails**: nothing says that a mesh folds (expected failure, strict)",
+        HERE + "test_without_it_the_collapse_is_reported",
+    ),
+    ("remeshing an open mesh", "border, flatness", HERE + "test_remeshing_an_open_mesh_keeps_its_border"),
+    ("remeshing a UV-seamed mesh", "stays closed", HERE + "test_remeshing_a_seamed_mesh_opens_no_seam"),
+    (
+        "remeshing a mesh with split vertices",
+        "the halves stay together",
+        HERE + "test_remeshing_split_vertices_keeps_the_seam_shut",
+    ),
+    (
+        "a remeshing that fails",
+        "said, and the run goes on with the old mesh",
+        "tests/optimize/test_loop.py::test_a_failed_remeshing_is_said_and_survived",
+    ),
+    (
+        "NaN in a loss or gradient",
+        "the run stops, names view and step, keeps the state before it",
+        "tests/optimize/test_loop.py::test_nan_stops_the_run_and_is_named",
+    ),
+    (
+        "faces without area in a file",
+        "dropped, counted in one warning",
+        "tests/geometry/test_load.py::test_zero_area_faces_of_a_file_are_counted",
+    ),
+    (
+        "thin faces",
+        "kept: only what rounding leaves no area is dropped",
+        "tests/geometry/test_mesh.py::test_thin_faces_are_kept",
+    ),
+    (
+        "normals of degenerate faces",
+        "values and derivatives are finite",
+        "tests/geometry/test_mesh.py::test_vertex_normals_and_their_derivative_are_finite_on_degenerate_faces",
+    ),
+    (
+        "stale geometry under jit",
+        "every geometry gets its own hits",
+        "tests/geometry/test_purity.py::test_every_geometry_gets_its_own_hits",
+    ),
+    (
+        "rays along shared edges",
+        "none slips through",
+        "tests/geometry/test_queries.py::test_watertight",
+    ),
+    (
+        "more crossings than there is room for",
+        "thinned without bias, said once",
+        "tests/geometry/test_sector.py::test_thinning_is_unbiased",
+    ),
+)

@@ -1,0 +1,153 @@
+"""What shines, or receives, moves: lamps of all kinds, the floor, environments and their pixels."""
+
+import math
+
+import numpy as np
+
+import jaxdr as jd
+from tests.stability.case import COLUMNS, Case, Expected
+from tests.stability.stage import camera, cube, floor, grey, lamp, rotation, table
+
+SKY = (8, 16)  # pixels of the environment map
+
+
+TOUCHES = Expected(
+    "noisy",
+    "the noise is in terms that all estimators share, not in theirs (KernelDensity and LineSampling have the same "
+    "numbers); the likely cause is the interior's 1 / r² at points of the lamp next to what they light",
+)
+
+
+def glowing(light: jd.Mesh, blocker: jd.Mesh, radiance: float, view=None) -> jd.Scene:
+    """The table with a lamp of twelve triangles."""
+    scene = table(blocker, view=view)
+    shining = jd.Shape(light, jd.Diffuse(0.0), jd.AreaEmitter(radiance))
+    return jd.Scene({**scene.shapes, "lamp": shining}, scene.camera)
+
+
+def moved(name, about, source, scene, light=0.0, ground=0.0, **options) -> Case:
+    """Lamp and floor by their velocities; where one is zero, it stays in value and is differentiated all the same."""
+    moves = {"lamp.vertices": np.asarray(light), "floor.vertices": np.asarray(ground)}
+    return Case(name, "emitters", about, source, scene, moves, 0.03, **options)
+
+
+def solid_lights() -> list[Case]:
+    """Glowing boxes, flat ones and cubes: one structure."""
+    ground = np.asarray(floor().vertices, float)
+    rising = np.zeros_like(ground)
+    rising[:, 2] = 0.5 + 0.15 * ground[:, 0] - 0.1 * ground[:, 1]
+    above = cube((0.6, 0.6, 0.02), (0.9, -0.5, 2.4), rotation((0.5, 0.8, 0.0), 0.3))
+    upright = cube((0.05, 1.0, 1.0), (1.0, 0.3, 0.5), np.eye(3))
+    outlines = "outlines between two faces are no boundary to it: v does not reach their velocity"
+    return [
+        moved(
+            "cube_light",
+            "a glowing cube moves: all of its outlines are edges where normals jump",
+            "2023 paper, Fig. 18: the public implementation of Bangaru et al. 2020 is biased there",
+            glowing(
+                cube(0.6, (0.4, 0.1, 1.2)), cube(0.3, (-0.4, -0.4, 0.2)), 4.0, camera(target=(0.1, -0.6, 0.0), fov=36.0)
+            ),
+            (1.0, 0.4, 0.2),
+            expected={
+                "RednerWAS, no normal edges": Expected("biased", outlines),
+                "RednerWAS, exponential": Expected("biased", "Eq. 57 has no small scale: v does not reach it either"),
+            },
+            extra=("RednerWAS, no normal edges", "RednerWAS, exponential"),
+        ),
+        moved(
+            "moving_emitter",
+            "a flat glowing box moves over a cube",
+            "emitters' outlines in spherical form (Bangaru et al. 2020)",
+            glowing(above, cube(), 20.0),
+            (1.0, 0.4, 0.2),
+        ),
+        moved(
+            "moving_emitter_at_wall",
+            "a glowing slab that stands on the floor slides over it",
+            "1 / r² of emitters that touch what they light (own list)",
+            glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
+            (1.0, 0.3, 0.0),
+            expected=dict.fromkeys(COLUMNS, TOUCHES),
+        ),
+        moved(
+            "moving_receiver",
+            "the floor rises and tilts under a shadow; blocker and lamp stay",
+            "V has two velocities: edges that do not move have a boundary term as well (own finding)",
+            glowing(above, cube(), 20.0),
+            ground=rising,
+        ),
+    ]
+
+
+def textured_emitter() -> Case:
+    """The lamp is a picture, and moves."""
+    pixels = np.random.default_rng(3).uniform(0.0, 12.0, (4, 4, 3))
+    scene = table(cube(), light=lamp(1.2))
+    shining = jd.Shape(scene.shapes["lamp"].mesh, jd.Diffuse(0.0), jd.AreaEmitter(jd.Bitmap(pixels, wrap="clamp")))
+    return Case(
+        "textured_emitter",
+        "emitters",
+        "a lamp with a picture on it moves over a cube",
+        "radiance that moves with the emitter (own list)",
+        jd.Scene({**scene.shapes, "lamp": shining}, scene.camera),
+        {"lamp.vertices": (1.0, 0.4, 0.2)},
+        0.03,
+        expected={"RednerWAS": Expected("refuses", "emitters with textures are not covered")},
+    )
+
+
+def sky(bright=(), smooth=True) -> np.ndarray:
+    """An environment map: a smooth gradient, or almost dark, with `bright` pixels (row, column, radiance)."""
+    height, width = SKY
+    row, column = np.mgrid[0:height, 0:width]
+    grey = 0.6 + 0.3 * np.cos(2 * math.pi * column / width) + 0.2 * np.sin(math.pi * row / height)
+    pixels = grey if smooth else np.full(SKY, 0.1)
+    for i, j, value in bright:
+        pixels[i, j] = value
+    return np.repeat(pixels[..., None], 3, axis=2)
+
+
+Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+
+
+def outdoors(pixels: np.ndarray) -> jd.Scene:
+    """A cube on the floor under a sky."""
+    return jd.Scene(
+        {"blocker": jd.Shape(cube(0.6, (0.0, 0.0, 0.6)), grey()), "floor": jd.Shape(floor(), grey())},
+        camera(),
+        jd.EnvironmentMap(pixels, Z_UP),
+    )
+
+
+def skies() -> list[Case]:
+    """The cube moves under the sky, the sky turns, its pixels change."""
+    turning = np.zeros((4, 4))
+    turning[:3, :3] = (rotation((0, 0, 1), math.pi / 2) - np.diag([0.0, 0.0, 1.0])) @ Z_UP[:3, :3]
+    pixel, pole = np.zeros((*SKY, 3)), np.zeros((*SKY, 3))
+    pixel[2, 5], pole[0] = 1.0, 1.0
+    sun = [(2, 3, 60.0)]
+    slides = {"blocker.vertices": (1.0, 0.4, 0.2)}
+    turned = "the environment's rotation is a boundary term of silhouettes before it (own finding)"
+    found = [
+        ("bright_sun", "one pixel of the sky is the sun, which half of the edges see",
+         "guides and kernels that look at edges alone (own list)", sun, slides, 0.02, True),
+        ("smooth_sky", "a sky without a sun", "control", (), slides, 0.02, True),
+        ("pole_of_sky", "the brightest pixels are at the pole", "sin θ = 0 at the poles of a map (own list)",
+         [(0, j, 20.0) for j in range(SKY[1])], slides, 0.02, True),
+        ("turning_sky", "the sky turns about the vertical", turned, (), {"environment.to_world": turning}, 0.02, True),
+        ("turning_sun", "the sky turns, and the sun with it", turned, sun, {"environment.to_world": turning}, 0.02,
+         True),
+        ("sky_pixel", "a pixel of the sky brightens: no boundary moves", "gradients of single pixels of a map",
+         sun, {"environment.radiance": pixel}, 0.1, False),
+        ("sky_pole", "the row of pixels at the pole brightens", "sin θ = 0 at the poles of a map (own list)",
+         (), {"environment.radiance": pole}, 0.1, False),
+    ]  # fmt: skip
+    return [
+        Case(name, "skies", about, source, outdoors(sky(bright, not bright)), moves, step, boundary=boundary)
+        for name, about, source, bright, moves, step, boundary in found
+    ]
+
+
+def cases() -> list[Case]:
+    """Lamps and the floor."""
+    return [*solid_lights(), textured_emitter()]

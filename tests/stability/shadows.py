@@ -1,0 +1,170 @@
+"""A cube, or what is left of one, and its shadow on a floor: all of these are one compiled program an estimator."""
+
+import numpy as np
+
+from jaxdr.geometry import shapes
+from tests.stability.case import COLUMNS, Case, Expected
+from tests.stability.stage import camera as view
+from tests.stability.stage import cube, floor, lamp, placed, resized, rotation, standing, table
+
+# Of the shadow alone, of a blocker at HIGH.
+HIGH = (0.0, 0.0, 1.0)
+SHADE = ((-0.64, -1.5, 0.7), (-0.64, 0.36, 0.0))
+ALONG = (1.0, 0.4, 0.2)
+ABOUT_Z = rotation((0, 0, 1), 0.5)
+TURN_SMALL = rotation((0.6, 0.5, 0.8), 0.4)
+
+
+FAR = Expected(
+    "biased",
+    "a bug: a thousand times its size from the origin a scene has no silhouettes in the image and half of its creases "
+    "(all of them at a hundred times). The likely cause: rays pass an edge at 1e-5 of the film's width "
+    "(`film_edges._edge_points`), which is less than the rounding of coordinates there",
+)
+SOFT = Expected("noisy", "by nature: the penumbra is many kernels wide (2026 paper, Fig. 13)")
+NARROW = Expected("noisy", "its kernel is 0.006 of the segment by default; wider ones are less noisy")
+NO_EDGE = Expected(
+    "biased",
+    "by nature: the curve in which two surfaces intersect is no edge of a mesh, and its motion in the image is missed; "
+    "shadows are promised, and what is missing is 4 % here",
+)
+FLAT = Expected(
+    "biased",
+    "a bug: two edges that lie on one another, with a face without area between them, count as a crease twice "
+    "(term `creases` of `derivative_terms`)",
+)
+
+NOISY = {"WarpedArea": NARROW}
+
+
+def case(name, about, source, scene, velocity=ALONG, step=0.02, **options) -> Case:
+    """The blocker moves."""
+    return Case(name, "shadows", about, source, scene, {"blocker.vertices": np.asarray(velocity)}, step, **options)
+
+
+def scaled(name, scale, offset=(0.0, 0.0, 0.0)) -> Case:
+    """The first scene in other units."""
+    about = f"scale {scale:g}" if not any(offset) else f"scale {scale:g}, {offset[0]:g} from the origin"
+    source = "fixed offsets and epsilons fit one scale (redner issue 62: a black image with the camera at the origin)"
+    scene = resized(table(cube()), scale, offset)
+    # The lamp's radiance is that of the first scene: what is seen stays the same, and t is in the scene's units.
+    expected = dict.fromkeys(COLUMNS, FAR) if any(offset) else {}
+    return case(name, about, source, scene, step=0.02 * scale, expected=expected)
+
+
+def spike():
+    """A cube whose far side is shrunk to almost a point."""
+    points = np.asarray(shapes.box().vertices, float)
+    points[points[:, 0] > 0] *= (1.0, 0.02, 0.02)
+    return shapes.box().with_vertices(points)
+
+
+def collapsed():
+    """A cube whose top has shrunk to a point: two faces without area, four that are halves of others."""
+    points = np.asarray(shapes.box().vertices, float)
+    points[points[:, 2] > 0, :2] = 0.0
+    return shapes.box().with_vertices(points)
+
+
+def cases() -> list[Case]:
+    """Values of one structure: cube, floor of two triangles, lamp of two triangles."""
+    inside = rotation((0, 0, 1), 0.3)
+    bare, shade = table(cube()), view(*SHADE, 45.0)
+    return [
+        case("shadow", "a cube, its shadow, a square lamp", "control: nothing is hard here", bare),
+        case(
+            "shadow_alone",
+            "the same, the cube out of view",
+            "control",
+            table(cube(at=HIGH), view=shade),
+            expected=NOISY,
+        ),
+        case(
+            "tiny_light",
+            "lamp a hundred and fiftieth of its distance wide",
+            "kernels that are wider than the penumbra (own list)",
+            table(cube(at=HIGH), light=lamp(0.016), view=shade),
+            reference_spp=512,
+            expected=NOISY,
+        ),
+        case(
+            "soft_light",
+            "lamp wider than the scene",
+            "2026 paper, Fig. 13: an extremely soft shadow",
+            table(cube(at=HIGH), light=lamp(7.0, (0.6, -0.3, 3.0)), view=shade),
+            reference_spp=512,
+            expected={"KernelDensity": SOFT},
+        ),
+        case(
+            "sharp_corner",
+            "shadow of a spike",
+            "a kernel over a corner of the boundary, worse with a large radius (own finding)",
+            table(placed(spike(), rotation((0, 0, 1), 0.6), HIGH, (0.9, 0.5, 0.5)), view=shade),
+            extra=("KernelDensity, radius 0.2",),
+        ),
+        scaled("scale_small", 1e-3),
+        scaled("scale_large", 1e3),
+        scaled("offset", 1.0, (1e3, -1e3, 1e3)),
+        case(
+            "contact",
+            "a cube that slides over the floor it stands on; its lowest side lies in the floor's plane",
+            "z-fighting of coplanar faces, shadows that start at no distance (own list)",
+            table(cube(0.5, (0.0, 0.0, 0.25), ABOUT_Z)),
+            (1.0, 0.4, 0.0),
+        ),
+        case(
+            "interpenetrating",
+            "a dark cube that is sunk into the floor and slides: where they meet is no edge of a mesh",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
+            table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
+            (1.0, 0.4, 0.0),
+        ),
+        case(
+            "rising_through",
+            "the same cube rises through the floor",
+            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
+            table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
+            (0.0, 0.0, 1.0),
+            expected=dict.fromkeys(COLUMNS, NO_EDGE),
+        ),
+        case(
+            "emitter_at_wall",
+            "the lamp stands on the floor, which it touches with one side",
+            "1 / r² of emitters that touch what they light (own list)",
+            table(
+                cube(0.4, (0.0, 0.1, 0.25)),
+                light=lamp().with_vertices(standing()),
+            ),
+        ),
+        case(
+            "image_border",
+            "the cube crosses the border of the image",
+            "silhouettes that the film's border cuts (own list)",
+            table(cube(0.7, (0.75, 0.0, 0.5)), view=view(fov=34.0)),
+        ),
+        case(
+            "behind_camera",
+            "a beam from in front of the camera to behind it: its edges cross the camera's plane",
+            "projections of edges that are partly behind the camera (own list)",
+            table(cube((0.3, 6.0, 0.3), (0.55, -1.0, 1.1), rotation((0, 0, 1), 0.05))),
+        ),
+        case(
+            "camera_inside",
+            "camera, lamp and floor are inside the cube, whose walls move",
+            "back faces, silhouettes from inside (own list)",
+            table(cube(6.4, (0.1, 0.2, 1.0), inside), floor(2.0), view=view((0.0, -2.6, 1.7), (0.1, 0.3, 0.9), 75.0)),
+        ),
+        case(
+            "slivers",
+            "a sheet a thousand times wider than thick: sides of sliver triangles",
+            "NaN gradients of triangles that are seen edge-on (PyTorch3D issue 110)",
+            table(cube((0.7, 0.7, 0.0007), HIGH, rotation((1.0, 0.3, 0.0), 0.2)), view=shade),
+        ),
+        case(
+            "zero_area",
+            "a cube whose top is shrunk to a point, as by an optimisation: two faces without area",
+            "0 / 0 in normals; gradients turn to NaN in the middle of an optimisation (redner issue 13)",
+            table(placed(collapsed(), TURN_SMALL, (0.0, 0.0, 0.7), 0.6)),
+            expected=dict.fromkeys(COLUMNS, FLAT),
+        ),
+    ]
