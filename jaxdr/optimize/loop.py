@@ -11,6 +11,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jaxdr.optimize.config import OptimizeConfig
+from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
 from jaxdr.optimize.planned import planned
@@ -51,6 +52,7 @@ class _Run:
         self.folder = RunFolder(config)
         self.plan: Plan | None = None
         self.interruption = Interruption()
+        self.collapsed = False
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
 
@@ -73,6 +75,7 @@ class _Run:
                 iteration += 1
                 if self.due(iteration, self.config.report.chamfer):
                     distance = row["chamfer"] = self.chamfer(phase, state)
+                    row["folded"] = self.folded(phase, state, iteration, progress)
                 self.folder.add_metrics({**row, "iteration": iteration, "seconds": round(self.seconds(), 2)})
                 progress.step(loss=row["loss"], gradient=row["gradient_norm"], chamfer=distance)
                 if self.due(iteration, self.config.report.pictures):
@@ -166,6 +169,7 @@ class _Run:
             "chamfer_initial": before,
             "chamfer_final": after,
             "chamfer_ratio": before / after,
+            "folded": folded_share(phase.current_mesh(state)),
             "device": jax.devices()[0].device_kind,
         }
         if self.plan is not None:
@@ -185,6 +189,14 @@ class _Run:
 
     def chamfer(self, phase: Phase, state: State) -> float:
         return chamfer(phase.current_mesh(state), self.problem.target, self.config.report.chamfer_samples)
+
+    def folded(self, phase: Phase, state: State, iteration: int, progress: Progress) -> float:
+        """Share of folded edges; the first time that there are many more than at the start it is said aloud."""
+        share = folded_share(phase.current_mesh(state))
+        if not self.collapsed and share > folded_share(self.initial) + COLLAPSED:
+            self.collapsed = True
+            progress.say(collapse_message(iteration, share))
+        return share
 
     def save_pictures(self, phase: Phase, state: State, targets, iteration: int) -> None:
         shown = views_to_show(self.config.report.views, self.config.cameras.views)

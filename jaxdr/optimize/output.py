@@ -17,7 +17,7 @@ from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.plan.report import Plan
 
-COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer")
+COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer", "folded")
 
 
 class RunFolder:
