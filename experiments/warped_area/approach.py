@@ -25,7 +25,7 @@ from jaxdr.transport.interaction import material_point
 
 CASE, FLOOR, LIGHT = "shadow_goathead", "floor", "light"
 CHORDS, DRAWS, BISECTIONS = 20_000, 8, 22
-SPP, IMAGES = 32, 16
+SPP, IMAGES = 32, 8
 OPTIONS = [
     {},
     {"boundary_power": 3.0},
@@ -33,7 +33,6 @@ OPTIONS = [
     {"samples": 16},
     {"samples": 32},
     {"sigma0": 0.02},
-    {"sigma0": 0.02, "boundary_power": 3.0},
     {"sigma0": 0.02, "samples": 16},
     {"sigma0": 0.02, "samples": 32},
 ]
@@ -98,7 +97,7 @@ def face_at(packed, shape, points):
 def found_at(packed, points, light, estimator):
     """Weight of hidden auxiliary points at boundary points: mean over draws."""
     face, barycentric, seen = points
-    faces, on = connect_faces(packed), face_at(packed, light, seen)
+    faces, on, face = connect_faces(packed), face_at(packed, light, seen), jnp.asarray(face)
     corners, count = packed.vertices[packed.faces[on]], len(face)
 
     @jax.jit
