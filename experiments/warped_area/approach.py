@@ -113,40 +113,46 @@ def found_at(packed, points, light, estimator):
     return np.mean([np.asarray(shares(jax.random.key(i))) for i in range(DRAWS)], axis=0)
 
 
-def main():
-    parser = common.parser(__doc__)
-    options = parser.parse_args()
-    chords, images, chosen = (2000, 2, OPTIONS[:2]) if options.quick else (CHORDS, IMAGES, OPTIONS)
-    reference = reference_scenes.load(options.oracle / CASE)
-    packed, names = pack(reference.scene), list(reference.scene.shapes)
-    floor, light = (names.index(n) for n in (FLOOR, LIGHT))
-    points = boundary_points(packed, floor, light, chords)
-    estimators = [jd.WarpedArea(**given) for given in chosen]
+def cost(reference, estimators, images):
+    """For every estimator what derivative images tell, of `images` each, made in turns."""
     tracers = [jd.PathTracer(reference.max_depth, estimator) for estimator in estimators]
     functions = [reference.derivative(tracer, SPP) for tracer in tracers]
     for function in functions:
         jax.block_until_ready(function(jax.random.key(images)))
     made = [[common.seconds_of(f, jax.random.key(i)) for f in functions] for i in range(images)]
-
-    power, rows = np.mean(reference.image**2) - reference.noise**2, []
-    for k, (given, estimator) in enumerate(zip(chosen, estimators, strict=True)):
-        found = found_at(packed, points, light, estimator)
+    power = np.mean(reference.image**2) - reference.noise**2
+    for k in range(len(functions)):
         derivatives = np.stack([np.asarray(turn[k][0], float) for turn in made])
         projections = (derivatives * reference.image).mean((1, 2, 3)) / power
         deviation = float(np.sqrt(derivatives.var(0, ddof=1).mean() / power))
         seconds = statistics.median(turn[k][1] for turn in made)
-        row = {
-            "options": ", ".join(f"{a}={v:g}" for a, v in given.items()) or "(default)",
-            "found": float(found.mean()),
-            "worst": float(np.quantile(found, 0.05)),
+        yield {
             "projection": float(projections.mean()),
             "uncertainty": float(projections.std(ddof=1) / len(projections) ** 0.5),
             "deviation": deviation,
             "seconds": seconds,
             "work": deviation**2 * seconds,
         }
-        rows.append(row)
-        print(row["options"], *(f"{row[key]:.3f}" for key in ("found", "projection", "deviation", "seconds")))
+
+
+def main():
+    parser = common.parser(__doc__)
+    parser.add_argument("--images", type=int, default=IMAGES, help="derivative images an option; 0: only what is found")
+    options = parser.parse_args()
+    chords, images, chosen = (2000, 2, OPTIONS[:2]) if options.quick else (CHORDS, options.images, OPTIONS)
+    reference = reference_scenes.load(options.oracle / CASE)
+    packed, names = pack(reference.scene), list(reference.scene.shapes)
+    floor, light = (names.index(n) for n in (FLOOR, LIGHT))
+    points = boundary_points(packed, floor, light, chords)
+    estimators, rows = [jd.WarpedArea(**given) for given in chosen], []
+    for given, estimator in zip(chosen, estimators, strict=True):
+        found = found_at(packed, points, light, estimator)
+        name = ", ".join(f"{a}={v:g}" for a, v in given.items()) or "(default)"
+        rows.append({"options": name, "found": float(found.mean()), "worst": float(np.quantile(found, 0.05))})
+        print(f"{name}: {rows[-1]['found']:.3f}", flush=True)
+    if images:
+        for row, measured in zip(rows, cost(reference, estimators, images), strict=True):
+            row.update(measured)
     folder = common.results("warped_area", options.quick)
     common.write_json(folder / "approach.json", {"points": len(points[0]), "spp": SPP, "images": images, "rows": rows})
     (folder / "approach.md").write_text(common.table(rows, COLUMNS) + "\n")
