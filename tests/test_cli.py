@@ -43,6 +43,8 @@ resolution = 8
 [optimizer]
 iterations = 4
 views_per_step = 1
+[integrator]
+max_depth = 2
 [report]
 chamfer_samples = 100
 """
