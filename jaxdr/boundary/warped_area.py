@@ -56,8 +56,8 @@ class WarpedArea(eqx.Module):
       width, whose tail is thinner than the kernel's.
 
     The derivative is as good as v is at the boundary: behind a bumpy figure 2 % is missing with 8 auxiliary points
-    (0.4 % with 16), most of it at corners. With a `PathTracer` direct light is weighted by emitter sampling alone, without
-    MIS; with a `BidirectionalPathTracer` every strategy counts with its weight.
+    (0.4 % with 16), most of it at corners. With a `PathTracer` direct light is weighted by emitter sampling
+    alone, without MIS; with a `BidirectionalPathTracer` every strategy counts with its weight.
     """
 
     distance: Literal["path_space", "exponential"] = eqx.field(static=True, default="path_space")
