@@ -20,9 +20,9 @@ from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.film import Film
 from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
+from jaxdr.scene.motion import rounding_step
 from jaxdr.scene.scene import Scene, Shape
 
-EPSILON = float(np.finfo(np.float32).eps)
 NUDGES = 61  # more than acceleration structures are kept
 
 
@@ -107,8 +107,7 @@ def _case(scene: Scene, motion) -> Case:
     else:
         velocities = _velocities(rest, motion)
         at, speed = (lambda t: rest + t * velocities), float(jnp.linalg.norm(velocities, axis=1).max())
-    nudge = 4 * EPSILON * float(jnp.abs(rest).max()) / max(speed, 1e-12)
-    return Case(scene, parameter, motion.shape, rest, at, moving, nudge)
+    return Case(scene, parameter, motion.shape, rest, at, moving, rounding_step(rest, speed))
 
 
 def _turned(rest, motion):

@@ -53,6 +53,7 @@ class _Run:
         self.plan: Plan | None = None
         self.interruption = Interruption()
         self.collapsed = False
+        self.folded_at_start = folded_share(self.initial)
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
 
@@ -193,7 +194,7 @@ class _Run:
     def folded(self, phase: Phase, state: State, iteration: int, progress: Progress) -> float:
         """Share of folded edges; the first time that there are many more than at the start it is said aloud."""
         share = folded_share(phase.current_mesh(state))
-        if not self.collapsed and share > folded_share(self.initial) + COLLAPSED:
+        if not self.collapsed and share > self.folded_at_start + COLLAPSED:
             self.collapsed = True
             progress.say(collapse_message(iteration, share))
         return share

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.moving import Moving, moving_in
-from jaxdr.scene.motion import motion
+from jaxdr.scene.motion import motion, rounding_step
 from jaxdr.scene.scene import Scene
 
 
@@ -21,6 +21,12 @@ class Direction(NamedTuple):
     def at(self, scene: Scene, t: Float[Array, ""]) -> Scene:
         """The scene at time t; traceable."""
         return scene.replace({name: value + t * self.velocities[name] for name, value in self.values.items()})
+
+    def nudge(self) -> float:
+        """A time in which all vertices move by rounding; 0 where none do: then structures stay in use anyway."""
+        moved = [name for name in self.values if name.endswith(".vertices")]
+        speeds = {name: float(jnp.abs(self.velocities[name]).max()) for name in moved}
+        return max((rounding_step(self.values[name], speeds[name]) for name in moved), default=0.0)
 
 
 def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> Direction:

@@ -23,7 +23,6 @@ CLOSE = 2.0  # how much worse than the best a candidate may be in the first roun
 FINALISTS = 2
 BETTER = 0.9  # what a change has to come to, relative to what it is a change of
 LEAST_SECONDS = 1e-4  # below, the clock is all that is measured
-EPSILON = float(np.finfo(np.float32).eps)
 
 Setting = tuple[Any, int]  # integrator, samples per pixel
 
@@ -67,6 +66,7 @@ class Pilot:
 
     def __init__(self, scene: Scene, along: Direction, moving: Moving, key: PRNGKeyArray):
         self.scene, self.along, self.moving, self.key = scene, along, moving, key
+        self.nudge = along.nudge()
 
     def __call__(self, settings: dict[str, Setting]) -> dict[str, Measured | Refused]:
         """Every setting by name, in turns, each round beginning with another one."""
@@ -101,7 +101,7 @@ class Pilot:
 
     def _call(self, program, turn: int) -> tuple[dict[str, Array], float]:
         # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.
-        t = jax.block_until_ready(jnp.asarray(4 * EPSILON * (turn + 1)))
+        t = jax.block_until_ready(jnp.asarray(self.nudge * (turn + 1)))
         key = jax.random.fold_in(self.key, turn)
         start = time.perf_counter()
         answer = jax.block_until_ready(program(self.scene, self.along, t, key))

@@ -3,11 +3,22 @@
 import difflib
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.scene.scene import Scene
 
+EPSILON = float(np.finfo(np.float32).eps)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def rounding_step(value: Float[Array, "*n"], speed: float) -> float:
+    """How far to go for a move of four units in the last place of the largest component of `value` (float32).
+
+    `speed`: size of the value's derivative. Acceleration structures are kept by their content; after such a step
+    they are built anew, and nothing else changes.
+    """
+    return 4 * EPSILON * float(jnp.abs(value).max()) / max(speed, 1e-12)
 
 
 def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Array, "*n"]]:

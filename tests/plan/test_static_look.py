@@ -1,5 +1,6 @@
 """What a scene has, which edges can carry derivatives, and which estimators are tried: counted by hand."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -8,7 +9,7 @@ from jaxdr.geometry.shapes import box, rectangle, sphere
 from jaxdr.integrators import defaults
 from jaxdr.integrators.defaults import default_integrator
 from jaxdr.plan.candidates import candidates, splits
-from jaxdr.plan.directions import moving_along
+from jaxdr.plan.directions import direction, moving_along
 from jaxdr.plan.static_look import static_look
 
 CAMERA = jd.Perspective(jd.look_at([0, -5, 1], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(8, 6))
@@ -25,6 +26,22 @@ def scene(lamp=None, **lights):
 
 def look(of, *names):
     return static_look(of, moving_along(of, names))
+
+
+@pytest.mark.parametrize("away", [0.0, 1000.0])
+def test_a_nudge_moves_vertices_by_rounding(away):
+    """Every call of a pilot has its own, however far from the origin: acceleration structures are kept by content."""
+    of = scene()
+    rest = np.asarray(of.parameters()["box.vertices"]) + np.float32(away)
+    along = direction(of.replace({"box.vertices": rest}), ["box.translate.x"], jax.random.key(0))
+    size = np.abs(rest).max()
+    for turn in (1, 2):
+        moved = np.asarray(along.values["box.vertices"] + along.nudge() * turn * along.velocities["box.vertices"])
+        assert 0 < np.abs(moved - rest).max() < 2e-6 * size
+
+
+def test_no_nudge_where_nothing_moves():
+    assert direction(scene(), ["box.bsdf.alpha"], jax.random.key(0)).nudge() == 0.0
 
 
 def test_what_is_there():
