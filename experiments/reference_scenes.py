@@ -35,7 +35,7 @@ class Reference:
 
         import jaxdr as jd
 
-        @jax.jit
+        @jd.jit
         def derivative(key):
             def image(v):
                 return jd.render(self.scene.replace({f"{self.shape}.vertices": v}), key, spp, integrator)

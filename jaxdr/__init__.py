@@ -9,6 +9,7 @@ from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling as LineSampling
 from jaxdr.boundary.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.warped_area import WarpedArea as WarpedArea
+from jaxdr.compilation import jit as jit
 from jaxdr.geometry import shapes as shapes
 from jaxdr.geometry.load import load_mesh as load_mesh
 from jaxdr.geometry.load import save_mesh as save_mesh

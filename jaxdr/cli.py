@@ -22,6 +22,7 @@ from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.chart.config import chart_config
 from jaxdr.chart.run import chart
+from jaxdr.compilation import jit
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
@@ -100,7 +101,7 @@ def _in_passes(scene: Scene, key, spp: int, tracer: Integrator) -> np.ndarray:
     each = min(spp, max(1, PASS // (film.width * film.height)))
     counts = [each] * (spp // each) + ([spp % each] if spp % each else [])
     # The scene is an argument: as a constant of the program XLA would spend its time on folding it.
-    image = jax.jit(lambda scene, key, spp: render(scene, key, spp=spp, integrator=tracer), static_argnums=2)
+    image = jit(lambda scene, key, spp: render(scene, key, spp=spp, integrator=tracer), static_argnums=2)
     if len(counts) == 1:
         return np.asarray(image(scene, key, spp))
     total = 0.0
@@ -137,7 +138,7 @@ def _gradient(options) -> int:
     spp, depth = _settings(options)
     tracer = PathTracer(max_depth=depth, boundary=ESTIMATORS[options.boundary]())
 
-    @jax.jit
+    @jit
     def derivative(key):
         def image(v):
             return render(scene.replace({name: v}), key, spp=spp, integrator=tracer)

@@ -80,7 +80,7 @@ def derivative(of, name, along, integrator, spp):
     at = of.parameters()[f"{name}.vertices"]
     along = jnp.asarray(along, at.dtype)
 
-    @jax.jit
+    @jd.jit
     def image(key):
         def rendered(step):
             return jd.render(of.replace({f"{name}.vertices": at + step * along}), key, spp, integrator)
@@ -93,7 +93,7 @@ def derivative(of, name, along, integrator, spp):
 def finite_differences(of, name, along, spp, rounds):
     """Central differences of bidirectional images, [rounds, H, W, 3]."""
     at = of.parameters()[f"{name}.vertices"]
-    image = jax.jit(lambda v, key: jd.render(of.replace({f"{name}.vertices": v}), key, spp, TRACER))
+    image = jd.jit(lambda v, key: jd.render(of.replace({f"{name}.vertices": v}), key, spp, TRACER))
     found = []
     for i in range(rounds):
         key = jax.random.fold_in(jax.random.key(7), i)

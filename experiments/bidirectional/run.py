@@ -34,7 +34,7 @@ COLUMNS = {
 
 def renderer(scene, integrator, spp):
     """A compiled function of a key."""
-    image = jax.jit(lambda scene, key: jd.render(scene, key, spp=spp, integrator=integrator))
+    image = jd.jit(lambda scene, key: jd.render(scene, key, spp=spp, integrator=integrator))
     return lambda key: np.asarray(image(scene, key), float)
 
 

@@ -23,7 +23,7 @@ def estimates(path, case, setting, spp, offsets, seeds):
     direction = jnp.zeros_like(rest).at[:, 0].set(1)
     integrator = jd.PathTracer(max_depth=case.max_depth, boundary=getattr(jd, boundary)(**options), **more)
 
-    @jax.jit
+    @jd.jit
     def derivative(offset, key):
         def image(vertices):
             return jd.render(scene.replace({name: vertices}), key, spp=spp, integrator=integrator)

@@ -9,6 +9,7 @@ import statistics
 import jax
 import jax.numpy as jnp
 
+import jaxdr as jd
 from experiments import common
 from jaxdr.geometry import queries
 from jaxdr.scene.packed import pack
@@ -30,13 +31,13 @@ def pieces(scene, settings, samples):
     From all pixels with `samples` samples each.
     """
     key = jax.random.key(0)
-    packed = jax.jit(pack)(scene)
+    packed = jd.jit(pack)(scene)
     _, _, width, height = scene.camera.film.window
     count = width * height * samples
     state = {}
 
     def timed(name, function, *arguments, each=BLOCK):
-        program = jax.jit(function)
+        program = jd.jit(function)
         answer = jax.block_until_ready(program(*arguments))
         seconds = [common.seconds_of(program, *arguments)[1] for _ in range(CALLS)]
         state[name] = statistics.median(seconds) / each
@@ -46,7 +47,7 @@ def pieces(scene, settings, samples):
         return primary_samples(packed, jnp.arange(samples), key, RAYS, "fixed")
 
     primary = timed("camera rays, their hits", camera, packed, each=count)
-    vertices = jax.jit(lambda packed: _vertices(packed, primary, key, settings))(packed)
+    vertices = jd.jit(lambda packed: _vertices(packed, primary, key, settings))(packed)
     rows = jnp.resize(jnp.flatnonzero(primary.first.valid), BLOCK)
     point, wi, u = jax.tree.map(lambda x: x[rows], (primary.first, -primary.direction, uniform(key, (count, 4))))
 

@@ -38,7 +38,7 @@ def measure(path, case, size, spp, rounds, profile):
     scene = jd.load_mitsuba(path)
     tracer = jd.PathTracer(max_depth=case.max_depth, boundary=None)
     start = time.perf_counter()
-    program = jax.jit(lambda scene, key: jd.render(scene, key, spp, tracer)).lower(scene, jax.random.key(0)).compile()
+    program = jd.jit(lambda scene, key: jd.render(scene, key, spp, tracer)).lower(scene, jax.random.key(0)).compile()
     row = {"compile": time.perf_counter() - start}
     row["triangles"] = sum(len(shape.mesh.faces) for shape in scene.shapes.values())
 

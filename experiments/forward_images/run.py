@@ -41,7 +41,7 @@ def ours(scene, case, seeds):
     import jaxdr as jd
 
     tracer = jd.PathTracer(max_depth=case.max_depth, boundary=None)
-    image = jax.jit(lambda scene, key: jd.render(scene, key, spp=case.spp, integrator=tracer))
+    image = jd.jit(lambda scene, key: jd.render(scene, key, spp=case.spp, integrator=tracer))
     return np.stack([image(scene, key) for key in jax.random.split(jax.random.key(1), seeds)])
 
 

@@ -72,7 +72,7 @@ def gradient(vertex_count, resolution, spp, calls):
     integrator = jd.PathTracer(max_depth=2, boundary=jd.KernelDensity())
     vertices = scene.parameters()["sphere.vertices"]
 
-    @jax.jit
+    @jd.jit
     def loss_gradient(vertices, key):
         def loss(v):
             image = jd.render(scene.replace({"sphere.vertices": v}), key, spp=spp, integrator=integrator)

@@ -88,7 +88,7 @@ def edges(statues, subdivisions, turns, spp=4):
 
                 return sum(jax.jvp(terms, (t,), (jnp.ones_like(t),))[1].values())
 
-            programs[type(estimator).__name__, label] = jax.jit(derivative)
+            programs[type(estimator).__name__, label] = jd.jit(derivative)
     for turn in range(turns + 1):
         for name, program in programs.items():
             answer, seconds = common.seconds_of(program, scene, jnp.asarray(1e-6 * (turn + 1)), jax.random.key(turn))
@@ -119,7 +119,7 @@ def program():
 
             return jax.jvp(image, (value,), (value,))[1]
 
-        text = jax.jit(derivative).lower(scene, value, jax.random.key(0)).as_text()
+        text = jd.jit(derivative).lower(scene, value, jax.random.key(0)).as_text()
         rows.append({"program": label, "instructions": text.count(" = "), "characters": len(text)})
     for row in rows:
         row["share"] = row["instructions"] / rows[-1]["instructions"]
@@ -145,7 +145,7 @@ def depth(name, oracle, spp, keys, deepest):
     for d in range(1, deepest + 1):
         tracer = jd.PathTracer(d, jd.LineSampling())
 
-        @jax.jit
+        @jd.jit
         def both(scene, along, key, tracer=tracer):
             def terms(t):
                 return sum(jd.derivative_terms(along.at(scene, t), key, spp, tracer, moving).values())

@@ -45,16 +45,16 @@ def mesh_of(triangles):
 
 def ours(triangles, implementation, rays, calls):
     """(triangles, Mrays/s, seconds of the first call after compilation, hits) of a jitted `closest_hit`."""
-    import jax
     import jax.numpy as jnp
 
+    import jaxdr as jd
     from jaxdr.geometry.queries import closest_hit
 
     mesh = mesh_of(triangles)
     origin, direction = (jnp.asarray(a) for a in random_rays(rays))
     t_max = jnp.full(rays, 1e6, jnp.float32)
 
-    @jax.jit
+    @jd.jit
     def trace(vertices):
         return closest_hit(vertices, mesh.faces, origin, direction, t_max, implementation=implementation)
 

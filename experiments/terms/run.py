@@ -33,7 +33,7 @@ def measure(folder, parameter, spp, keys):
     moving = Moving(tuple(shape == reference.shape for shape in reference.scene.shapes), camera=False)
     integrator = jd.PathTracer(max_depth=reference.max_depth, boundary=jd.KernelDensity())
 
-    @jax.jit
+    @jd.jit
     def derivative(key):
         def terms(v):
             moved = reference.scene.replace({f"{reference.shape}.vertices": v})

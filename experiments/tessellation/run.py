@@ -60,11 +60,11 @@ def measure(level, boundary, quick):
         moved = rest.at[:, 0].add(x)
         return jd.render(scene.replace({"ball.vertices": moved}), key, spp=spp, integrator=integrator)
 
-    @jax.jit
+    @jd.jit
     def derivative(x, key):
         return jax.jvp(lambda x: image(x, key, SPP), (x,), (jnp.ones_like(x),))[1]
 
-    @jax.jit
+    @jd.jit
     def difference(key):
         return (image(STEP, key, REFERENCE_SPP) - image(-STEP, key, REFERENCE_SPP)) / (2 * STEP)
 

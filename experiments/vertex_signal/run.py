@@ -42,7 +42,7 @@ def measure(boundary, spp, quick):
     target = jd.render(target_scene, jax.random.key(99), spp=256)
     vertices = scene.parameters()["ball.vertices"]
 
-    @jax.jit
+    @jd.jit
     def gradient(key):
         def loss(v):
             image = jd.render(scene.replace({"ball.vertices": v}), key, spp=spp, integrator=integrator)

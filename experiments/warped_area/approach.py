@@ -62,7 +62,7 @@ def boundary_points(packed, floor, light, count, seed=0):
     """Apexes (faces, barycentric coordinates) and the last points of the light that they see beside a boundary."""
     rng = np.random.default_rng(seed)
 
-    @jax.jit
+    @jd.jit
     def hidden(origin, target):
         reach = jnp.full(len(origin), 0.9989, origin.dtype)
         start = origin + 1e-4 * (target - origin)
@@ -100,7 +100,7 @@ def found_at(packed, points, light, estimator):
     faces, on, face = connect_faces(packed), face_at(packed, light, seen), jnp.asarray(face)
     corners, count = packed.vertices[packed.faces[on]], len(face)
 
-    @jax.jit
+    @jd.jit
     def shares(key):
         apex = material_point(packed, face, jnp.asarray(barycentric, jnp.float32), jnp.ones(count, bool))
         target, far = jnp.asarray(seen, jnp.float32), jnp.zeros(count, bool)

@@ -49,7 +49,7 @@ def estimators(settings: dict) -> dict:
     }
 
 
-@partial(jax.jit, static_argnames=("name", "boundary", "spp"))
+@partial(jd.jit, static_argnames=("name", "boundary", "spp"))
 def derivative(of: jd.Scene, name: str, direction, key, boundary, spp: int):
     """Derivative image [H, W], channels averaged, by a translation of the vertices `name`."""
     vertices = of.parameters()[name]
@@ -161,7 +161,7 @@ def _shaped(boundary, settings: dict, piece: jd.Mesh, turns, targets) -> list[fl
     of, steps = scenes.chess(start, settings["resolution"]), jd.LargeSteps(start, settings["smoothing"])
     integrator = jd.PathTracer(2, boundary, sampling="emitter")
 
-    @jax.jit
+    @jd.jit
     def gradient(of, latent, turn, target, key):
         def loss(latent):
             placed = _placed(steps.from_latent(latent), turn)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 
 from jaxdr.boundary.guided_edges import GuidedEdges
+from jaxdr.compilation import jit
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path import PathSettings
@@ -23,7 +24,7 @@ def guide_report(scene: Scene, boundary: GuidedEdges, max_depth: int = 3, rays: 
     """Build the guides of a scene in which all shapes move, twice."""
     settings = PathSettings(max_depth, True, rays)
 
-    @jax.jit
+    @jit
     def build(scene):
         return boundary.prepare(pack(scene), (True,) * len(scene.shapes), settings).guides
 

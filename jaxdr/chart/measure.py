@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxdr.chart.config import ChartScene, Estimator
 from jaxdr.chart.scenes import Case, load_case, nudged
+from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator
 from jaxdr.render import derivative_terms, render
 
@@ -93,7 +94,7 @@ class Line:
 def compiled(function: Callable, *arguments) -> Program:
     """Ahead of time, so that compilation is timed by itself."""
     start = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
+    program = jit(function).lower(*arguments).compile()
     seconds = time.perf_counter() - start
     analysis = program.memory_analysis()
     size = None

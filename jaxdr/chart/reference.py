@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.chart.config import ChartScene, FiniteDifferences, Stored, Vertices
 from jaxdr.chart.measure import Line
 from jaxdr.chart.scenes import Case
+from jaxdr.compilation import jit
 from jaxdr.integrators import PathTracer
 from jaxdr.render import render
 
@@ -100,4 +101,4 @@ def velocity(case: Case) -> Float[Array, "V 3"]:
 
 def _still(case: Case, max_depth: int, spp: int) -> Callable[[Any, PRNGKeyArray], Array]:
     tracer = PathTracer(max_depth=max_depth, boundary=None)
-    return jax.jit(lambda t, key: render(case.moved(jnp.asarray(t, case.rest.dtype)), key, spp=spp, integrator=tracer))
+    return jit(lambda t, key: render(case.moved(jnp.asarray(t, case.rest.dtype)), key, spp=spp, integrator=tracer))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -117,7 +118,7 @@ class _Run:
     def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
         """Target views: rendered, or read back when a run is resumed."""
         mesh, spp = self.problem.target, self.config.samples.target
-        image = view_renderer(self.problem.scene, mesh, self.problem.integrator)
+        image = jit(view_renderer(self.problem.scene, mesh, self.problem.integrator), static_argnums=3)
         key = jax.random.fold_in(self.key, TARGETS)
         images = rendered(lambda *view: image(mesh.vertices, *view, spp), self.poses(), key, self.interruption)
         return target_views(self.folder, resume, images)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import PathTracer
 from jaxdr.optimize import losses
@@ -65,13 +66,13 @@ def make_phase(config: OptimizeConfig, problem: Problem, mesh: Mesh, start: int)
     image = view_renderer(problem.scene, mesh, problem.integrator)
     gradient = view_gradient(image, config.optimizer.loss, config.samples.image, config.samples.gradient)
 
-    @jax.jit
+    @jit
     def update(state: State, gradient: Float[Array, "V 3"]) -> State:
         # The system is symmetric: the pullback of from_latent is from_latent.
         updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
         return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
 
-    return Phase(mesh, start, steps, optimizer, image, jax.jit(gradient), update)
+    return Phase(mesh, start, steps, optimizer, jit(image, static_argnums=3), jit(gradient), update)
 
 
 def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
@@ -82,7 +83,7 @@ def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
 
 
 def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None) -> Callable:
-    """Jitted (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
+    """Function (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
     old = scene.shapes[OBJECT]
     shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
     scene = Scene(shapes, scene.camera, scene.environment, scene.lights)
@@ -91,7 +92,7 @@ def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None) -> Ca
         moved = scene.replace({f"{OBJECT}.vertices": vertices, "camera.to_world": to_world})
         return render(moved, key, spp=spp, integrator=integrator)
 
-    return jax.jit(image, static_argnums=3)
+    return image
 
 
 def view_gradient(image: Callable, loss: str, image_spp: int, gradient_spp: int) -> Callable:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.compilation import jit
 from jaxdr.plan.directions import Direction
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
@@ -57,7 +58,7 @@ def choose_depth(scene: Scene, along: Direction, tolerance: float, key: PRNGKeyA
     if not tolerance > 0:
         raise ValueError(f"plan: depth_tolerance must be positive (a share), got {tolerance}")
 
-    @jax.jit
+    @jit
     def program(scene, along, key):
         def images(t):
             return images_by_depth(along.at(scene, t), key)

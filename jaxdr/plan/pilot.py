@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
+from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator
 from jaxdr.moving import Moving
 from jaxdr.plan.directions import Direction
@@ -97,7 +98,7 @@ class Pilot:
             return jax.jvp(images, (t,), (jnp.ones_like(t),))[1]
 
         integrator.check(self.scene)
-        return jax.jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key).compile()
+        return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key).compile()
 
     def _call(self, program, turn: int) -> tuple[dict[str, Array], float]:
         # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxdr.compilation import jit
 from jaxdr.geometry import queries
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
@@ -44,7 +45,7 @@ def time_rays(scene: Scene) -> RayChoice:
     reach = jnp.full(RAYS, 1e30)
     programs, seconds = {}, {}
     for name in ("auto", "jax"):
-        programs[name] = jax.jit(lambda v, name=name: queries.closest_hit(v, packed.faces, start, towards, reach, name))
+        programs[name] = jit(lambda v, name=name: queries.closest_hit(v, packed.faces, start, towards, reach, name))
         jax.block_until_ready(programs[name](packed.vertices))
         seconds[name] = []
     for turn in range(TURNS):

@@ -9,6 +9,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from jaxdr.compilation import jit
 from jaxdr.optimize.phase import view_gradient
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.progress import NotFinite
@@ -40,7 +41,7 @@ class AdamSteps:
             image = partial(problem.image, scene)
             return view_gradient(image, options.loss, samples.image, samples.gradient)(*arguments)
 
-        self.view_gradient, self.update = jax.jit(gradient), jax.jit(self._update)
+        self.view_gradient, self.update = jit(gradient), jit(self._update)
 
     def fresh(self, targets: Float[np.ndarray, "N H W 3"]) -> AdamState:
         """The state at the start."""

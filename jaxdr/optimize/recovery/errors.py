@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdr.aovs import render_aovs
+from jaxdr.compilation import jit
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.parameters import Motion, angle_between
@@ -48,7 +49,7 @@ class Errors:
                 self.names.append(name)
         if textures:
             self.names.append("albedo")
-            self.albedo = jax.jit(self._albedo)
+            self.albedo = jit(self._albedo)
             self.true_albedo = self._albedos(problem.target)
 
     def __call__(self, latents: Latents) -> dict[str, float]:

@@ -11,6 +11,7 @@ import optimistix
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.compilation import jit
 from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.recovery.config import LevenbergMarquardt, RecoveryConfig
 from jaxdr.optimize.recovery.problem import Latents, Problem, finite
@@ -187,7 +188,7 @@ class LeastSquaresSteps:
             scaled, state, _ = self.solver.step(_with_aux(residuals), scaled, arguments, {}, state, frozenset())
             return scaled, state
 
-        return residuals, jax.jit(jacobian), advance
+        return residuals, jit(jacobian), advance
 
 
 def gaussian_filter(count: int, deviation: float) -> Float[np.ndarray, "n n"]:

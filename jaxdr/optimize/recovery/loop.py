@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxdr.compilation import jit
 from jaxdr.optimize.checkpoint import load_state, save_state
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
@@ -57,7 +58,7 @@ class _Run:
         key, optimizer = jax.random.fold_in(self.key, STEPS), self.config.optimizer
         self.method: Any = METHODS[optimizer.kind](self.config, optimizer, problem, key)
         self.errors = Errors(problem, self.config)
-        self.image = jax.jit(problem.image, static_argnums=4)
+        self.image = jit(problem.image, static_argnums=4)
 
     def plan_integrator(self, resume: bool) -> None:
         """Where the config leaves the integrator to a plan: of derivatives of the scene at its start."""
@@ -113,7 +114,7 @@ class _Run:
         """Target views: read, rendered, or read back when a run is resumed."""
         images, scene, spp = self.problem.images, self.problem.target, self.config.samples.target
         if images is None:
-            image, key = jax.jit(self.problem.target_image, static_argnums=3), jax.random.fold_in(self.key, TARGETS)
+            image, key = jit(self.problem.target_image, static_argnums=3), jax.random.fold_in(self.key, TARGETS)
             images = rendered(lambda *view: image(scene, *view, spp), self.poses(), key, self.interruption)
         return target_views(self.folder, resume, images)
 

@@ -1,0 +1,46 @@
+"""`jaxdr.jit`: as `jax.jit`, with XLA's options where it has them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxdr as jd
+from jaxdr import compilation
+
+
+@pytest.fixture
+def options(monkeypatch):
+    """What is found out about XLA is found out anew, before and after."""
+    compilation.compiler_options.cache_clear()
+    yield monkeypatch
+    compilation.compiler_options.cache_clear()
+
+
+def test_static_arguments_and_derivatives_inside():
+    def slope(x, n):
+        return jax.grad(lambda x: (x**n).sum())(x)
+
+    found = jd.jit(slope, static_argnums=1)(jnp.arange(3.0), 3)
+    np.testing.assert_allclose(found, [0.0, 3.0, 12.0])
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="options are the CPU's")
+def test_this_version_of_xla_knows_the_options():
+    assert compilation.compiler_options("cpu") == compilation.CPU_OPTIONS
+
+
+def test_no_options_elsewhere():
+    assert compilation.compiler_options("gpu") is None
+
+
+def test_a_version_that_does_not_know_them(options):
+    options.setattr(compilation, "CPU_OPTIONS", {"xla_cpu_no_such_option": True})
+    assert compilation.compiler_options("cpu") is None
+    assert jd.jit(lambda x: x + 1)(1.0) == 2.0
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="options are the CPU's")
+def test_for_the_outermost_function_only():
+    with pytest.raises(ValueError, match="top-level"):
+        jax.grad(jd.jit(lambda x: x**2))(1.0)
