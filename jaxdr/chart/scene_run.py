@@ -28,6 +28,7 @@ class SceneRun:
         self.config, self.scene, self.case, self.folder, self.stop = config, scene, case, folder, stop
         self.key = jax.random.key(config.seed)
         self.positions = positions(scene.reference.step, config.positions)
+        self.programs: dict[Cell, Call] = {}  # compiled to see what a call takes, and used again for the calls
         self.lines = [estimator.name for estimator in config.estimators] + (list(GUIDING) if config.peers else [])
 
     def cells(self) -> list[Cell]:
@@ -127,6 +128,8 @@ class SceneRun:
             return {"status": f"refused: {(str(problem).splitlines() or [''])[0]}"}
         known["first_seconds"] = found["seconds"]
         over = found["seconds"] > self.config.budget
+        if not over:
+            self.programs[cell] = call
         return known | {"status": f"over budget: {found['seconds']:.2g} s a call" if over else "ok"}
 
     def _program(self, cell: Cell) -> tuple[Call, dict]:
@@ -168,12 +171,10 @@ class SceneRun:
         missing = {cell for cell in cells if not all(self.folder.has_call(cell, k) for k in keys)}
         if not missing:
             return
-        programs = {}
-        for cell in cells:
+        for cell in missing - self.programs.keys():
             self._check_stop()
-            if cell in missing:
-                programs[cell] = self._program(cell)[0]
-                programs[cell](0, 0)
+            self.programs[cell] = self._program(cell)[0]
+            self.programs[cell](0, 0)
         total = len(cells) * len(keys)
         done = sum(self.folder.has_call(cell, k) for cell in cells for k in keys)
         with Progress(f"{self.scene.name}: calls", total, done) as progress:
@@ -183,9 +184,10 @@ class SceneRun:
                     if self.folder.has_call(cell, k):
                         continue
                     self._check_stop()
-                    found = programs[cell](k, k * len(cells) + i)
+                    found = self.programs[cell](k, k * len(cells) + i)
                     self.folder.save_call(cell, k, found)
                     progress.step(seconds=found["seconds"])
+        self.programs.clear()
 
     def _memory(self) -> None:
         """Of every estimator, at the most samples that it was measured with."""
