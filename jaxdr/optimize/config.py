@@ -215,11 +215,29 @@ class Remesh:
 
 
 @dataclass(frozen=True)
+class Level:
+    """A stage of a run from coarse to fine: `resolution` of the views (0: that of the cameras), samples per pixel of
+    `image` and `gradient` and `views_per_step` (0: those of the config). Unless 0, the mesh gets edges about
+    `edge_length` long when the level begins, and the optimiser starts afresh."""
+
+    resolution: int = 0
+    image: int = 0
+    gradient: int = 0
+    views_per_step: int = 0
+    edge_length: float = 0.0
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            require(value >= 0, name, "must not be negative", value)
+
+
+@dataclass(frozen=True)
 class Optimizer:
     """Steps of `adam_uniform` on the latent coordinates of `LargeSteps` with strength `lam`.
 
     The learning rate goes from `learning_rate` to `final_learning_rate` exponentially over all iterations. `loss` is
-    the mean over the `views_per_step` views of a step; every view comes once before any comes again.
+    the mean over the `views_per_step` views of a step; every view comes once before any comes again. A run with
+    levels goes on to the next where the gradient's `signal_to_noise` ratio (see `jaxdr.optimize.signal`) is below this.
     """
 
     iterations: int = 300
@@ -228,6 +246,7 @@ class Optimizer:
     lam: float = 19.0
     views_per_step: int = 4
     loss: Literal["l1", "l2", "two_key_l2"] = "l1"
+    signal_to_noise: float = 1.0
     remesh: tuple[Remesh, ...] = ()
 
     def __post_init__(self):
@@ -236,6 +255,7 @@ class Optimizer:
             require(getattr(self, name) > 0, name, "must be positive", getattr(self, name))
         require(self.lam >= 0, "lam", "must not be negative", self.lam)
         require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
+        require(self.signal_to_noise > 0, "signal_to_noise", "must be positive", self.signal_to_noise)
         at = [step.iteration for step in self.remesh]
         require(at == sorted(set(at)), "remesh", "iterations must increase", at)
 
@@ -266,7 +286,10 @@ class Report(Reporting):
 
 @dataclass(frozen=True)
 class OptimizeConfig:
-    """Everything about one run. The same config and seed give the same result, bit for bit on CPU."""
+    """Everything about one run. The same config and seed give the same result, bit for bit on CPU.
+
+    With `levels` it goes from coarse to fine; the last one has the resolution of the cameras.
+    """
 
     target: Target
     output: str
@@ -279,6 +302,7 @@ class OptimizeConfig:
     integrator: Integrator = Integrator()
     samples: Samples = Samples()
     optimizer: Optimizer = Optimizer()
+    levels: tuple[Level, ...] = ()
     report: Report = Report()
 
     def __post_init__(self):
@@ -286,8 +310,37 @@ class OptimizeConfig:
         require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
         views, per_step = self.cameras.views, self.optimizer.views_per_step
         require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
+        if self.levels:
+            self._check_levels()
         dark = not self.lights and not any(_as_tuple(self.environment))
         require(not dark, "lights", "the scene is dark: give a light or an environment", [])
+
+    def _check_levels(self) -> None:
+        full, views = self.cameras.resolution, self.cameras.views
+        remesh = self.optimizer.remesh
+        require(not remesh, "optimizer.remesh", "levels have an edge_length of their own: leave it out", remesh)
+        sizes = [level.resolution or full for level in self.levels]
+        rule = f"resolutions must not fall, and end with cameras.resolution = {full}"
+        require(sizes == sorted(sizes) and sizes[-1] == full, "levels", rule, sizes)
+        first = self.levels[0].edge_length
+        require(first == 0, "levels[0].edge_length", "the first level has the initial mesh: leave it out", first)
+        for i, level in enumerate(self.levels):
+            key, count = f"levels[{i}].views_per_step", level.views_per_step
+            require(count <= views, key, f"must not exceed cameras.views = {views}", count)
+
+    def stages(self) -> tuple[Level, ...]:
+        """The levels with all numbers filled in; one of them for a run that has none."""
+        samples, count = self.samples, self.optimizer.views_per_step
+        return tuple(
+            Level(
+                level.resolution or self.cameras.resolution,
+                level.image or samples.image,
+                level.gradient or samples.gradient,
+                level.views_per_step or count,
+                level.edge_length,
+            )
+            for level in self.levels or (Level(),)
+        )
 
 
 def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:

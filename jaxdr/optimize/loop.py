@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
-from jaxdr.optimize.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
@@ -19,6 +19,7 @@ from jaxdr.optimize.planned import planned
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
+from jaxdr.optimize.signal import no_signal
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
 
@@ -48,7 +49,8 @@ class _Run:
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh
         self.remeshing = {step.iteration: step.edge_length for step in config.optimizer.remesh}
-        if self.remeshing:
+        self.stages = config.stages()
+        if self.remeshing or any(stage.edge_length for stage in self.stages):
             require_gpytoolbox()  # now, not after an hour
         self.folder = RunFolder(config)
         self.plan: Plan | None = None
@@ -63,7 +65,7 @@ class _Run:
         self.plan_integrator(resume)
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
-        targets = self.targets(resume)
+        targets = self.targets(phase, resume)
         if iteration == 0:
             self.folder.save_mesh("target", self.problem.target)
             self.save_pictures(phase, state, targets, 0)
@@ -72,7 +74,10 @@ class _Run:
             distance = self.chamfer(phase, state)
             while iteration < total:
                 if iteration in self.remeshing and iteration > phase.start:
-                    phase, state = self.remeshed(phase, state, iteration, progress)
+                    mesh = self.remeshed(phase, state, self.remeshing[iteration], iteration, progress)
+                    if mesh is not None:
+                        phase = make_phase(self.config, self.problem, mesh, iteration)
+                        state = phase.fresh_state()
                 state, row = self.step(phase, state, targets, iteration)
                 iteration += 1
                 if self.due(iteration, self.config.report.chamfer):
@@ -80,6 +85,9 @@ class _Run:
                     row["folded"] = self.folded(phase, state, iteration, progress)
                 self.folder.add_metrics({**row, "iteration": iteration, "seconds": round(self.seconds(), 2)})
                 progress.step(loss=row["loss"], gradient=row["gradient_norm"], chamfer=distance)
+                if iteration < total and self.finer(phase, row):
+                    phase, state = self.next_level(phase, state, iteration, row, progress)
+                    targets = self.targets(phase, resume)
                 if self.due(iteration, self.config.report.pictures):
                     self.save_pictures(phase, state, targets, iteration)
                 if self.due(iteration, self.config.report.checkpoint) or self.interruption.requested:
@@ -105,29 +113,33 @@ class _Run:
         iteration, phase, state = self.fresh()
         if not self.folder.checkpoint.exists():
             return iteration, phase, state
-        saved = load_checkpoint(self.folder.checkpoint, phase.optimizer)
+        saved = load_checkpoint(self.folder.checkpoint, "start", "level", "since", "vertices", "faces")
         if saved.iteration >= self.config.optimizer.iterations and self.folder.finished:
             raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
-        if saved.start > 0:
-            mesh = Mesh(saved.vertices, saved.faces)
+        start, level, since = (int(saved.others[name]) for name in ("start", "level", "since"))
+        mesh = self.initial
+        if start > 0:
+            mesh = Mesh(saved.others["vertices"], saved.others["faces"])
             mesh = mesh.smooth() if self.config.initial.shading == "smooth" else mesh
-            phase = make_phase(self.config, self.problem, mesh, saved.start)
+        phase = make_phase(self.config, self.problem, mesh, start, level, since)
         self.clock -= saved.seconds
-        return saved.iteration, phase, State(saved.latent, saved.optimizer)
+        return saved.iteration, phase, saved.state(phase.fresh_state())
 
-    def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
-        """Target views: rendered, or read back when a run is resumed."""
-        mesh, spp = self.problem.target, self.config.samples.target
-        image = jit(view_renderer(self.problem.scene, mesh, self.problem.integrator), static_argnums=3)
+    def targets(self, phase: Phase, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+        """Target views of a level: rendered, or read back when a run is resumed."""
+        mesh, spp, last = self.problem.target, self.config.samples.target, phase.level + 1 == len(self.stages)
+        size = self.stages[phase.level].resolution
+        image = jit(view_renderer(self.problem.scene, mesh, self.problem.integrator, size), static_argnums=3)
         key = jax.random.fold_in(self.key, TARGETS)
         images = rendered(lambda *view: image(mesh.vertices, *view, spp), self.poses(), key, self.interruption)
-        return target_views(self.folder, resume, images)
+        return target_views(self.folder, resume, images, None if last else phase.level)
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""
         key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), iteration)
         vertices, poses = phase.vertices(state), self.poses()
-        views = views_of_step(len(poses), self.config.optimizer.views_per_step, iteration, self.config.seed)
+        count = self.stages[phase.level].views_per_step
+        views = views_of_step(len(poses), count, iteration - phase.since, self.config.seed)
         losses, gradient = [], jnp.zeros_like(vertices)
         for slot, view in enumerate(views):
             subkey = jax.random.fold_in(key, slot)
@@ -145,20 +157,51 @@ class _Run:
             "loss": sum(losses) / len(losses),
             "gradient_norm": float(jnp.linalg.norm(gradient)),
             "vertices": len(vertices),
+            "level": phase.level,
         }
-        return phase.update(state, gradient), row
+        state = phase.update(state, gradient)
+        if state.signal.views >= len(poses):
+            signal, ratio = state.signal.closed()
+            state = state._replace(signal=signal)
+            row |= {} if ratio is None else {"signal_to_noise": ratio}
+        return state, row
 
-    def remeshed(self, phase: Phase, state: State, iteration: int, progress: Progress) -> tuple[Phase, State]:
-        """New topology, preconditioner and optimiser; or the old ones, said aloud, when remeshing fails."""
+    def finer(self, phase: Phase, row: dict) -> bool:
+        """Whether there is another level, and the step that wrote `row` found little but noise in this one."""
+        ratio = row.get("signal_to_noise", np.inf)
+        return ratio < self.config.optimizer.signal_to_noise and phase.level + 1 < len(self.stages)
+
+    def next_level(
+        self, phase: Phase, state: State, iteration: int, row: dict, progress: Progress
+    ) -> tuple[Phase, State]:
+        """What is compiled for the next level; the optimiser goes on unless there is a new topology."""
+        number = phase.level + 1
+        stage = self.stages[number]
+        progress.say(
+            f"after step {iteration}: signal to noise {row['signal_to_noise']:.2g}; "
+            f"level {number + 1} of {len(self.stages)}: "
+            f"{stage.resolution} pixels, {stage.gradient} spp, {stage.views_per_step} views a step"
+        )
+        if stage.edge_length > 0:
+            mesh = self.remeshed(phase, state, stage.edge_length, iteration, progress)
+            if mesh is not None:
+                phase = make_phase(self.config, self.problem, mesh, iteration, number, iteration)
+                return phase, phase.fresh_state()
+        phase = make_phase(self.config, self.problem, phase.mesh, phase.start, number, iteration)
+        return phase, state._replace(signal=no_signal(state.latent))
+
+    def remeshed(
+        self, phase: Phase, state: State, edge_length: float, iteration: int, progress: Progress
+    ) -> Mesh | None:
+        """The current mesh with a new topology; None, said aloud, when remeshing fails."""
         current = phase.current_mesh(state)
         try:
-            mesh = remesh(current, self.remeshing[iteration])
+            mesh = remesh(current, edge_length)
         except ValueError as problem:
             progress.say(f"after step {iteration}: kept the mesh as it was ({problem})")
-            return phase, state
+            return None
         progress.say(f"after step {iteration}: remeshed, {len(current.vertices)} -> {len(mesh.vertices)} vertices")
-        phase = make_phase(self.config, self.problem, mesh, iteration)
-        return phase, phase.fresh_state()
+        return mesh
 
     def finish(self, phase: Phase, state: State) -> dict:
         """Write result and summary."""
@@ -209,15 +252,8 @@ class _Run:
         self.folder.save_mesh(f"{iteration:05d}", mesh)
 
     def save_checkpoint(self, phase: Phase, state: State, iteration: int) -> None:
+        vertices, faces = np.asarray(phase.mesh.vertices), np.asarray(phase.mesh.faces)
+        where = {"start": phase.start, "level": phase.level, "since": phase.since}
         save_checkpoint(
-            self.folder.checkpoint,
-            Checkpoint(
-                iteration=iteration,
-                start=phase.start,
-                vertices=np.asarray(phase.mesh.vertices),
-                faces=np.asarray(phase.mesh.faces),
-                latent=state.latent,
-                optimizer=state.optimizer,
-                seconds=self.seconds(),
-            ),
+            self.folder.checkpoint, state, iteration, self.seconds(), vertices=vertices, faces=faces, **where
         )

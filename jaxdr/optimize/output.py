@@ -17,7 +17,17 @@ from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.plan.report import Plan
 
-COLUMNS = ("iteration", "loss", "gradient_norm", "seconds", "vertices", "chamfer", "folded")
+COLUMNS = (
+    "iteration",
+    "loss",
+    "gradient_norm",
+    "seconds",
+    "vertices",
+    "chamfer",
+    "folded",
+    "level",
+    "signal_to_noise",
+)
 
 
 class RunFolder:
@@ -38,10 +48,9 @@ class RunFolder:
         """Where the checkpoint is."""
         return self.path / "checkpoint.npz"
 
-    @property
-    def has_targets(self) -> bool:
-        """Whether all target views were rendered."""
-        return (self.path / "targets.npy").exists()
+    def targets(self, level: int | None = None) -> Path:
+        """Where the target views are, once all of them were rendered; those of a coarse level have a file each."""
+        return self.path / ("targets.npy" if level is None else f"targets_{level}.npy")
 
     @property
     def finished(self) -> bool:
@@ -104,14 +113,14 @@ class RunFolder:
         with open(self.path / "metrics.csv", "a", newline="") as file:
             csv.DictWriter(file, self.columns, lineterminator="\n").writerow(row)
 
-    def save_targets(self, targets: Float[np.ndarray, "N H W 3"]) -> None:
+    def save_targets(self, targets: Float[np.ndarray, "N H W 3"], level: int | None = None) -> None:
         """Keep the target views: a resumed run needs the very same."""
-        with atomic_path(self.path / "targets.npy") as temporary:
+        with atomic_path(self.targets(level)) as temporary:
             np.save(temporary, targets)
 
-    def load_targets(self) -> Float[np.ndarray, "N H W 3"]:
+    def load_targets(self, level: int | None = None) -> Float[np.ndarray, "N H W 3"]:
         """The target views. Raises ValueError when they are missing or damaged."""
-        path = self.path / "targets.npy"
+        path = self.targets(level)
         try:
             return np.load(path)
         except (OSError, ValueError) as problem:

@@ -1,5 +1,6 @@
-"""What an optimisation compiles for one topology: views, their gradients, and the step of the optimiser."""
+"""What an optimisation compiles for one topology and level: views, their gradients, and the step of the optimiser."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -16,21 +17,25 @@ from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import OptimizeConfig, Optimizer
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
+from jaxdr.optimize.signal import Signal, no_signal
 from jaxdr.render import render
+from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene, Shape
 
 
 class State(NamedTuple):
-    """What a step changes: latent coordinates of the vertices, and the optimiser's moments."""
+    """What a step changes: latent coordinates of the vertices, the optimiser's moments, and what tells of noise."""
 
     latent: Float[Array, "V 3"]
     optimizer: optax.OptState
+    signal: Signal
 
 
 class Phase(NamedTuple):
-    """What stays while the topology does.
+    """What stays while topology and level do.
 
-    - `mesh`: the mesh at the start of the phase; `start`: number of steps done by then.
+    - `mesh`: the mesh when the topology last changed; `start`: number of steps done by then.
+    - `level`: number of the level; `since`: number of steps done when it began.
     - `steps`: preconditioner; `optimizer`: its learning rate goes on from `start`.
     - `image`: jitted (vertices, camera-to-world, key, spp) -> image.
     - `view_gradient`: jitted (vertices, camera-to-world, target, key) -> loss and its gradient by the vertices.
@@ -39,6 +44,8 @@ class Phase(NamedTuple):
 
     mesh: Mesh
     start: int
+    level: int
+    since: int
     steps: LargeSteps
     optimizer: optax.GradientTransformation
     image: Callable
@@ -48,7 +55,7 @@ class Phase(NamedTuple):
     def fresh_state(self) -> State:
         """The state at the start of the phase."""
         latent = self.steps.to_latent(self.mesh.vertices)
-        return State(latent, self.optimizer.init(latent))
+        return State(latent, self.optimizer.init(latent), no_signal(latent))
 
     def vertices(self, state: State) -> Float[Array, "V 3"]:
         """Current vertex positions."""
@@ -59,20 +66,25 @@ class Phase(NamedTuple):
         return self.mesh.with_vertices(self.vertices(state))
 
 
-def make_phase(config: OptimizeConfig, problem: Problem, mesh: Mesh, start: int) -> Phase:
-    """Preconditioner and functions for a topology; JAX compiles them when they are first called."""
+def make_phase(
+    config: OptimizeConfig, problem: Problem, mesh: Mesh, start: int, level: int = 0, since: int = 0
+) -> Phase:
+    """Preconditioner and functions for a topology and level; JAX compiles them when they are first called."""
+    stage = config.stages()[level]
     steps = LargeSteps(mesh, config.optimizer.lam)
     optimizer = adam_uniform(learning_rate(config.optimizer, start))
-    image = view_renderer(problem.scene, mesh, problem.integrator)
-    gradient = view_gradient(image, config.optimizer.loss, config.samples.image, config.samples.gradient)
+    image = view_renderer(problem.scene, mesh, problem.integrator, stage.resolution)
+    gradient = view_gradient(image, config.optimizer.loss, stage.image, stage.gradient)
 
     @jit
     def update(state: State, gradient: Float[Array, "V 3"]) -> State:
         # The system is symmetric: the pullback of from_latent is from_latent.
-        updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
-        return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
+        gradient = steps.from_latent(gradient)
+        updates, moments = optimizer.update(gradient, state.optimizer, state.latent)
+        latent = jnp.asarray(optax.apply_updates(state.latent, updates))
+        return State(latent, moments, state.signal.observed(gradient, stage.views_per_step))
 
-    return Phase(mesh, start, steps, optimizer, jit(image, static_argnums=3), jit(gradient), update)
+    return Phase(mesh, start, level, since, steps, optimizer, jit(image, static_argnums=3), jit(gradient), update)
 
 
 def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
@@ -82,11 +94,12 @@ def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
     return lambda count: decay(count + start)
 
 
-def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None) -> Callable:
-    """Function (vertices, camera-to-world, key, spp) -> image of the scene with `mesh` as the object."""
+def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None, resolution: int) -> Callable:
+    """Function (vertices, camera-to-world, key, spp) -> square image of the scene with `mesh` as the object."""
     old = scene.shapes[OBJECT]
     shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
-    scene = Scene(shapes, scene.camera, scene.environment, scene.lights)
+    camera = dataclasses.replace(scene.camera, film=Film(resolution, resolution))
+    scene = Scene(shapes, camera, scene.environment, scene.lights)
 
     def image(vertices, to_world, key, spp):
         moved = scene.replace({f"{OBJECT}.vertices": vertices, "camera.to_world": to_world})

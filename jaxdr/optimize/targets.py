@@ -11,20 +11,21 @@ from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progre
 
 
 def target_views(
-    folder: RunFolder, resume: bool, images: Iterable[Float[np.ndarray | Array, "H W 3"]]
+    folder: RunFolder, resume: bool, images: Iterable[Float[np.ndarray | Array, "H W 3"]], level: int | None = None
 ) -> Float[np.ndarray, "N H W 3"]:
     """`images`, which are kept in the run's folder; when a run is resumed those that it kept.
 
-    They are asked for one by one (see `rendered`). Raises `NotFinite`.
+    They are asked for one by one (see `rendered`). `level`: number of a level with images of its own. Raises
+    `NotFinite`.
     """
-    if resume and folder.has_targets:
-        return folder.load_targets()
+    if resume and folder.targets(level).exists():
+        return folder.load_targets(level)
     targets = []
     for i, image in enumerate(images):
         targets.append(np.asarray(image))
         if not np.isfinite(targets[-1]).all():
             raise NotFinite(f"the target image of view {i} is not finite")
-    folder.save_targets(np.stack(targets))
+    folder.save_targets(np.stack(targets), level)
     return np.stack(targets)
 
 

@@ -102,7 +102,7 @@ def test_a_run_improves_and_leaves_everything(config, tmp_path):
     }
     # The result is the state in the checkpoint.
     steps = phase.make_phase(config, build_problem(config), initial_mesh(config), 0).steps
-    expected = steps.from_latent(jnp.asarray(checkpoint(config)["latent"]))
+    expected = steps.from_latent(jnp.asarray(checkpoint(config)["state_0"]))
     result = load_mesh(tmp_path / "run/meshes/result.glb")
     np.testing.assert_allclose(np.sort(result.vertices, axis=0), np.sort(expected, axis=0), atol=1e-6)
 
@@ -114,7 +114,7 @@ def initial_mesh(config):
 def test_another_seed_gives_another_result(config, straight):
     other = dataclasses.replace(config, seed=1)
     optimize(other)
-    assert not np.array_equal(checkpoint(straight)["latent"], checkpoint(other)["latent"])
+    assert not np.array_equal(checkpoint(straight)["state_0"], checkpoint(other)["state_0"])
 
 
 def test_ctrl_c_and_resume_end_with_the_same_bits(config, straight, monkeypatch):
@@ -167,7 +167,7 @@ def test_remeshing_starts_the_optimiser_afresh_and_resumes(config, tmp_path, mon
     counts = [int(row["vertices"]) for row in rows(straight)]
     assert counts[0] == counts[2] == 162 and counts[3] == counts[5] != 162
     assert checkpoint(straight)["start"] == 3
-    assert int(checkpoint(straight)["optimizer_0"]) == 3  # steps since then
+    assert int(checkpoint(straight)["state_1"]) == 3  # steps since then
 
     with monkeypatch.context() as patch:
         press_ctrl_c_after(patch, 4)
@@ -222,7 +222,7 @@ def test_nan_stops_the_run_and_is_named(config, monkeypatch, broken):
 
 def test_results_are_not_overwritten_unasked(straight, tmp_path):
     config = copied(straight, tmp_path)
-    before = checkpoint(config)["latent"]
+    before = checkpoint(config)["state_0"]
     changed = dataclasses.replace(config, seed=3)
     with pytest.raises(ValueError, match="already holds results; give --resume or --overwrite"):
         optimize(changed)
@@ -232,9 +232,9 @@ def test_results_are_not_overwritten_unasked(straight, tmp_path):
         optimize(changed, resume=True)
     with pytest.raises(ValueError, match="this run is finished"):
         optimize(config, resume=True)
-    np.testing.assert_array_equal(checkpoint(config)["latent"], before)
+    np.testing.assert_array_equal(checkpoint(config)["state_0"], before)
     optimize(changed, overwrite=True)
-    assert not np.array_equal(checkpoint(config)["latent"], before)
+    assert not np.array_equal(checkpoint(config)["state_0"], before)
 
 
 def test_a_folder_of_something_else_is_left_alone(config, tmp_path):

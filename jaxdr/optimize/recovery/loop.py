@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
-from jaxdr.optimize.checkpoint import load_state, save_state
+from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
@@ -75,7 +75,8 @@ class _Run:
             self.plan_integrator(resume)
         targets = self.targets(resume)
         if resume and self.folder.checkpoint.exists():
-            state, iteration, seconds = load_state(self.folder.checkpoint, self.method.template(targets))
+            saved = load_checkpoint(self.folder.checkpoint)
+            state, iteration, seconds = saved.state(self.method.template(targets)), saved.iteration, saved.seconds
             if self.folder.finished:
                 raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
             self.clock -= seconds
@@ -100,14 +101,14 @@ class _Run:
                 if last or iteration % self.config.report.pictures == 0:
                     self.save_pictures(state, targets, iteration)
                 if last or iteration % self.config.report.checkpoint == 0 or self.interruption.requested:
-                    save_state(self.folder.checkpoint, state, iteration, self.seconds())
+                    save_checkpoint(self.folder.checkpoint, state, iteration, self.seconds())
                 if self.interruption.requested and not last:
                     raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
         return self.finish(state, targets, iteration)
 
     def stop(self, state: Any, iteration: int, problem: NotFinite) -> NoReturn:
         """Keep the state before a step that failed, and say so."""
-        save_state(self.folder.checkpoint, state, iteration, self.seconds())
+        save_checkpoint(self.folder.checkpoint, state, iteration, self.seconds())
         raise NotFinite(f"{problem}; the state before that step is in {self.folder.checkpoint}") from None
 
     def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
