@@ -237,7 +237,7 @@ class Optimizer:
 
     The learning rate goes from `learning_rate` to `final_learning_rate` exponentially over all iterations. `loss` is
     the mean over the `views_per_step` views of a step; every view comes once before any comes again. A run with
-    levels goes on to the next where the gradient's `signal_to_noise` ratio (see `jaxdr.optimize.signal`) is below this.
+    levels goes on to the next where a step's `signal_to_noise` ratio (see `jaxdr.optimize.signal`) falls below this.
     """
 
     iterations: int = 300

@@ -19,12 +19,12 @@ from jaxdr.optimize.planned import planned
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
 from jaxdr.optimize.remesh import remesh, require_gpytoolbox
-from jaxdr.optimize.signal import no_signal
+from jaxdr.optimize.signal import signal_to_noise
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
 
 # Streams of random numbers under the run's seed.
-TARGETS, STEPS, PICTURES, PLAN = 0, 1, 2, 3
+TARGETS, STEPS, PICTURES, PLAN, SECOND = range(5)  # SECOND: of a step that is estimated twice
 
 
 def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -136,35 +136,38 @@ class _Run:
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""
-        key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), iteration)
         vertices, poses = phase.vertices(state), self.poses()
-        count = self.stages[phase.level].views_per_step
-        views = views_of_step(len(poses), count, iteration - phase.since, self.config.seed)
-        losses, gradient = [], jnp.zeros_like(vertices)
-        for slot, view in enumerate(views):
-            subkey = jax.random.fold_in(key, slot)
-            loss, part = phase.view_gradient(vertices, poses[view], jnp.asarray(targets[view]), subkey)
-            wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not np.isfinite(v).all()]
-            if wrong:
-                self.save_checkpoint(phase, state, iteration)
-                raise NotFinite(
-                    f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}; "
-                    f"the state before that step is in {self.folder.checkpoint}"
-                )
-            losses.append(float(loss))
-            gradient += part / len(views)
+        count, done = self.stages[phase.level].views_per_step, iteration - phase.since
+        views = views_of_step(len(poses), count, done, self.config.seed)
+        # Where there is a level to go to, the last step of every round of views is estimated twice: to see the noise.
+        twice = phase.level + 1 < len(self.stages) and (done + 1) % -(-len(poses) // count) == 0
+        losses, gradients = [], []
+        for stream in (STEPS, SECOND) if twice else (STEPS,):
+            gradients.append(jnp.zeros_like(vertices))
+            key = jax.random.fold_in(jax.random.fold_in(self.key, stream), iteration)
+            for slot, view in enumerate(views):
+                subkey = jax.random.fold_in(key, slot)
+                loss, part = phase.view_gradient(vertices, poses[view], jnp.asarray(targets[view]), subkey)
+                wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not np.isfinite(v).all()]
+                if wrong:
+                    self.save_checkpoint(phase, state, iteration)
+                    raise NotFinite(
+                        f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}; "
+                        f"the state before that step is in {self.folder.checkpoint}"
+                    )
+                losses.append(float(loss))
+                gradients[-1] += part / len(views)
+        gradient = sum(gradients) / len(gradients)
         row = {
             "loss": sum(losses) / len(losses),
             "gradient_norm": float(jnp.linalg.norm(gradient)),
             "vertices": len(vertices),
             "level": phase.level,
         }
-        state = phase.update(state, gradient)
-        if state.signal.views >= len(poses):
-            signal, ratio = state.signal.closed()
-            state = state._replace(signal=signal)
-            row |= {} if ratio is None else {"signal_to_noise": ratio}
-        return state, row
+        if twice:
+            # As the optimiser sees them: preconditioned.
+            row["signal_to_noise"] = signal_to_noise(*(phase.steps.from_latent(g) for g in gradients))
+        return phase.update(state, gradient), row
 
     def finer(self, phase: Phase, row: dict) -> bool:
         """Whether there is another level, and the step that wrote `row` found little but noise in this one."""
@@ -188,7 +191,7 @@ class _Run:
                 phase = make_phase(self.config, self.problem, mesh, iteration, number, iteration)
                 return phase, phase.fresh_state()
         phase = make_phase(self.config, self.problem, phase.mesh, phase.start, number, iteration)
-        return phase, state._replace(signal=no_signal(state.latent))
+        return phase, state
 
     def remeshed(
         self, phase: Phase, state: State, edge_length: float, iteration: int, progress: Progress

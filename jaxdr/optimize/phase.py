@@ -17,18 +17,16 @@ from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import OptimizeConfig, Optimizer
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
-from jaxdr.optimize.signal import Signal, no_signal
 from jaxdr.render import render
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene, Shape
 
 
 class State(NamedTuple):
-    """What a step changes: latent coordinates of the vertices, the optimiser's moments, and what tells of noise."""
+    """What a step changes: latent coordinates of the vertices, and the optimiser's moments."""
 
     latent: Float[Array, "V 3"]
     optimizer: optax.OptState
-    signal: Signal
 
 
 class Phase(NamedTuple):
@@ -55,7 +53,7 @@ class Phase(NamedTuple):
     def fresh_state(self) -> State:
         """The state at the start of the phase."""
         latent = self.steps.to_latent(self.mesh.vertices)
-        return State(latent, self.optimizer.init(latent), no_signal(latent))
+        return State(latent, self.optimizer.init(latent))
 
     def vertices(self, state: State) -> Float[Array, "V 3"]:
         """Current vertex positions."""
@@ -79,10 +77,8 @@ def make_phase(
     @jit
     def update(state: State, gradient: Float[Array, "V 3"]) -> State:
         # The system is symmetric: the pullback of from_latent is from_latent.
-        gradient = steps.from_latent(gradient)
-        updates, moments = optimizer.update(gradient, state.optimizer, state.latent)
-        latent = jnp.asarray(optax.apply_updates(state.latent, updates))
-        return State(latent, moments, state.signal.observed(gradient, stage.views_per_step))
+        updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
+        return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
 
     return Phase(mesh, start, level, since, steps, optimizer, jit(image, static_argnums=3), jit(gradient), update)
 

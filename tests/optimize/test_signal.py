@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.optimize.signal import no_signal, signal_to_noise
+from jaxdr.optimize.signal import signal_to_noise
 
 
 def test_ratio_of_known_signal_and_noise():
@@ -20,12 +20,3 @@ def test_noise_alone_and_opposites():
     assert abs(signal_to_noise(jnp.asarray(a), jnp.asarray(b))) < 0.1
     assert signal_to_noise(jnp.asarray(a), jnp.asarray(-a)) == pytest.approx(-0.5)
     assert signal_to_noise(jnp.asarray(a), jnp.asarray(a)) == np.inf
-
-
-def test_rounds_compare_means_over_all_views():
-    one, other = jnp.full((4, 3), 1.0), jnp.full((4, 3), 3.0)
-    signal, ratio = no_signal(one).observed(one, 1).observed(other, 3).closed()
-    assert ratio is None and int(signal.views) == 0  # the first round has none before it
-    np.testing.assert_allclose(signal.previous, 2.5)  # a mean over views, not over steps
-    _, ratio = signal.observed(one, 2).closed()
-    assert ratio == pytest.approx(signal_to_noise(jnp.full((4, 3), 2.5), one))
