@@ -29,7 +29,7 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
     if not measured:
         return None
     noise = measured[0][f"{prefix}noise"]
-    figure = Figure(figsize=(7.2, 5.2))
+    figure = Figure(figsize=(8.6, 5.0))
     FigureCanvasAgg(figure)
     panel = figure.add_subplot()
     for i, name in enumerate(dict.fromkeys(row["estimator"] for row in measured)):
@@ -56,7 +56,7 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
     what = "gradient by vertices" if prefix else "derivative image"
     panel.set(title=title, xlabel=f"seconds a {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
     panel.grid(True, which="major", alpha=0.3)
-    panel.legend(fontsize=7, loc="best")
+    panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
     figure.tight_layout()
     png = io.BytesIO()
     figure.savefig(png, format="png", dpi=110)
