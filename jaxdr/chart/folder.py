@@ -1,8 +1,6 @@
 """The folder of a chart: every call kept in a file of its own, so that an interrupted one goes on."""
 
-import dataclasses
 import json
-import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 
 from jaxdr.chart.config import ChartConfig
 from jaxdr.images import atomic_path
+from jaxdr.optimize.results_folder import open_results
 
 KEPT = ("references", "cells", "calls", "terms")
 
@@ -42,26 +41,9 @@ class ChartFolder:
         self.config = config
 
     def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or check that it is the one to go on with.
-
-        Raises ValueError when it holds results and neither `resume` nor `overwrite` is given, when it isn't a chart's,
-        and on `resume` when there is nothing to resume or the config differs.
-        """
-        if resume and overwrite:
-            raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
-        if resume:
-            self._check_config()
-            return
-        if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"output {self.path}: is a file; expected a folder")
-        if self.path.exists() and any(self.path.iterdir()):
-            if not (self.path / "chart.json").exists():
-                raise ValueError(f"output {self.path}: is not empty and not the folder of a chart; choose another one")
-            if not overwrite:
-                raise ValueError(f"output {self.path}: already holds results; give --resume or --overwrite")
-            shutil.rmtree(self.path)
-        self.path.mkdir(parents=True, exist_ok=True)
-        self.write_text("chart.json", self._config_json())
+        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
+        free = ("output", "folder")  # where scene files are
+        open_results(self.path, self.config, resume, overwrite, "chart", "chart.json", free)
 
     def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
         """The array in `references/`, made if it isn't there."""
@@ -121,20 +103,3 @@ class ChartFolder:
         path = self.path / kind / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
-
-    def _config_json(self) -> str:
-        return json.dumps(dataclasses.asdict(self.config), indent=2)
-
-    def _check_config(self) -> None:
-        try:
-            stored = json.loads((self.path / "chart.json").read_text())
-        except FileNotFoundError:
-            raise ValueError(f"output {self.path}: there is no chart to resume") from None
-        except json.JSONDecodeError as problem:
-            raise ValueError(f"output {self.path}: chart.json is damaged ({problem})") from None
-        new = json.loads(self._config_json())
-        changed = [key for key in new if key not in ("output", "folder") and stored.get(key) != new[key]]
-        if changed:
-            raise ValueError(
-                f"output {self.path}: can't resume, the config differs from the chart's in {', '.join(changed)}"
-            )

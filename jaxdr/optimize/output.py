@@ -1,9 +1,7 @@
 """The folder of a run: metrics, pictures, meshes, checkpoint."""
 
 import csv
-import dataclasses
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import atomic_path, diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.recovery.config import RecoveryConfig
+from jaxdr.optimize.results_folder import open_results
 from jaxdr.plan.report import Plan
 
 COLUMNS = (
@@ -58,47 +57,11 @@ class RunFolder:
         return (self.path / "metrics.json").exists()
 
     def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or check that it is the one to go on with.
-
-        Raises ValueError when it holds results and neither `resume` nor `overwrite` is given, when it isn't a run's
-        folder, and on `resume` when there is nothing to resume or the config differs from the run's.
-        """
-        if resume and overwrite:
-            raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
-        if resume:
-            self._check_config()
-            return
-        if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"output {self.path}: is a file; expected a folder")
-        if self.path.exists() and any(self.path.iterdir()):
-            if not (self.path / "config.json").exists():
-                raise ValueError(f"output {self.path}: is not empty and not the folder of a run; choose another one")
-            if not overwrite:
-                raise ValueError(f"output {self.path}: already holds results; give --resume or --overwrite")
-            shutil.rmtree(self.path)
-        for folder in (self.path, self.path / "pictures", self.path / "meshes"):
-            folder.mkdir(parents=True, exist_ok=True)
-        self._write_text("config.json", self.config_json())
-
-    def config_json(self) -> str:
-        """The config, with all defaults filled in."""
-        return json.dumps(dataclasses.asdict(self.config), indent=2)
-
-    def _check_config(self) -> None:
-        try:
-            stored = json.loads((self.path / "config.json").read_text())
-        except FileNotFoundError:
-            raise ValueError(f"output {self.path}: there is no run to resume") from None
-        except json.JSONDecodeError as problem:
-            raise ValueError(f"output {self.path}: config.json is damaged ({problem})") from None
-        # Where the folder lies and how often it is written to don't change the result.
-        free = ("output", "report")
-        old, new = ({k: v for k, v in c.items() if k not in free} for c in (stored, json.loads(self.config_json())))
-        changed = _differences(old, new)
-        if changed:
-            raise ValueError(
-                f"output {self.path}: can't resume, the config differs from the run's: {'; '.join(changed)}"
-            )
+        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
+        # How often the folder is written to doesn't change the result.
+        open_results(self.path, self.config, resume, overwrite, free=("output", "report"))
+        for name in ("pictures", "meshes"):
+            (self.path / name).mkdir(exist_ok=True)
 
     def start_metrics(self, iteration: int) -> None:
         """Begin `metrics.csv`, or drop the lines of steps from `iteration` on, which will be done again."""
@@ -191,10 +154,3 @@ class RunFolder:
 def views_to_show(shown: int, views: int) -> list[int]:
     """Numbers of the views in the picture grids, spread over all views."""
     return [int(i) for i in np.linspace(0, views - 1, min(shown, views)).round()]
-
-
-def _differences(old, new, key: str = "") -> list[str]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        names = dict.fromkeys([*old, *new])
-        return [d for n in names for d in _differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]
-    return [] if old == new else [f"{key} was {old!r}, is {new!r}"]

@@ -104,7 +104,7 @@ def test_resume_gives_the_same_rows(asked, capsys, monkeypatch):
     assert run() == 0
     whole, terms = rows(), rows("terms")
     assert run() == 2 and "already holds results" in capsys.readouterr().err
-    assert run("--resume", settings=[*SETTINGS, "seed=1"]) == 2 and "differs from the chart's in seed" in (
+    assert run("--resume", settings=[*SETTINGS, "seed=1"]) == 2 and "differs from the chart's: seed was" in (
         capsys.readouterr().err
     )
     asked.clear()

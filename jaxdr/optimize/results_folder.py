@@ -1,0 +1,65 @@
+"""Folders of results: never overwritten unasked, and resumed by the config that began them alone."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxdr.images import atomic_path
+
+
+def open_results(
+    path: Path,
+    config: Any,
+    resume: bool,
+    overwrite: bool,
+    kind: str = "run",
+    marker: str = "config.json",
+    free: Sequence[str] = ("output",),
+) -> None:
+    """Make the folder of a `kind` of results, or check that it is the one to go on with.
+
+    `config` is a dataclass, kept as JSON in the file `marker`; its fields `free` may differ where a run goes on. Raises
+    ValueError when the folder holds results and neither `resume` nor `overwrite` is given, when it is another thing's,
+    and on `resume` when there is nothing to resume or the config differs.
+    """
+    if resume and overwrite:
+        raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
+    text = json.dumps(dataclasses.asdict(config), indent=2)
+    if resume:
+        _check_config(path, json.loads(text), kind, marker, free)
+        return
+    if path.exists() and not path.is_dir():
+        raise ValueError(f"output {path}: is a file; expected a folder")
+    if path.exists() and any(path.iterdir()):
+        if not (path / marker).exists():
+            raise ValueError(f"output {path}: is not empty and not the folder of a {kind}; choose another one")
+        if not overwrite:
+            raise ValueError(f"output {path}: already holds results; give --resume or --overwrite")
+        shutil.rmtree(path)
+    path.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path / marker) as temporary:
+        temporary.write_text(text)
+
+
+def _check_config(path: Path, new: dict, kind: str, marker: str, free: Sequence[str]) -> None:
+    try:
+        old = json.loads((path / marker).read_text())
+    except FileNotFoundError:
+        raise ValueError(f"output {path}: there is no {kind} to resume") from None
+    except json.JSONDecodeError as problem:
+        raise ValueError(f"output {path}: {marker} is damaged ({problem})") from None
+    changed = _differences(
+        *({name: value for name, value in c.items() if name not in free} for c in (old, new)), key=""
+    )
+    if changed:
+        raise ValueError(f"output {path}: can't resume, the config differs from the {kind}'s: {'; '.join(changed)}")
+
+
+def _differences(old, new, key: str) -> list[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = dict.fromkeys([*old, *new])
+        return [d for n in names for d in _differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]
+    return [] if old == new else [f"{key} was {old!r}, is {new!r}"]
