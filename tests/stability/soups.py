@@ -31,7 +31,7 @@ def soup(*triangles) -> jd.Mesh:
     spare = 0.01 * LARGE + np.stack([np.arange(count), 0 * np.arange(count), np.full(count, -5.0)], 1)[:, None]
     points = np.concatenate([np.reshape(triangles, (-1, 3)), spare.reshape(-1, 3)])
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Mesh: .* open edges lie on others")  # that is what these are about
+        warnings.filterwarnings("ignore", "Mesh: .* edges lie on others")  # that is what these are about
         return jd.Mesh(points, np.arange(len(points)).reshape(-1, 3))
 
 
