@@ -33,7 +33,6 @@ class Mesh(eqx.Module):
     - `normal_faces`: corner -> smoothing group, whose corners share one interpolated normal; None for flat shading.
     - `edges`: the edges and the faces at them, in spatial order (trees over them need no sorting).
     - `closed`: watertight and consistently oriented, that is, every edge is interior.
-    - `doubled_edges`: edges lie on one another without sharing vertices, where the mesh was made.
     - `normal_group_count`: number of smoothing groups G, zero for flat shading.
     """
 
@@ -44,7 +43,6 @@ class Mesh(eqx.Module):
     normal_faces: Int[Array, "F 3"] | None
     edges: Edges
     closed: bool = eqx.field(static=True)
-    doubled_edges: bool = eqx.field(static=True)
     normal_group_count: int = eqx.field(static=True)
 
     def __init__(
@@ -95,14 +93,15 @@ class Mesh(eqx.Module):
         edges = build_edges(corners[kept])
         order = spatial_order(points[np.asarray(edges.vertices)].mean(1))
         self.edges = jax.tree.map(lambda table: table[order], edges)
-        doubled = _edges_on_one_another(points, edges)
+        first = _first_on_one_another(points, np.asarray(self.edges.vertices))
+        doubled = np.sum(first != np.arange(len(first)))
         if doubled:
+            self.edges = dataclasses.replace(self.edges, first=jnp.asarray(first, jnp.int32))
             warn(
                 f"Mesh: {doubled} edges lie on others without sharing vertices, as of split vertices and of faces that "
-                "are there twice. Silhouettes are found at edges, and there twice: in the image by every estimator, in "
-                "shadows by KernelDensity and GuidedEdges; let faces share vertices (load_mesh joins them by position)"
+                "are there twice. Gradients pull them apart, and derivatives are right only while they move together; "
+                "let faces share vertices (load_mesh joins them by position), and drop faces that are there twice"
             )
-        self.doubled_edges = doubled > 0
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
     def with_vertices(self, vertices: Float[Array | np.ndarray, "V 3"]) -> "Mesh":
@@ -175,9 +174,10 @@ def _group_normals(
     return normalize(jax.ops.segment_sum(weighted, normal_faces.reshape(-1), group_count))
 
 
-def _edges_on_one_another(points, edges) -> int:
-    """How many edges have both ends where another edge has them."""
-    ends = points[np.asarray(edges.vertices)] + 0.0  # +0 makes -0.0 a plain zero
+def _first_on_one_another(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """For every edge the first one that has its ends where this one has them."""
+    ends = points[edges] + 0.0  # +0 makes -0.0 a plain zero
+    first = np.arange(len(edges))
     # A number that is the same for such edges, and hardly ever for others: sorting rows of six takes far longer.
     low, high = (extreme(ends[:, 0], ends[:, 1]) for extreme in (np.minimum, np.maximum))
     mixed = low + math.sqrt(2) * high
@@ -185,12 +185,15 @@ def _edges_on_one_another(points, edges) -> int:
     number = mixed[:, 0] + math.sqrt(3) * mixed[:, 1] + math.sqrt(5) * mixed[:, 2]
     order = np.argsort(number)
     same = np.diff(number[order]) == 0
-    ends = ends[order[np.concatenate([same, [False]]) | np.concatenate([[False], same])]]
-    if not len(ends):
-        return 0
+    alike = np.sort(order[np.append(same, False) | np.insert(same, 0, False)])
+    if not len(alike):
+        return first
+    ends = ends[alike]
     first_is_less = (ends[:, 0] < ends[:, 1])[np.arange(len(ends)), (ends[:, 0] != ends[:, 1]).argmax(1)]
     ends = np.where(first_is_less[:, None, None], ends, ends[:, ::-1]).reshape(-1, 6)
-    return len(ends) - len(np.unique(ends, axis=0))
+    _, earliest, group = np.unique(ends, axis=0, return_index=True, return_inverse=True)
+    first[alike] = alike[earliest[group.reshape(-1)]]
+    return first
 
 
 def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:

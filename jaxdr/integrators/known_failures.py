@@ -1,13 +1,12 @@
 """Where boundary estimators fail by nature, not by noise: rules that were measured (docs/stability.md), and a warning.
 
-`jaxdr.plan` and `render` without an integrator go by the same rules. They look at structure alone: sizes of arrays and
-what `Mesh` found out when it was made, so that they hold under `jit` and cost nothing.
+`jaxdr.plan` and `render` without an integrator go by the same rules. They look at structure alone, the sizes of
+arrays, so that they hold under `jit` and cost nothing.
 """
 
 from typing import Any, NamedTuple
 
 from jaxdr.boundary.emitter_planes import FEW_FACES
-from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.redner_was import RednerWAS
 from jaxdr.boundary.warped_area import WarpedArea
@@ -26,12 +25,10 @@ class Traits(NamedTuple):
     """What of a scene makes estimators fail.
 
     - `fine`: the shape of most faces, where it has `FINE` or more; or None.
-    - `doubled`: the first shape with edges on one another that share no vertices; or None.
     - `emitter_faces`: of area emitters.
     """
 
     fine: str | None
-    doubled: str | None
     emitter_faces: int
 
 
@@ -39,19 +36,12 @@ def traits(scene: Scene) -> Traits:
     """From the structure of a scene, traced or not."""
     faces = {name: shape.mesh.faces.shape[0] for name, shape in scene.shapes.items()}
     largest = max(faces, key=lambda name: faces[name])
-    doubled = (name for name, shape in scene.shapes.items() if shape.mesh.doubled_edges)
     emitting = (faces[name] for name, shape in scene.shapes.items() if shape.emitter is not None)
-    return Traits(largest if faces[largest] >= FINE else None, next(doubled, None), sum(emitting))
+    return Traits(largest if faces[largest] >= FINE else None, sum(emitting))
 
 
 def known_failure(boundary: Any, found: Traits) -> str | None:
     """Why a boundary estimator is biased on such a scene whatever its samples, and the remedy; None where it is not."""
-    if isinstance(boundary, KernelDensity | GuidedEdges) and found.doubled is not None:
-        return (
-            f"it counts a boundary once for every edge on it, and edges of {found.doubled} lie on one another without "
-            "sharing vertices; let faces share vertices (load_mesh joins them by position), or take LineSampling, "
-            "which counts layers, for shadows"
-        )
     if isinstance(boundary, KernelDensity):
         if found.fine is not None:
             return (

@@ -5,7 +5,6 @@ import warnings
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import jaxdr as jd
@@ -22,20 +21,13 @@ ROUND = sphere(1, radius=0.3, center=(0.0, 0.0, 3.0))
 RIGHT = jd.LineSampling()
 
 
-def scene(lamp=None, blocker=None):
+def scene(lamp=None):
     shapes = {
-        "box": jd.Shape(blocker or box()),
+        "box": jd.Shape(box()),
         "floor": jd.Shape(rectangle(8.0, 8.0, (0.0, 0.0, -1.5))),
         "lamp": jd.Shape(lamp or rectangle(1.0, 1.0, (0.0, 0.0, 3.0)), jd.Diffuse(0.0), jd.AreaEmitter(5.0)),
     }
     return jd.Scene(shapes, CAMERA)
-
-
-def twice():
-    """Every face of a box, and once more at vertices of its own."""
-    points, faces = np.asarray(box().vertices), np.asarray(box().faces)
-    with pytest.warns(UserWarning, match="18 edges lie on others without sharing vertices"):
-        return jd.Mesh(np.vstack([points, points]), np.vstack([faces, faces + len(points)]))
 
 
 def derivative(of, boundary, name="box.vertices", depth=2):
@@ -63,8 +55,6 @@ def warned(of, boundary, **options) -> list:
 
 FAILURES = {
     "kernel, round lamp": (lambda: scene(ROUND), jd.KernelDensity(), "more than 16 faces"),
-    "kernel, edges twice": (lambda: scene(blocker=twice()), jd.KernelDensity(), "edges of box lie on one another"),
-    "guide, edges twice": (lambda: scene(blocker=twice()), jd.GuidedEdges(), "edges of box lie on one another"),
     "Eq. 57 on the sphere": (scene, jd.RednerWAS(), "exponential"),
     "Eq. 57": (scene, jd.WarpedArea("exponential"), "exponential"),
     "solids' outlines": (scene, jd.RednerWAS("path_space", normal_edges=False), "normal_edges=False"),
@@ -91,13 +81,6 @@ def test_fine_meshes(monkeypatch):
     monkeypatch.setattr(known_failures, "FINE", 12)
     assert "as box has" in (known_failure(jd.KernelDensity(), traits(scene())) or "")
     assert known_failure(jd.GuidedEdges(), traits(scene())) is None
-
-
-def test_faces_that_share_vertices_may_be_there_twice():
-    """Their edges are there once."""
-    points, faces = np.asarray(box().vertices), np.asarray(box().faces)
-    shared = jd.Mesh(points, np.vstack([faces, faces]))
-    assert not shared.doubled_edges and known_failure(jd.KernelDensity(), traits(scene(blocker=shared))) is None
 
 
 def test_one_warning_at_the_callers_line():
@@ -138,7 +121,7 @@ def test_where_there_is_no_boundary_term_nothing_is_said():
         jax.eval_shape(lambda v: jd.render(of.replace({"box.vertices": v}), jax.random.key(0), 1), jnp.zeros((8, 3)))
 
 
-@pytest.mark.parametrize("made", [scene, lambda: scene(ROUND), lambda: scene(blocker=twice())])
+@pytest.mark.parametrize("made", [scene, lambda: scene(ROUND)])
 def test_plans_and_defaults_go_by_the_same_rules(made):
     of = made()
     found = candidates(static_look(of, Moving((True, False, False), False)), 2)
