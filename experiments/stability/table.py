@@ -1,13 +1,13 @@
 """`docs/stability.md`, from the numbers of a run."""
 
-import json
 from itertools import groupby
 from pathlib import Path
 
 from experiments.common import ROOT
 from tests.stability.case import COLUMNS, ESTIMATORS, Case, Expected
+from tests.stability.catalogue import measured
 from tests.stability.elsewhere import ELSEWHERE
-from tests.stability.measure import POSITIONS, SURE, UNRESOLVED, verdict
+from tests.stability.measure import POSITIONS, SURE, UNRESOLVED
 
 DOCUMENT = ROOT / "docs" / "stability.md"
 HEAD = """# Stability
@@ -42,7 +42,7 @@ unless noted).
 def write_table(cases, folder: Path) -> None:
     """All cases, theme by theme."""
     cases = list(cases)
-    cells = {case.name: _load(folder / f"{case.name}.json", case) for case in cases}
+    cells = {case.name: measured(case, folder) for case in cases}
     lines = [HEAD.format(positions=POSITIONS, sure=SURE, unresolved=UNRESOLVED)]
     lines += ["## Verdicts", "", *_counts(cases, cells)]
     for theme, group in groupby(cases, key=lambda case: case.theme):
@@ -51,16 +51,6 @@ def write_table(cases, folder: Path) -> None:
     lines += ["", "## What refuses", "", *_refusals(cases, cells)]
     lines += ["", "## Beside derivative images", "", *_elsewhere()]
     DOCUMENT.write_text("\n".join(lines) + "\n")
-
-
-def _load(path: Path, case: Case) -> dict:
-    """Cells by estimator, judged by the case as it is now."""
-    found = json.loads(path.read_text())["cells"] if path.exists() else {}
-    return {
-        name: cell | {"verdict": verdict(case, name, cell)}
-        for name, cell in found.items()
-        if name in ESTIMATORS and cell["fingerprint"] == case.fingerprint(name)
-    }
 
 
 def _row(*texts) -> str:
