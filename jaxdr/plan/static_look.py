@@ -50,11 +50,6 @@ class StaticLook(NamedTuple):
         if any(moving.lights) or moving.environment:
             what += " and lights"
         found.append(f"edges: {what} move: {self.film_edges:,} of {self.edges:,} edges can move in the image")
-        if self.traits.doubled is not None:
-            found.append(
-                f"edges of {self.traits.doubled} lie on one another without sharing vertices: their silhouettes in the "
-                "image count twice with every estimator; let faces share vertices (load_mesh joins them by position)"
-            )
         if self.still_edges and any(moving.seen):
             found.append(
                 f"edges behind the first hit: the {self.still_edges:,} of what stands still count only for path "

@@ -89,18 +89,6 @@ def test_fine_meshes(monkeypatch):
     assert "box" in found.left_out["KernelDensity"]
 
 
-def test_edges_on_one_another_are_said():
-    """No estimator is right there in the image, so that leaving some out is not enough."""
-    corners = np.asarray(box().vertices)[np.asarray(box().faces)].reshape(-1, 3)
-    with pytest.warns(UserWarning, match="edges lie on others"):
-        split = jd.Mesh(corners, np.arange(36).reshape(-1, 3))
-    of = scene()
-    found = look(jd.Scene({**of.shapes, "box": jd.Shape(split)}, of.camera), "box.vertices")
-    assert any("edges of box lie on one another" in line for line in found.lines())
-    assert not any("one another" in line for line in look(of, "box.vertices").lines())
-    assert list(candidates(found, 2).tried) == ["LineSampling"]
-
-
 def test_splits_of_samples():
     tracer = jd.PathTracer(2, jd.LineSampling())
     even = {"interior": 0.3, "silhouettes": 0.1, "creases": 0.1, "boundary": 0.5}
