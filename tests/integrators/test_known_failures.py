@@ -67,6 +67,7 @@ FAILURES = {
     "guide, edges twice": (lambda: scene(blocker=twice()), jd.GuidedEdges(), "edges of box lie on one another"),
     "Eq. 57 on the sphere": (scene, jd.RednerWAS(), "exponential"),
     "Eq. 57": (scene, jd.WarpedArea("exponential"), "exponential"),
+    "few points": (scene, jd.WarpedArea(samples=5), "with 5 auxiliary points"),
     "solids' outlines": (scene, jd.RednerWAS("path_space", normal_edges=False), "normal_edges=False"),
 }
 
