@@ -15,6 +15,8 @@ from jaxdr.scene.scene import Scene
 
 # Faces of one mesh from which on kernel density is too large by 6 per cent and more (experiments/tessellation).
 FINE = 300_000
+# Auxiliary points below which 5 per cent of a boundary's velocity and more are not found (experiments/warped_area).
+ENOUGH_POINTS = 6
 
 
 class EstimatorWarning(UserWarning):
@@ -49,11 +51,19 @@ def known_failure(boundary: Any, found: Traits) -> str | None:
                 "hidden within rounding count; take LineSampling"
             )
         if found.emitter_faces > FEW_FACES:
-            return f"it is biased under area emitters of more than {FEW_FACES} faces in all; take LineSampling"
+            return (
+                f"it is too small under area emitters of more than {FEW_FACES} faces where those are smaller than its "
+                "kernel (by 5 % under a tiny lamp); take LineSampling"
+            )
     if isinstance(boundary, WarpedArea | RednerWAS) and boundary.distance == "exponential":
         return (
             'with distance="exponential" (Eq. 57) half of a derivative and more is missing: its velocity does not '
             'reach the boundary\'s; take distance="path_space", or LineSampling'
+        )
+    if isinstance(boundary, WarpedArea) and boundary.samples < ENOUGH_POINTS:
+        return (
+            f"with {boundary.samples} auxiliary points 5 to 30 % of a derivative are missing; take samples=16, or "
+            "LineSampling"
         )
     if isinstance(boundary, RednerWAS) and not boundary.normal_edges:
         return (

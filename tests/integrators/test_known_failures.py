@@ -57,6 +57,7 @@ FAILURES = {
     "kernel, round lamp": (lambda: scene(ROUND), jd.KernelDensity(), "more than 16 faces"),
     "Eq. 57 on the sphere": (scene, jd.RednerWAS(), "exponential"),
     "Eq. 57": (scene, jd.WarpedArea("exponential"), "exponential"),
+    "few points": (scene, jd.WarpedArea(samples=5), "with 5 auxiliary points"),
     "solids' outlines": (scene, jd.RednerWAS("path_space", normal_edges=False), "normal_edges=False"),
 }
 
