@@ -29,8 +29,8 @@ CUT = Expected(
 )
 SHORT = Expected(
     "noisy",
-    "chords end at faces of lamps that have more than 16 (as two triangles `tiny_light` has a quarter of the spread): join "
-    "faces of a flat lamp",
+    "chords end at faces of lamps that have more than 16 (as two triangles `tiny_light` has a quarter of the spread): "
+    "join faces of a flat lamp",
 )
 
 
