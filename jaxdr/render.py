@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.boundary.texture_jumps import check_still_maps
 from jaxdr.integrators import Integrator
 from jaxdr.integrators.defaults import default_integrator
+from jaxdr.integrators.known_failures import warn_of_known_failure
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
@@ -38,8 +39,9 @@ def render(
     `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the
     same image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
     differentiated is known when the program is traced, and only the terms they need are compiled. Without an
-    `integrator` it is `PathTracer()`, with `LineSampling` for meshes of 300,000 faces and more; `jaxdr.plan` measures.
-    Raises ValueError for spp < 1 or an argument of the wrong kind.
+    `integrator` it is `PathTracer()`, with `LineSampling` where `KernelDensity` fails by nature; `jaxdr.plan` measures.
+    Raises ValueError for spp < 1 or an argument of the wrong kind; a derivative by an estimator that fails by nature on
+    the scene comes with an `EstimatorWarning`.
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
@@ -135,6 +137,8 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
     if moving is not None and moving.any:
         rest, pilot_key = jax.random.split(key)
         prepared = integrator.prepare(scene, packed, moving, pilot_key)
+        if integrator.max_depth > 1 and (any(moving.seen) or moving.environment):
+            warn_of_known_failure(scene, integrator.boundary)
         key = key if prepared is None else rest
     key_film, key_chunks = jax.random.split(key)
 

@@ -1,13 +1,14 @@
 """`docs/stability.md`, from the numbers of a run."""
 
-import json
 from itertools import groupby
 from pathlib import Path
 
 from experiments.common import ROOT
+from experiments.stability.choices import choices
 from tests.stability.case import COLUMNS, ESTIMATORS, Case, Expected
+from tests.stability.catalogue import measured
 from tests.stability.elsewhere import ELSEWHERE
-from tests.stability.measure import POSITIONS, SURE, UNRESOLVED, verdict
+from tests.stability.measure import LONG, POSITIONS, SURE, UNRESOLVED
 
 DOCUMENT = ROOT / "docs" / "stability.md"
 HEAD = """# Stability
@@ -27,7 +28,8 @@ NaN and infinity are on.
 A cell is **projection ± standard error / bias / spread**: the projection of the mean on the reference is 1 for the
 right size; the bias is the root mean square difference of mean and reference, noise taken off (`<` where nothing stands
 out of it: then its {sure:g} standard errors); the spread is the standard deviation of one call (16 samples per pixel
-unless noted).
+unless noted). 32 to 256 calls are made of a cell (`WarpedArea`, `RednerWAS`: 32), until they tell enough; none more
+after {long:g} seconds, which leaves larger errors.
 
 * *right*: projection and bias are within the case's tolerance (0.03 and twice that unless noted) and {sure:g} standard
   errors, the spread below the case's bound;
@@ -42,25 +44,16 @@ unless noted).
 def write_table(cases, folder: Path) -> None:
     """All cases, theme by theme."""
     cases = list(cases)
-    cells = {case.name: _load(folder / f"{case.name}.json", case) for case in cases}
-    lines = [HEAD.format(positions=POSITIONS, sure=SURE, unresolved=UNRESOLVED)]
+    cells = {case.name: measured(case, folder) for case in cases}
+    lines = [HEAD.format(positions=POSITIONS, sure=SURE, unresolved=UNRESOLVED, long=LONG)]
     lines += ["## Verdicts", "", *_counts(cases, cells)]
+    lines += ["", "## Where `jaxdr.plan` chooses", "", *choices(cases, cells)]
     for theme, group in groupby(cases, key=lambda case: case.theme):
         lines += ["", f"## {theme.capitalize()}", "", *_theme(list(group), cells)]
     lines += ["", "## What is wrong, and why", "", *_known(cases, cells)]
     lines += ["", "## What refuses", "", *_refusals(cases, cells)]
     lines += ["", "## Beside derivative images", "", *_elsewhere()]
     DOCUMENT.write_text("\n".join(lines) + "\n")
-
-
-def _load(path: Path, case: Case) -> dict:
-    """Cells by estimator, judged by the case as it is now."""
-    found = json.loads(path.read_text())["cells"] if path.exists() else {}
-    return {
-        name: cell | {"verdict": verdict(case, name, cell)}
-        for name, cell in found.items()
-        if name in ESTIMATORS and cell["fingerprint"] == case.fingerprint(name)
-    }
 
 
 def _row(*texts) -> str:

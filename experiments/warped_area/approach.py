@@ -30,6 +30,7 @@ OPTIONS = [
     {},
     {"boundary_power": 3.0},
     {"spread": 0.35},
+    *({"samples": count} for count in (2, 3, 4, 6)),
     {"samples": 16},
     {"samples": 32},
     {"sigma0": 0.02},

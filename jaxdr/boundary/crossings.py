@@ -53,13 +53,17 @@ class Chosen(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used."""
+    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used.
+
+    `share` is what counts of them where edges lie on one another, None for all.
+    """
 
     vertex: Int[Array, " C"]
     chord: Int[Array, " C"]
     edge: Int[Array, " C"]
     along: Float[Array, " C"]
     valid: Bool[Array, " C"]
+    share: Float[Array, " C"] | None = None
 
 
 @runtime_checkable
@@ -162,4 +166,9 @@ def silhouette_crossings(
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    return find_crossings(lines, prepared.edges, chosen, needed, apex, chords, key, room)
+    found, thinned, used = find_crossings(lines, prepared.edges, chosen, needed, apex, chords, key, room)
+    if packed.edges.share is not None:
+        # Layers change between none and some at one of the edges that lie on one another. Rays see past each of them.
+        by_rays = ~bounded | (needed > HIDES) | (lines.settings.rays == "jax")
+        found = found._replace(share=jnp.where(by_rays[found.chord], packed.edges.share[found.edge], 1.0))
+    return found, thinned, used

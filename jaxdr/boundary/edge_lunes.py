@@ -26,7 +26,8 @@ class EdgeLunes(NamedTuple):
 
     Row k is edge `edge[k]` of the packed scene, from `start` to `start + side`. In the frame (`first`, `second`) across
     it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those of silhouettes, and the
-    faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per length.
+    faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per length. `share` of what jumps
+    at a row that counts: where a face has no area, its two long edges are one.
     """
 
     edge: Int[Array, " E"]
@@ -38,6 +39,7 @@ class EdgeLunes(NamedTuple):
     width: Float[Array, " E"]
     cdf: Float[Array, " E"]
     density: Float[Array, " E"]
+    share: Float[Array, " E"]
 
 
 class EdgePoints(NamedTuple):
@@ -76,16 +78,22 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: Int[Array, 
     length, tangent = norm(side), normalize(side)
     across, second = orthonormal_basis(jnp.where((length > 0)[:, None], tangent, jnp.asarray([0.0, 0.0, 1.0])))
     corner = packed.vertices[edges.opposite[number]] - ends[:, :1]
-    angle = jnp.arctan2((corner * second[:, None]).sum(-1), (corner * across[:, None]).sum(-1))
-    # Slots without a face repeat the first one. The widest gap between faces has no face in it.
-    angle = jnp.sort(jnp.where(edges.faces[number] >= 0, angle, angle[:, :1]), axis=1)
+    x, y = (corner * across[:, None]).sum(-1), (corner * second[:, None]).sum(-1)
+    there = edges.faces[number] >= 0
+    rounding = 16 * jnp.finfo(ends.dtype).eps * jnp.abs(ends).max((-1, -2))
+    real = there & (jnp.hypot(x, y) > rounding[:, None])
+    counts = real.sum(1) / jnp.maximum(there.sum(1), 1)
+    angle = jnp.arctan2(y, x)
+    # Slots without a face, or with one of no area, repeat one that has. The widest gap between faces has no face in it.
+    one = jnp.take_along_axis(angle, real.argmax(1)[:, None], 1)
+    angle = jnp.sort(jnp.where(real, angle, one), axis=1)
     gap = jnp.diff(angle, append=angle[:, :1] + 2 * math.pi, axis=1)
     widest = gap.argmax(1)[:, None]
     before = jnp.take_along_axis(angle, widest, 1)
     width = jnp.maximum(jnp.take_along_axis(gap, widest, 1)[:, 0] - math.pi, 0.0)
     first = jnp.cos(before) * across + jnp.sin(before) * second
 
-    weight = jnp.where(never_silhouettes(packed)[number], 0.0, length * width)
+    weight = jnp.where(never_silhouettes(packed)[number] | ~real.any(1), 0.0, length * width)
     if any(moving) and not all(moving):
         moves = jnp.asarray(moving)[edges.shape[number]]
         moved, still = jnp.where(moves, weight, 0.0).sum(), jnp.where(moves, 0.0, weight).sum()
@@ -96,7 +104,8 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: Int[Array, 
     total = jnp.where(cdf[-1] > 0, cdf[-1], 1.0)
     density = weight / (total * jnp.where(length > 0, length, 1.0))
     second = jnp.cross(tangent, first)
-    return EdgeLunes(number, ends[:, 0], side, tangent, first, second, width, cdf / total, density)
+    share = packed.edges.shared(number, counts.astype(length.dtype))
+    return EdgeLunes(number, ends[:, 0], side, tangent, first, second, width, cdf / total, density, share)
 
 
 def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> EdgePoints:

@@ -161,7 +161,7 @@ def _candidates(
     number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
     edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
     weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
-    return Crossings(chords, number + 1, edge, weight), total
+    return Crossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
 
 
 def _view(camera: Camera, chords: Chords) -> View:

@@ -231,6 +231,7 @@ def _edge_points(packed, distribution: EdgeDistribution, cdf, count, key, settin
     row, fraction, weight = _sample(distribution, cdf, count, key)
     d = jax.tree.map(lambda table: table[row], distribution)
     edge = d.edge
+    weight = packed.edges.shared(edge, weight)
     # The point of the 3D edge seen at this fraction of the projected edge; it moves with the edge.
     h0, h1 = d.homogeneous[:, 0], d.homogeneous[:, 1]
     tau = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)

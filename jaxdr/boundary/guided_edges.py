@@ -173,6 +173,7 @@ class GuidedEdges(eqx.Module):
                 source = ends.source._replace(valid=ends.source.valid & carries)
                 light = gathered_by_bounces(detached, source, drawn_here.towards, slot, key_source, settings)
                 radiance += light[::-1] / _nonzero(pdf[number])[:, None]
+            radiance *= lunes.share[drawn_here.point.row][:, None]
             return image(packed, lunes, drawn_here, ends, seen, stop_gradient(radiance), form)
 
         return sum_over_blocks(values, slots, used)

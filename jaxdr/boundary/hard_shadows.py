@@ -365,4 +365,7 @@ def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tupl
     entry = jnp.clip(jnp.searchsorted(cdf, u[:, 0] * total, side="right"), 0, cdf.shape[0] - 1)
     mass = cdf[entry] - jnp.where(entry > 0, cdf[entry - 1], 0.0)
     used = mass > 0
-    return _lines(packed, entry, u[:, 1], used), jnp.where(used, total / jnp.where(used, mass, 1.0), 0.0)
+    weight = jnp.where(used, total / jnp.where(used, mass, 1.0), 0.0)
+    light, edge = jnp.divmod(entry, packed.edges.vertices.shape[0])
+    weight = jnp.where(light < packed.light_count, packed.edges.shared(edge, weight), weight)
+    return _lines(packed, entry, u[:, 1], used), weight

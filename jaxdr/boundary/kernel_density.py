@@ -254,7 +254,8 @@ class KernelDensity(eqx.Module):
             share = density * projection.stretch / disc  # Eq. 16, 19
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, rays)
-        return BoundaryPoints(segment, ends, projection, goal, share * pairs.weight, valid)
+        share = packed.edges.shared(edge, share * pairs.weight)
+        return BoundaryPoints(segment, ends, projection, goal, share, valid)
 
     def estimate_connected(
         self,

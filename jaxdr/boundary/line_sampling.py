@@ -174,6 +174,8 @@ class LineSampling(eqx.Module):
         drawn, found, thinned, used = lines.search(chosen, key_chords, self._room(chords))
         found = found._replace(valid=found.valid & (jnp.arange(found.valid.shape[0]) < used))
         weight = thinned * chosen.inverse[found.chord]
+        if found.share is not None:
+            weight = weight * found.share
         if lines.traces_paths:
             key_kept, key_values = jax.random.split(key_values)
             found, weight, used = self._kept(lines, drawn, found, weight, used, key_kept)

@@ -69,7 +69,7 @@ def lobe_term(
         scatterer = paths.scatterer(segment)
         kernel, counts = _kernel(scatterer, centre, seen.towards, seen.pole, limit)
         counts = valid & counts & scatterer.above_horizon(stop_gradient(seen.edge_point))
-        weight = importance[segment] * (kernel * pairs.weight)[:, None]
+        weight = importance[segment] * packed.edges.shared(edge, kernel * pairs.weight)[:, None]
         value = background_term(packed, paths, seen, weight, counts, number, key_path, settings)
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 

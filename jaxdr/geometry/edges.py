@@ -11,6 +11,7 @@ from jaxdr.geometry.vector import dot, normalize
 INTERIOR = 0
 BOUNDARY = 1
 NON_MANIFOLD = 2
+ROUNDING = 16  # rounding steps of the coordinates within which positions are the same
 
 
 class Edges(eqx.Module):
@@ -27,12 +28,15 @@ class Edges(eqx.Module):
     - `opposite`: for each face its vertex that is not on the edge, padded with -1.
     - `kind`: `INTERIOR` (two faces with opposite directions), `BOUNDARY` (one face) or `NON_MANIFOLD` (anything else:
       three or more faces, or two that disagree about the orientation).
+    - `first`: the first of the edges that lay on one another, without sharing vertices, where the mesh was made: itself
+      for most. None where all do.
     """
 
     vertices: Int[Array, "E 2"]
     faces: Int[Array, "E K"]
     opposite: Int[Array, "E K"]
     kind: Int[Array, " E"]
+    first: Int[Array, " E"] | None = None
 
 
 def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
@@ -94,3 +98,19 @@ def dihedral(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
 def is_convex(edges: Edges, vertices: Float[Array, "V 3"]) -> Bool[Array, " E"]:
     """Whether each edge is interior and convex: its faces fold away from their normals. False for flat edges."""
     return dihedral(edges, vertices) < 0
+
+
+def edge_shares(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
+    """One over the number of edges that lie on one another now, of those that did when the mesh was made; detached.
+
+    Each of them is a boundary of what is seen, and all of them are one: what jumps there counts in these shares. Where
+    they have come apart by more than rounding each is one of its own again.
+    """
+    if edges.first is None:
+        return jnp.ones(edges.vertices.shape[0], vertices.dtype)
+    ends = jax.lax.stop_gradient(vertices)[edges.vertices]
+    there = ends[edges.first]
+    apart = jnp.minimum(*(jnp.abs(ends - other).max((-1, -2)) for other in (there, there[:, ::-1])))
+    together = apart <= ROUNDING * jnp.finfo(ends.dtype).eps * jnp.abs(ends).max((-1, -2))
+    count = jax.ops.segment_sum(together.astype(ends.dtype), edges.first, ends.shape[0])[edges.first]
+    return jnp.where(together, 1.0 / jnp.maximum(count, 1.0), 1.0)

@@ -1,7 +1,7 @@
 """Triangle meshes: positions, UVs and shading normals, each with its own indices."""
 
 import dataclasses
-import warnings
+import math
 from functools import partial
 
 import equinox as eqx
@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.callers_line import warn
 from jaxdr.geometry.edge_tree import spatial_order
-from jaxdr.geometry.edges import BOUNDARY, INTERIOR, Edges, build_edges
+from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import dot, normalize
 
 
@@ -56,8 +57,9 @@ class Mesh(eqx.Module):
         vertices: call `weld` first where they should not.
 
         Vertices are stored in JAX's default float type. Faces without area in that precision are dropped, with one
-        warning that counts them. Raises `ValueError` for traced arrays, wrong shapes or types, positions or UVs that
-        are not finite, an index out of range, and a mesh without any face.
+        warning that counts them. Another one counts edges that lie on one another without sharing vertices: split
+        vertices, faces that are there twice. Raises `ValueError` for traced arrays, wrong shapes or types, positions or
+        UVs that are not finite, an index out of range, and a mesh without any face.
         """
         if isinstance(vertices, jax.core.Tracer):
             raise ValueError("Mesh: needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
@@ -69,7 +71,7 @@ class Mesh(eqx.Module):
         if not kept.any():
             raise ValueError(f"Mesh: none of the {len(corners)} faces has an area")
         if not kept.all():
-            warnings.warn(f"Mesh: dropped {np.sum(~kept)} of {len(kept)} faces, which have no area", stacklevel=2)
+            warn(f"Mesh: dropped {np.sum(~kept)} of {len(kept)} faces, which have no area")
 
         def kept_corners(name, indices, count, target):
             checked = _checked_indices(name, indices, count, target)
@@ -91,12 +93,14 @@ class Mesh(eqx.Module):
         edges = build_edges(corners[kept])
         order = spatial_order(points[np.asarray(edges.vertices)].mean(1))
         self.edges = jax.tree.map(lambda table: table[order], edges)
-        split = _edges_on_one_another(points, edges)
-        if split:
-            warnings.warn(
-                f"Mesh: {split} open edges lie on others without sharing vertices. Silhouettes are found at edges, "
-                "and there twice; let faces share vertices (load_mesh joins them by position)",
-                stacklevel=2,
+        first = _first_on_one_another(points, np.asarray(self.edges.vertices))
+        doubled = np.sum(first != np.arange(len(first)))
+        if doubled:
+            self.edges = dataclasses.replace(self.edges, first=jnp.asarray(first, jnp.int32))
+            warn(
+                f"Mesh: {doubled} edges lie on others without sharing vertices, as of split vertices and of faces that "
+                "are there twice. Gradients pull them apart, and derivatives are right only while they move together; "
+                "let faces share vertices (load_mesh joins them by position), and drop faces that are there twice"
             )
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
@@ -170,14 +174,26 @@ def _group_normals(
     return normalize(jax.ops.segment_sum(weighted, normal_faces.reshape(-1), group_count))
 
 
-def _edges_on_one_another(points, edges) -> int:
-    """How many edges of one face have both ends where another such edge has them."""
-    ends = points[np.asarray(edges.vertices)[np.asarray(edges.kind) == BOUNDARY]]
-    if not len(ends):
-        return 0
+def _first_on_one_another(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """For every edge the first one that has its ends where this one has them."""
+    ends = points[edges] + 0.0  # +0 makes -0.0 a plain zero
+    first = np.arange(len(edges))
+    # A number that is the same for such edges, and hardly ever for others: sorting rows of six takes far longer.
+    low, high = (extreme(ends[:, 0], ends[:, 1]) for extreme in (np.minimum, np.maximum))
+    mixed = low + math.sqrt(2) * high
+    # Added one by one: a product of matrices rounds rows differently.
+    number = mixed[:, 0] + math.sqrt(3) * mixed[:, 1] + math.sqrt(5) * mixed[:, 2]
+    order = np.argsort(number)
+    same = np.diff(number[order]) == 0
+    alike = np.sort(order[np.append(same, False) | np.insert(same, 0, False)])
+    if not len(alike):
+        return first
+    ends = ends[alike]
     first_is_less = (ends[:, 0] < ends[:, 1])[np.arange(len(ends)), (ends[:, 0] != ends[:, 1]).argmax(1)]
     ends = np.where(first_is_less[:, None, None], ends, ends[:, ::-1]).reshape(-1, 6)
-    return len(ends) - len(np.unique(ends, axis=0))
+    _, earliest, group = np.unique(ends, axis=0, return_index=True, return_inverse=True)
+    first[alike] = alike[earliest[group.reshape(-1)]]
+    return first
 
 
 def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:

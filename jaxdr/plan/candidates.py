@@ -8,9 +8,10 @@ import equinox as eqx
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
+from jaxdr.boundary.redner_was import RednerWAS
 from jaxdr.integrators import PathTracer
 from jaxdr.integrators.base import edge_points_per_sample
-from jaxdr.integrators.defaults import FINE
+from jaxdr.integrators.known_failures import known_failure
 from jaxdr.plan.static_look import StaticLook
 
 # Tried in this order; what comes first wins where two are equal. A wider kernel finds more edges, each at less weight.
@@ -22,7 +23,6 @@ ESTIMATORS: dict[str, Any] = {
 }
 # Never tried: right only in a limit that no budget reaches. They can be asked for by name.
 LEFT_OUT = {
-    "RednerWAS": "half of a derivative is missing at its default settings",
     "WarpedArea": "up to 5 % short with few auxiliary points, and noisier than the others wherever it was measured",
 }
 SPLIT = 4.0  # by how much the samples of a term are raised or lowered against the others, for a try
@@ -41,18 +41,15 @@ def candidates(look: StaticLook, max_depth: int) -> Candidates:
     if not look.moving.any or max_depth == 1:
         return Candidates({"KernelDensity": KernelDensity()}, {})  # no boundary term is in the program
     tried, left_out = dict(ESTIMATORS), dict(LEFT_OUT)
-    reason = None
-    if look.fine is not None:
-        reason = f"6 % too large and more on meshes of {FINE:,} faces, as {look.fine} has"
-    elif look.many_emitter_faces:
-        reason = f"biased under area emitters of many faces, here {look.emitter_faces:,}"
-    if reason is not None:
-        for name in [name for name, made in tried.items() if isinstance(made, KernelDensity)]:
-            del tried[name]
-        left_out["KernelDensity"] = reason
+    left_out["RednerWAS"] = known_failure(RednerWAS(), look.traits) or ""
     if max_depth > 2:
         del tried["GuidedEdges"]
         left_out["GuidedEdges"] = "only for direct light"
+    for name, made in list(tried.items()):
+        reason = known_failure(made, look.traits)
+        if reason is not None:
+            del tried[name]
+            left_out[type(made).__name__] = reason
     return Candidates(tried, left_out)
 
 

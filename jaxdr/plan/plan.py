@@ -139,6 +139,7 @@ def _figures(look: StaticLook, depth: DepthChoice | None, rays: RayChoice, chose
     """Numbers for JSON."""
     static = {name: value for name, value in look._asdict().items() if name != "moving"}
     static["textures"] = list(look.textures)
+    static["traits"] = look.traits._asdict()
     figures: dict[str, Any] = {"static": static, "moving": _plain(look.moving._asdict()), "rays": rays.seconds}
     if depth is not None:
         shares = {"energy": depth.energy} | ({"gradient": depth.gradient} if depth.gradient is not None else {})

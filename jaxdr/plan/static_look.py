@@ -3,8 +3,7 @@
 from collections import Counter
 from typing import NamedTuple
 
-from jaxdr.boundary.emitter_planes import FEW_FACES
-from jaxdr.integrators.defaults import fine_mesh
+from jaxdr.integrators.known_failures import Traits, traits
 from jaxdr.moving import Moving
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 
@@ -14,7 +13,7 @@ BRUTE_FORCE = 256  # faces up to which every face may be tried for every ray
 class StaticLook(NamedTuple):
     """Models by name with how often they occur, textures by parameter, faces and edges.
 
-    - `emitter_faces`: of area emitters. `fine`: the shape that is too fine for a kernel, or None.
+    - `traits`: what makes estimators fail by nature.
     - `film_edges`: those that move relative to the camera; they, and no others, are drawn in the image.
     - `still_edges`: of shapes that stand still. Behind the first hit they carry derivatives only where a path segment
       ends on something that moves; segments with still ends don't look at them.
@@ -24,22 +23,16 @@ class StaticLook(NamedTuple):
     lights: dict[str, int]
     textures: tuple[str, ...]
     faces: int
-    emitter_faces: int
     edges: int
     film_edges: int
     still_edges: int
-    fine: str | None
+    traits: Traits
     moving: Moving
 
     @property
     def may_try_all(self) -> bool:
         """Whether there are so few faces that brute force is worth a measurement."""
         return self.faces <= BRUTE_FORCE
-
-    @property
-    def many_emitter_faces(self) -> bool:
-        """Whether area emitters are more than a few polygons."""
-        return self.emitter_faces > FEW_FACES
 
     def lines(self) -> list[str]:
         """One line each: what is in the program, and which edges."""
@@ -80,11 +73,10 @@ def static_look(scene: Scene, moving: Moving) -> StaticLook:
         lights=dict(lights),
         textures=tuple(f"{name}.{field}" for name, shape in scene.shapes.items() for field, _ in textures_of(shape)),
         faces=sum(shape.mesh.faces.shape[0] for shape in scene.shapes.values()),
-        emitter_faces=sum(shape.mesh.faces.shape[0] for shape in emitters),
         edges=sum(edges),
         film_edges=film,
         still_edges=sum(edges) - film,
-        fine=fine_mesh(scene),
+        traits=traits(scene),
         moving=moving,
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.edges import INTERIOR
+from jaxdr.geometry.edges import INTERIOR, edge_shares
 from jaxdr.geometry.vector import dot, interpolate, norm, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
@@ -34,13 +34,21 @@ MEAN_POINTS, LEAST_SIDE, MOST_SIDE = 1 << 14, 2, 32
 
 
 class PackedEdges(eqx.Module):
-    """Edges of all shapes; indices refer to the packed vertices and faces, -1 pads."""
+    """Edges of all shapes; indices refer to the packed vertices and faces, -1 pads.
+
+    `share`: what counts of what jumps at each, see `edge_shares`; None where all of it does.
+    """
 
     vertices: Int[Array, "E 2"]
     faces: Int[Array, "E K"]
     opposite: Int[Array, "E K"]
     interior: Bool[Array, " E"]
     shape: Int[Array, " E"]
+    share: Float[Array, " E"] | None = None
+
+    def shared(self, edge: Int[Array, " n"], value: Float[Array, " n"]) -> Float[Array, " n"]:
+        """What counts of values at some edges."""
+        return value if self.share is None else value * self.share[edge]
 
 
 class BSDFGroup(eqx.Module):
@@ -309,12 +317,14 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
         return jnp.where(table >= 0, table + int(offset), -1)
 
     counts = [m.edges.vertices.shape[0] for m in meshes]
+    doubled = any(m.edges.first is not None for m in meshes)
     return PackedEdges(
         vertices=jnp.concatenate([m.edges.vertices + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
         faces=jnp.concatenate([shift(m.edges.faces, f) for m, f in zip(meshes, first_face[:-1], strict=True)]),
         opposite=jnp.concatenate([shift(m.edges.opposite, v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
         interior=jnp.concatenate([m.edges.kind == INTERIOR for m in meshes]),
         shape=jnp.asarray(np.repeat(np.arange(len(meshes)), counts), jnp.int32),
+        share=jnp.concatenate([edge_shares(m.edges, m.vertices) for m in meshes]) if doubled else None,
     )
 
 

@@ -149,6 +149,20 @@ def test_partly_hidden_edges():
     assert_derivative(found["near"], -central(lambda c: union_area(SQUARE, c), near), 0.05)
 
 
+@pytest.mark.filterwarnings("ignore:Mesh")
+def test_edges_on_one_another_count_once():
+    """A square that is there twice, without sharing vertices: both copies together; apart each on its own."""
+    mesh = jd.Mesh(np.vstack([SQUARE, SQUARE]), np.vstack([QUAD, np.add(QUAD, 4)]))
+    of = jd.Scene({"quad": jd.Shape(mesh, jd.Diffuse(0.0))}, scene({"q": SQUARE}).camera, jd.ConstantEnvironment(1.0))
+    mean, error = estimate(of)["quad"]
+    exact = -central(lambda c: abs(signed_area(outline(c))), SQUARE)
+    assert_derivative((mean[:4] + mean[4:], error[:4] + error[4:]), exact, 0.08)
+    assert_derivative((mean[4:], error[4:]), 0.5 * exact, 0.08)
+    aside = SQUARE + np.array([0.4, 0.1, 0.3])
+    mean, error = estimate(of.replace({"quad.vertices": np.vstack([aside, SQUARE])}))["quad"]
+    assert_derivative((mean[4:], error[4:]), -central(lambda c: union_area(aside, c), SQUARE), 0.08)
+
+
 def test_hidden_edges_contribute_nothing():
     behind = SQUARE * [0.5, 0.5, 1.0] + [0, 0, 2.0]
     found = estimate(scene({"front": SQUARE, "behind": behind}), keys=4)

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry.edges import BOUNDARY, INTERIOR, NON_MANIFOLD, build_edges, dihedral, is_convex
+from jaxdr.geometry.edges import BOUNDARY, INTERIOR, NON_MANIFOLD, build_edges, dihedral, edge_shares, is_convex
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.shapes import box
 
 # Two triangles that share the edge (0, 1); vertex 3 is the free one of the second face.
 HINGE = np.array([[0, 1, 2], [1, 0, 3]])
@@ -108,3 +110,44 @@ def test_dihedral_derivative_lifts_the_free_vertex():
     edges = build_edges(HINGE)
     gradient = jax.grad(lambda v: dihedral(edges, v).sum())(hinge_vertices(0.0))
     np.testing.assert_allclose(gradient[3], [0, 0, 1], atol=1e-6)
+
+
+def soup(copies=1):
+    """A box of triangles that share no vertex, each of them so many times."""
+    corners = np.asarray(box().vertices)[np.asarray(box().faces)]
+    points = np.concatenate([corners] * copies).reshape(-1, 3)
+    with pytest.warns(UserWarning, match="edges lie on others without sharing vertices"):
+        return Mesh(points, np.arange(len(points)).reshape(-1, 3))
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_edges_on_one_another_share_what_counts(copies):
+    """However often an edge is there, once in all: of a box eighteen edges count."""
+    mesh = soup(copies)
+    shares = edge_shares(mesh.edges, mesh.vertices)
+    np.testing.assert_allclose(shares, 0.5 / copies)
+    assert shares.sum() == pytest.approx(len(box().edges.vertices))
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    moved = np.asarray(mesh.vertices) @ turn.astype(np.float32) + np.float32(7.0)
+    np.testing.assert_allclose(edge_shares(mesh.edges, jnp.asarray(moved)), shares)
+
+
+def test_edges_that_have_come_apart_are_their_own():
+    mesh = soup()
+    moved = mesh.vertices.at[:3].add(0.01)  # the first triangle
+    shares = np.asarray(edge_shares(mesh.edges, moved))
+    own = (np.asarray(mesh.edges.faces)[:, 0] == 0).sum()
+    assert own == 3 and (shares == 1.0).sum() == 6 and (shares == 0.5).sum() == len(shares) - 6
+
+
+def test_edges_that_share_their_vertices_count_in_full():
+    """Also where faces are there twice: their edges are there once."""
+    twice = Mesh(box().vertices, np.vstack([box().faces, box().faces]))
+    for mesh in (box(), twice):
+        assert mesh.edges.first is None
+        np.testing.assert_array_equal(edge_shares(mesh.edges, mesh.vertices), 1.0)
+
+
+def test_shares_have_no_derivative():
+    mesh = soup()
+    assert not np.any(jax.grad(lambda v: edge_shares(mesh.edges, v).sum())(mesh.vertices))

@@ -26,6 +26,8 @@ from tests.gradients.floor_point import (
 from tests.gradients.test_warped_area import check
 from tests.references.polygon_shadow import irradiance_derivatives, silhouette
 
+pytestmark = pytest.mark.filterwarnings("ignore::jaxdr.EstimatorWarning")  # that of `RednerWAS` is what this tests
+
 NARROW, WIDE = (jd.RednerWAS("path_space", sigma0=sigma0) for sigma0 in (0.03, 0.1))
 CASES = [
     pytest.param(HALF_PLANE, WIDE, 32, id="half plane"),

@@ -6,7 +6,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import box, rectangle, sphere
-from jaxdr.integrators import defaults
+from jaxdr.integrators import known_failures
 from jaxdr.integrators.defaults import default_integrator
 from jaxdr.plan.candidates import candidates, splits
 from jaxdr.plan.directions import direction, moving_along
@@ -48,7 +48,7 @@ def test_what_is_there():
     found = look(scene(spot=jd.PointLight([0, 0, 2.0], 1.0)), "box.vertices")
     assert found.lobes == {"RoughPlastic": 1, "Diffuse": 2}
     assert found.lights == {"PointLight": 1, "AreaEmitter": 1, "ConstantEnvironment": 1}
-    assert (found.faces, found.emitter_faces, found.textures) == (16, 2, ())
+    assert (found.faces, found.traits.emitter_faces, found.textures) == (16, 2, ())
     assert found.moving == jd.Moving((True, False, False), False, (False,), False)
 
 
@@ -83,7 +83,7 @@ def test_estimators_by_nature():
 
 def test_fine_meshes(monkeypatch):
     assert default_integrator(scene()) == jd.PathTracer()
-    monkeypatch.setattr(defaults, "FINE", 12)
+    monkeypatch.setattr(known_failures, "FINE", 12)
     assert default_integrator(scene()) == jd.PathTracer(boundary=jd.LineSampling())
     found = candidates(look(scene(), "floor.vertices"), 2)
     assert "box" in found.left_out["KernelDensity"]

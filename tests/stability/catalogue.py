@@ -1,15 +1,17 @@
 """All cases by name, and their references, which are kept beside this file."""
 
+import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
 from tests.stability import deep, emitters, reflections, shadows, soups
-from tests.stability.case import Case
-from tests.stability.measure import Reference
+from tests.stability.case import ESTIMATORS, Case
+from tests.stability.measure import Reference, verdict
 
 THEMES: tuple[Callable[[], list[Case]], ...] = (
     shadows.cases,
@@ -20,6 +22,7 @@ THEMES: tuple[Callable[[], list[Case]], ...] = (
     deep.cases,
 )
 REFERENCES = Path(__file__).parent / "references"
+RESULTS = Path(__file__).parents[2] / "experiments" / "stability" / "results"
 
 
 @cache
@@ -44,6 +47,21 @@ def stored(case: Case) -> Reference | None:
         return None
     with np.load(path) as kept:
         return Reference(kept["image"], kept["error"]) if str(kept["digest"]) == case.digest() else None
+
+
+def measured(case: Case, folder: Path = RESULTS) -> dict[str, dict[str, Any]]:
+    """Cells of the table by estimator, as `experiments.stability.run` has written them and judged by the case as it is.
+
+    Those of another scene or of other settings are left out.
+    """
+    path = folder / f"{case.name}.json"
+    if not path.exists():
+        return {}
+    return {
+        name: cell | {"verdict": verdict(case, name, cell)}
+        for name, cell in json.loads(path.read_text())["cells"].items()
+        if name in ESTIMATORS and cell["fingerprint"] == case.fingerprint(name)
+    }
 
 
 def store(case: Case, found: Reference) -> None:

@@ -5,16 +5,32 @@ import math
 import numpy as np
 
 import jaxdr as jd
-from tests.stability.case import COLUMNS, Case, Expected
+from jaxdr.geometry import shapes
+from tests.stability.case import Case, Expected
+from tests.stability.shadows import HIGH, SHADE
 from tests.stability.stage import camera, cube, floor, grey, lamp, rotation, table
 
 SKY = (8, 16)  # pixels of the environment map
-
+EVERYWHERE = Expected(
+    "noisy",
+    "likely by nature: the whole sky lights every point, and in a sky that hardly varies terms cancel but for their "
+    "noise",
+)
 
 TOUCHES = Expected(
     "noisy",
     "the noise is in terms that all estimators share, not in theirs (KernelDensity and LineSampling have the same "
     "numbers); the likely cause is the interior's 1 / r² at points of the lamp next to what they light",
+)
+CUT = Expected(
+    "biased",
+    "by nature: strips of the kernel end at faces larger than it and at lamps of up to 16 faces; over small faces "
+    "they go on beyond the lamp's border; `jd.EstimatorWarning`",
+)
+SHORT = Expected(
+    "noisy",
+    "chords end at faces of lamps that have more than 16 (as two triangles `tiny_light` has a quarter of the spread): "
+    "join faces of a flat lamp",
 )
 
 
@@ -67,7 +83,7 @@ def solid_lights() -> list[Case]:
             "1 / r² of emitters that touch what they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
-            expected=dict.fromkeys(COLUMNS, TOUCHES),
+            expected=dict.fromkeys(("KernelDensity", "LineSampling"), TOUCHES),
         ),
         moved(
             "moving_receiver",
@@ -77,6 +93,34 @@ def solid_lights() -> list[Case]:
             ground=rising,
         ),
     ]
+
+
+def round_lamp() -> Case:
+    """A ball of small faces above a cube."""
+    return Case(
+        "round_lamp",
+        "emitters",
+        "a glowing ball of 320 faces, the shadow of a cube under it",
+        "faces of an emitter that are smaller than a kernel (own list)",
+        glowing(shapes.sphere(2, radius=0.35, center=(0.9, -0.5, 2.2)), cube(at=HIGH), 8.0, camera(*SHADE, 45.0)),
+        {"blocker.vertices": (1.0, 0.4, 0.2)},
+        0.02,
+    )
+
+
+def lamp_of_many_faces() -> Case:
+    """`tiny_light` once more, in 32 triangles."""
+    return Case(
+        "lamp_of_many_faces",
+        "emitters",
+        "the lamp of `tiny_light`, made of 32 triangles",
+        "faces of an emitter smaller than a kernel: their strips are not cut to it (own finding)",
+        table(cube(at=HIGH), light=lamp(0.016, resolution=4), view=camera(*SHADE, 45.0)),
+        {"blocker.vertices": (1.0, 0.4, 0.2)},
+        0.02,
+        reference_spp=512,
+        expected={"KernelDensity": CUT, "LineSampling": SHORT},
+    )
 
 
 def textured_emitter() -> Case:
@@ -143,11 +187,21 @@ def skies() -> list[Case]:
          (), {"environment.radiance": pole}, 0.1, False),
     ]  # fmt: skip
     return [
-        Case(name, "skies", about, source, outdoors(sky(bright, not bright)), moves, step, boundary=boundary)
+        Case(
+            name,
+            "skies",
+            about,
+            source,
+            outdoors(sky(bright, not bright)),
+            moves,
+            step,
+            boundary=boundary,
+            expected={"KernelDensity": EVERYWHERE} if name == "turning_sky" else {},
+        )
         for name, about, source, bright, moves, step, boundary in found
     ]
 
 
 def cases() -> list[Case]:
     """Lamps and the floor."""
-    return [*solid_lights(), textured_emitter()]
+    return [*solid_lights(), textured_emitter(), round_lamp(), lamp_of_many_faces()]

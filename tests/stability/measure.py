@@ -1,6 +1,7 @@
 """Bias and spread of an estimator's derivative images against central differences, and what follows from them."""
 
 import math
+import time
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ POSITIONS = 8  # within the step of the reference
 SURE = 3.0  # standard errors
 ROUNDS = {"WarpedArea": 1, "RednerWAS": 1}  # ten times as slow as the others
 ENOUGH = 0.01  # standard error of a projection after which no more calls are made
+LONG = 240.0  # seconds after which no more calls are made
 UNRESOLVED = 0.15  # standard error of a projection above which nothing is known
 
 
@@ -111,17 +113,21 @@ def verdict(case: Case, estimator: str, found: dict[str, Any]) -> str:
 
 
 def measure(case: Case, estimator: str, against: Reference, most: int = 0) -> dict[str, Any]:
-    """Everything about one cell of the table. More calls, up to `most` times as many, until they tell enough."""
+    """Everything about one cell of the table.
+
+    More calls, up to `most` times as many, until they tell enough or have taken `LONG`; then the errors are larger.
+    """
     most = most or next((rounds for name, rounds in ROUNDS.items() if estimator.startswith(name)), 8)
     size2(against.image, against.noise)  # a reference that is all noise is no estimator's fault
-    values = None
+    values, start = None, time.perf_counter()
     try:
         for seed in range(2, 2 + most):
             more = calls(case, estimator, seed=seed)
             values = more if values is None else np.concatenate([values, more], axis=1)
             found = {"status": "ok"} | compare(values, against) | {"calls": values.shape[0] * values.shape[1]}
             precise = found["projection_error"] < ENOUGH and 2 * SURE * found["bias2_error"] < (2 * case.tolerance) ** 2
-            if precise or verdict(case, estimator, found) == "biased":
+            long = time.perf_counter() - start > LONG
+            if precise or long or verdict(case, estimator, found) == "biased":
                 break
     except ValueError as refusal:
         found = {"status": "refuses", "message": str(refusal).splitlines()[0]}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxdr.geometry import shapes
-from tests.stability.case import COLUMNS, Case, Expected
+from tests.stability.case import Case, Expected
 from tests.stability.stage import camera as view
 from tests.stability.stage import cube, floor, lamp, placed, resized, rotation, standing, table
 
@@ -23,7 +23,15 @@ NO_EDGE = Expected(
     "shadows are promised, and what is missing is 4 % here",
 )
 
+SOFT_SPHERE = Expected("noisy", "as the others of narrow kernels; 0.03 radian is small in a light that fills the sky")
+SHORT = Expected(
+    "biased",
+    "up to half is missing, the cause is not found: of `shadow_alone`, `slivers` and `tiny_light` `sigma0=0.006` finds "
+    "as much (0.67 ± 0.09, 0.55 ± 0.10, 0.48 ± 0.12), `samples=32` no more (0.83 ± 0.05, 0.44 ± 0.05, 0.41 ± 0.03); "
+    "`jd.EstimatorWarning`, and plans leave it out",
+)
 NOISY = {"WarpedArea": NARROW}
+BOTH = {"WarpedArea": NARROW, "RednerWAS": SHORT}
 
 
 def case(name, about, source, scene, velocity=ALONG, step=0.02, **options) -> Case:
@@ -65,7 +73,7 @@ def cases() -> list[Case]:
             "the same, the cube out of view",
             "control",
             table(cube(at=HIGH), view=shade),
-            expected=NOISY,
+            expected=BOTH,
         ),
         case(
             "tiny_light",
@@ -73,7 +81,7 @@ def cases() -> list[Case]:
             "kernels that are wider than the penumbra (own list)",
             table(cube(at=HIGH), light=lamp(0.016), view=shade),
             reference_spp=512,
-            expected=NOISY,
+            expected=BOTH,
         ),
         case(
             "soft_light",
@@ -81,13 +89,14 @@ def cases() -> list[Case]:
             "2026 paper, Fig. 13: an extremely soft shadow",
             table(cube(at=HIGH), light=lamp(7.0, (0.6, -0.3, 3.0)), view=shade),
             reference_spp=512,
-            expected={"KernelDensity": SOFT},
+            expected={"KernelDensity": SOFT, "RednerWAS": SOFT_SPHERE} | NOISY,
         ),
         case(
             "sharp_corner",
             "shadow of a spike",
             "a kernel over a corner of the boundary, worse with a large radius (own finding)",
             table(placed(spike(), rotation((0, 0, 1), 0.6), HIGH, (0.9, 0.5, 0.5)), view=shade),
+            expected=BOTH,
             extra=("KernelDensity, radius 0.2",),
         ),
         scaled("scale_small", 1e-3),
@@ -106,6 +115,7 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
+            expected={"GuidedEdges": NO_EDGE} | NOISY,
         ),
         case(
             "rising_through",
@@ -113,7 +123,7 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
-            expected=dict.fromkeys(COLUMNS, NO_EDGE),
+            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), NO_EDGE) | NOISY,
         ),
         case(
             "emitter_at_wall",
@@ -141,17 +151,20 @@ def cases() -> list[Case]:
             "camera, lamp and floor are inside the cube, whose walls move",
             "back faces, silhouettes from inside (own list)",
             table(cube(6.4, (0.1, 0.2, 1.0), inside), floor(2.0), view=view((0.0, -2.6, 1.7), (0.1, 0.3, 0.9), 75.0)),
+            expected={"RednerWAS": SHORT},
         ),
         case(
             "slivers",
             "a sheet a thousand times wider than thick: sides of sliver triangles",
             "NaN gradients of triangles that are seen edge-on (PyTorch3D issue 110)",
             table(cube((0.7, 0.7, 0.0007), HIGH, rotation((1.0, 0.3, 0.0), 0.2)), view=shade),
+            expected=BOTH,
         ),
         case(
             "zero_area",
             "a cube whose top is shrunk to a point, as by an optimisation: two faces without area",
             "0 / 0 in normals; gradients turn to NaN in the middle of an optimisation (redner issue 13)",
             table(placed(collapsed(), TURN_SMALL, (0.0, 0.0, 0.7), 0.6)),
+            expected=BOTH,
         ),
     ]

@@ -43,9 +43,9 @@ def floor(size: float = 6.0) -> jd.Mesh:
     return shapes.plane(size)
 
 
-def lamp(size: float = 0.6, at=(0.9, -0.5, 2.4), towards=(0.0, 0.0, 0.3)) -> jd.Mesh:
-    """A square that shines from `at` towards a point."""
-    return transformed(shapes.rectangle(size, size), jd.look_at(at, towards, (0.3, 0.8, 0.1)))
+def lamp(size: float = 0.6, at=(0.9, -0.5, 2.4), towards=(0.0, 0.0, 0.3), resolution: int = 1) -> jd.Mesh:
+    """A square that shines from `at` towards a point, `resolution` squares of two triangles along its sides."""
+    return transformed(shapes.plane(size, resolution), jd.look_at(at, towards, (0.3, 0.8, 0.1)))
 
 
 def camera(eye=EYE, target=TARGET, fov: float = 42.0, film: int = FILM) -> jd.Perspective:

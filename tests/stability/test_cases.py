@@ -32,7 +32,7 @@ SHARED = (
 
 
 def known(case: Case, estimator: str) -> str:
-    """The verdict that a cell is known to have."""
+    """The verdict that a cell is expected to have: right, where the case does not say otherwise."""
     return case.expected[estimator].verdict if estimator in case.expected else "right"
 
 
@@ -60,22 +60,38 @@ def test_values_of_one_program():
 
 
 def cells() -> list:
-    """All that can be measured; what is known to be wrong has to stay wrong until the table says otherwise."""
-    found = []
-    for case in CASES.values():
-        for estimator in case.estimators():
-            marks = [pytest.mark.slow]
-            if known(case, estimator) == "refuses":
-                continue
-            if known(case, estimator) != "right":
-                marks.append(pytest.mark.xfail(strict=True, raises=AssertionError, reason=case.expected[estimator].why))
-            found.append(pytest.param(case.name, estimator, id=f"{case.name}, {estimator}", marks=marks))
-    return found
+    """All that can be measured."""
+    return [
+        pytest.param(case.name, estimator, id=f"{case.name}, {estimator}", marks=pytest.mark.slow)
+        for case in CASES.values()
+        for estimator in case.estimators()
+        if known(case, estimator) != "refuses"
+    ]
 
 
+@pytest.mark.filterwarnings("ignore::jaxdr.EstimatorWarning")  # some cells are there to show what it says
 @pytest.mark.parametrize(("name", "estimator"), cells())
 def test_cell(name, estimator):
-    check(CASES[name], estimator, measure(CASES[name], estimator, against(CASES[name])))
+    """What the table says, right or wrong, and how much: a cell that was never measured is nothing to go by."""
+    case = CASES[name]
+    table = kept.measured(case).get(estimator)
+    if table is None:
+        pytest.skip(f"not measured yet: python -m experiments.stability.run --case {name}")
+    found = measure(case, estimator, against(case))
+    assert found["verdict"] == table["verdict"], (found, table)
+    if table["verdict"] == "right":
+        check(case, estimator, found)
+    if table["status"] == "ok":
+        error = math.hypot(found["projection_error"], table["projection_error"])
+        assert abs(found["projection"] - table["projection"]) < case.tolerance + SURE * error, (found, table)
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if isinstance(case.made, jd.Scene)])
+def test_what_is_wrong_has_a_reason(name):
+    """Every measured cell has the verdict that its case names with a reason; what is right is not called wrong."""
+    case = CASES[name]
+    for estimator, cell in kept.measured(case).items():
+        assert cell["verdict"] == known(case, estimator), (estimator, cell)
 
 
 def refusals() -> list:

@@ -1,0 +1,63 @@
+"""How wrong the estimators are that `jaxdr.plan` chooses among, from measured cells."""
+
+from typing import NamedTuple
+
+from jaxdr.plan.candidates import candidates
+from jaxdr.plan.directions import moving_along
+from jaxdr.plan.static_look import static_look
+from tests.stability.case import Case
+
+LIMIT = 0.05
+
+
+class Choice(NamedTuple):
+    """A measured cell of an estimator that a plan of its case tries."""
+
+    case: str
+    estimator: str
+    cell: dict
+
+    @property
+    def wrong(self) -> float:
+        """By how much of itself the derivative is too large or too small."""
+        return abs(self.cell["projection"] - 1)
+
+    def __str__(self) -> str:
+        size = f"{self.cell['projection']:.3f} ± {self.cell['projection_error']:.3f}"
+        return f"`{self.case}` ({self.estimator}, {size})"
+
+
+def choices(cases: list[Case], cells: dict) -> list[str]:
+    """What a plan tries, what of it has the least noise, and which of both is wrong by how much."""
+    tried, best = [], []
+    for case in cases:
+        if not case.boundary or case.only:
+            continue
+        found = [Choice(case.name, name, cells[case.name][name]) for name in _tried(case) if name in cells[case.name]]
+        found = [choice for choice in found if choice.cell["status"] == "ok"]
+        if found:
+            tried += found
+            best.append(min(found, key=lambda choice: choice.cell["deviation"]))
+    return [
+        "A plan leaves out what is wrong by nature, and of the rest takes what has the least noise in a second. Of "
+        f"what it tries {len(tried)} cells of {len(best)} cases are measured. By size of the derivative, cells of too "
+        "much noise apart:",
+        "",
+        f"* of all it tries: {_worst(tried)};",
+        f"* of those with the least spread in their case, which it chooses where they are no slower: {_worst(best)}.",
+    ]
+
+
+def _tried(case: Case) -> list[str]:
+    look = static_look(case.scene, moving_along(case.scene, tuple(case.moves)))
+    return list(dict.fromkeys(type(made).__name__ for made in candidates(look, case.max_depth).tried.values()))
+
+
+def _worst(found: list[Choice]) -> str:
+    clear = sorted((c for c in found if c.cell["verdict"] != "noisy"), key=lambda choice: -choice.wrong)
+    if not clear:
+        return "none is measured"
+    beyond = [choice for choice in clear if choice.wrong > LIMIT]
+    noisy = [f"`{c.case}` ({c.estimator})" for c in found if c.cell["verdict"] == "noisy"]
+    text = f"the worst is {clear[0]}, {len(beyond)} of {len(clear)} are off by more than {LIMIT:.0%}"
+    return text + (f"; too noisy: {', '.join(noisy)}" if noisy else "")

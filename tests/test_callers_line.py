@@ -1,0 +1,38 @@
+"""Warnings name the line of whoever called this library."""
+
+import warnings
+
+import jax
+import numpy as np
+import pytest
+
+import jaxdr as jd
+from jaxdr import callers_line
+
+
+@pytest.mark.parametrize("through", [lambda f: f, jax.jit, jax.jacfwd])
+def test_frames_of_jax_do_not_count(through):
+    def caller(x):
+        callers_line.warn("something")
+        return x
+
+    with pytest.warns(UserWarning, match="something") as caught:
+        through(caller)(1.0)
+    assert caught[0].filename == __file__
+    assert caught[0].lineno == caller.__code__.co_firstlineno + 1
+
+
+def test_a_mesh_names_the_line_that_made_it():
+    """And not one of Equinox, where all modules are made."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [0, -1, 0.0]])
+    with pytest.warns(UserWarning, match="1 edges lie on others") as caught:
+        jd.Mesh(corners, [[0, 1, 2], [4, 3, 5]])
+    assert caught[0].filename == __file__
+
+
+def test_without_a_caller_the_outermost_frame_is_named(monkeypatch):
+    monkeypatch.setattr(callers_line, "_inner", lambda frame: True)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        callers_line.warn("nobody")
+    assert len(caught) == 1
