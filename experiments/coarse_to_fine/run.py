@@ -1,17 +1,20 @@
 """What levels are worth: Chamfer distance against seconds with fixed settings and from coarse to fine.
 
-    python -m experiments.coarse_to_fine.run [--levels configs/spot_levels.toml]
+    python -m experiments.coarse_to_fine.run [--seed N ...] [--levels configs/spot_levels.toml]
 
 Both runs start in processes of their own, one after the other; seconds are of everything, compilation included.
+Seeds that are there already stay in the table and the picture.
 """
 
 import csv
+import json
 from itertools import pairwise
 
 from experiments import common
 
 STUDY = "coarse_to_fine"
 COLUMNS = {
+    "seed": ("seed", "d"),
     "run": ("run", ""),
     "steps": ("steps", "d"),
     "seconds": ("seconds", ".0f"),
@@ -20,14 +23,15 @@ COLUMNS = {
 }
 
 
-def run(config, quick, target):
+def run(config, seed, quick, target):
     """(summary, rows of metrics.csv) of a run."""
     from pathlib import Path
 
     from jaxdr.optimize.config import read_config
     from jaxdr.optimize.loop import optimize
 
-    changes = [f"output={common.scratch(STUDY) / Path(config).stem}", "report.chamfer=10", "report.pictures=1000"]
+    folder = common.scratch(STUDY) / f"{Path(config).stem}_{seed}"
+    changes = [f"output={folder}", f"seed={seed}", "report.chamfer=10", "report.pictures=1000"]
     changes += [f"target.path={target}"] if target else []
     changes += ["optimizer.iterations=20", "samples.target=4", "optimizer.learning_rate=0.02"] if quick else []
     made = read_config(Path(config), changes)
@@ -41,18 +45,20 @@ def curve(rows):
     return [(float(row["seconds"]), float(row["chamfer"])) for row in rows if row["chamfer"]]
 
 
-def chart(curves, changes, path):
-    """Chamfer distance over seconds; where levels begin is marked."""
+def chart(studies, path):
+    """Chamfer distance over seconds, a line a run; where levels begin is marked."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, panel = plt.subplots(figsize=(6.4, 3.8))
-    for name, points in curves.items():
-        (line,) = panel.semilogy(*zip(*points, strict=True), ".-", label=name)
-        for seconds in changes[name]:
-            panel.axvline(seconds, color=line.get_color(), linewidth=0.8, linestyle=":")
+    for number, study in enumerate(studies):
+        for color, (name, points) in zip(("C0", "C1"), study["curves"].items(), strict=True):
+            label = name if number == 0 else None
+            panel.semilogy(*zip(*points, strict=True), ".-", color=color, label=label, linewidth=0.9, markersize=3)
+            for seconds in study["changes"][name]:
+                panel.axvline(seconds, color=color, linewidth=0.8, linestyle=":")
     panel.set(xlabel="seconds, compilation included", ylabel="Chamfer distance / diagonal")
     panel.grid(True, which="both", alpha=0.3)
     panel.legend()
@@ -60,15 +66,11 @@ def chart(curves, changes, path):
     figure.savefig(path, dpi=110)
 
 
-def main():
-    parser = common.parser(__doc__)
-    parser.add_argument("--fixed", default="configs/spot.toml")
-    parser.add_argument("--levels", default="configs/spot_levels.toml")
-    parser.add_argument("--target", default="", help="mesh to be found, if not at the place that the configs name")
-    options = parser.parse_args()
-    folder, rows, curves, changes = common.results(STUDY, options.quick), [], {}, {}
+def measured(options, seed):
+    """Rows, curves and times of change of both runs of a seed."""
+    rows, curves, changes = [], {}, {}
     for name in ("fixed", "levels"):
-        summary, metrics = common.in_fresh_process(run, getattr(options, name), options.quick, options.target)
+        summary, metrics = common.in_fresh_process(run, getattr(options, name), seed, options.quick, options.target)
         curves[name] = curve(metrics)
         changes[name] = [
             float(row["seconds"])
@@ -76,19 +78,27 @@ def main():
             if (before["level"], before["vertices"]) != (row["level"], row["vertices"])
         ]
         goal = curves["fixed"][-1][1]
-        reached = next((seconds for seconds, distance in curves[name] if distance <= goal), None)
-        rows.append(
-            {
-                "run": name,
-                "steps": summary["iterations"],
-                "seconds": summary["seconds"],
-                "chamfer": summary["chamfer_final"],
-                "reached": reached,
-            }
-        )
-        common.write_json(folder / "coarse_to_fine.json", {"rows": rows, "curves": curves, "changes": changes})
-    chart(curves, changes, folder / "coarse_to_fine.png")
-    print(common.table(rows, COLUMNS))
+        row = {"seed": seed, "run": name, "steps": summary["iterations"], "seconds": summary["seconds"]}
+        row["reached"] = next((seconds for seconds, distance in curves[name] if distance <= goal), None)
+        rows.append(row | {"chamfer": summary["chamfer_final"]})
+    return {"rows": rows, "curves": curves, "changes": changes}
+
+
+def main():
+    parser = common.parser(__doc__)
+    parser.add_argument("--fixed", default="configs/spot.toml")
+    parser.add_argument("--levels", default="configs/spot_levels.toml")
+    parser.add_argument("--seed", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--target", default="", help="mesh to be found, if not at the place that the configs name")
+    options = parser.parse_args()
+    folder = common.results(STUDY, options.quick)
+    for seed in options.seed:
+        common.write_json(folder / f"seed_{seed}.json", measured(options, seed))
+        studies = [json.loads(file.read_text()) for file in sorted(folder.glob("seed_*.json"))]
+        chart(studies, folder / "coarse_to_fine.png")
+        table = common.table([row for study in studies for row in study["rows"]], COLUMNS)
+        (folder / "table.md").write_text(table + "\n")
+        print(table, flush=True)
 
 
 if __name__ == "__main__":

@@ -32,8 +32,11 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
     figure = Figure(figsize=(8.6, 5.0))
     FigureCanvasAgg(figure)
     panel = figure.add_subplot()
-    for i, name in enumerate(dict.fromkeys(row["estimator"] for row in measured)):
+    # Numbered with those that refused the scene: an estimator looks the same in all scenes of a chart.
+    for i, name in enumerate(dict.fromkeys(row["estimator"] for row in rows)):
         mine = sorted((row for row in measured if row["estimator"] == name), key=lambda row: row["samples"])
+        if not mine:
+            continue
         x, y = [row[seconds] for row in mine], [row[error] for row in mine]
         compiled = [row.get(f"{prefix}compile_seconds") for row in mine]
         compiled = max((t for t in compiled if t is not None), default=None)
