@@ -2,7 +2,7 @@
 
 from jaxdr.geometry import shapes
 from tests.stability.case import DIRECT_ONLY, Case
-from tests.stability.shadows import ALONG, SHADE
+from tests.stability.shadows import ALONG, NOISY, SHADE, SHORT
 from tests.stability.stage import camera as view
 from tests.stability.stage import cube, grey, lamp, table
 
@@ -30,7 +30,7 @@ def white_box(depth: int) -> Case:
         max_depth=depth,
         reference_spp=256,
         batches=48,
-        expected=dict.fromkeys(("RednerWAS", "GuidedEdges"), DIRECT_ONLY),
+        expected=dict.fromkeys(("RednerWAS", "GuidedEdges"), DIRECT_ONLY) | NOISY,
     )
 
 
@@ -49,6 +49,7 @@ def tessellated(name: str, faces: int) -> Case:
         made,
         {"blocker.vertices": ALONG},
         0.02,
+        expected={"RednerWAS": SHORT},
     )
 
 

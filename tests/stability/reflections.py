@@ -4,6 +4,7 @@ import numpy as np
 
 import jaxdr as jd
 from tests.stability.case import DIRECT_ONLY, Case, Expected
+from tests.stability.shadows import BOTH, NOISY, SPHERE
 from tests.stability.stage import camera as view
 from tests.stability.stage import cube, lamp, table
 
@@ -80,17 +81,21 @@ def cases() -> list[Case]:
     rough = "2026 paper, Fig. 13: reflections in rough surfaces"
     smooth = "narrow lobes: the noise of the material form grows as one over the roughness (own finding)"
     return [
-        glossy_shadow("glossy_rough", 0.4, "a lamp in a floor of roughness 0.4, and what is before it", rough),
-        glossy_shadow("glossy", 0.15, "the same, roughness 0.15", rough),
-        glossy_shadow("glossy_smooth", 0.03, "the same, roughness 0.03", smooth),
-        reflected("rough_reflection", 0.3, "two boxes in a mirror of roughness 0.3", rough),
-        reflected("mirror_medium", 0.1, "the same, roughness 0.1", smooth),
+        glossy_shadow(
+            "glossy_rough", 0.4, "a lamp in a floor of roughness 0.4, and what is before it", rough, expected=NOISY
+        ),
+        glossy_shadow("glossy", 0.15, "the same, roughness 0.15", rough, expected=BOTH),
+        glossy_shadow(
+            "glossy_smooth", 0.03, "the same, roughness 0.03", smooth, expected={"RednerWAS": SPHERE} | NOISY
+        ),
+        reflected("rough_reflection", 0.3, "two boxes in a mirror of roughness 0.3", rough, expected=NOISY),
+        reflected("mirror_medium", 0.1, "the same, roughness 0.1", smooth, expected=NOISY),
         reflected(
             "mirror_low_roughness",
             0.01,
             "the same, roughness 0.01",
             smooth,
-            expected=dict.fromkeys(("KernelDensity", "LineSampling"), LOBE),
+            expected=dict.fromkeys(("KernelDensity", "LineSampling"), LOBE) | NOISY,
         ),
         reflected(
             "self_shadow_reflected",
@@ -98,6 +103,7 @@ def cases() -> list[Case]:
             "the lamp right above: one box shadows the other, seen in a mirror of roughness 0.05",
             "Mitsuba issue 1648: gradients of a self-shadow seen in a rough mirror depend on the guide",
             lamp(0.4, (0.6, -0.1, 2.4), (0.1, 0.2, 0.9)),
+            expected=NOISY,
         ),
         uv_seams(),
     ]

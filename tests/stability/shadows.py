@@ -30,6 +30,7 @@ SHORT = Expected(
     "as much (0.67 ± 0.09, 0.55 ± 0.10, 0.48 ± 0.12), `samples=32` no more (0.83 ± 0.05, 0.44 ± 0.05, 0.41 ± 0.03); "
     "`jd.EstimatorWarning`, and plans leave it out",
 )
+SPHERE = Expected("noisy", "a difference of velocities a narrow kernel apart, over small and bright lights and lobes")
 NOISY = {"WarpedArea": NARROW}
 BOTH = {"WarpedArea": NARROW, "RednerWAS": SHORT}
 
