@@ -75,6 +75,11 @@ def project_paths(
     one = jnp.nonzero(hidden, size=count, fill_value=0)[0][jnp.arange(count) % jnp.maximum(hidden.sum(), 1)]
     chosen = jax.random.randint(key_pairs, (count,), 0, jnp.maximum(lit.sum(), 1))
     other = jnp.nonzero(lit, size=count, fill_value=0)[0][chosen]
+    # Between two emitter samples there is little of an emitter's rim: half of the pairs have one, half one film point.
+    part = jnp.arange(4) < 2
+    outside = jnp.where(part == (jnp.arange(count) % 2 == 0)[:, None], u[other], u[one])
+    end = shadow_rays(packed, outside, rays)
+    outside = jnp.where((end.there & (end.occluder < 0))[:, None], outside, u[other])
 
     def halve(_, interval):
         inside, outside = interval
@@ -82,7 +87,7 @@ def project_paths(
         still = (shadow_rays(packed, middle, rays).occluder >= 0)[:, None]
         return jnp.where(still, middle, inside), jnp.where(still, outside, middle)
 
-    inside, _ = jax.lax.fori_loop(0, HALVINGS, halve, (u[one], u[other]))
+    inside, _ = jax.lax.fori_loop(0, HALVINGS, halve, (u[one], outside))
     last = shadow_rays(packed, inside, rays)
     point, found = _nearest_silhouettes(packed, lunes, last)
     position = point.position(lunes)
@@ -99,7 +104,7 @@ def _nearest_silhouettes(
     sides, behind = _rows_at(packed, lunes), connect_faces(packed).behind
     origin, emitter = path.first.position, path.emitter
     towards = jnp.where(emitter.infinite[:, None], emitter.direction, normalize(emitter.point.position - origin))
-    each = origin[:, None], towards[:, None]
+    each = [jnp.repeat(a[:, None], 3, axis=1) for a in (origin, towards)]
 
     def step(_, state):
         face, came, row, along, found = state
@@ -108,8 +113,7 @@ def _nearest_silhouettes(
         on_edge = jnp.clip(passes(*each, start, side).along, 0.0, 1.0)
         offset = start + on_edge[..., None] * side - each[0]
         miss = norm(offset - dot(offset, each[1])[..., None] * each[1])
-        turned = jnp.repeat(towards, 3, axis=0)
-        silhouette = passing(lunes, rows.reshape(-1), turned).silhouette.reshape(rows.shape)
+        silhouette = passing(lunes, rows.reshape(-1), each[1].reshape(-1, 3)).silhouette.reshape(rows.shape)
         here = silhouette.any(1) & ~found
         best = jnp.where(silhouette, miss, jnp.inf).argmin(1)[:, None]
         row = jnp.where(here, jnp.take_along_axis(rows, best, 1)[:, 0], row)

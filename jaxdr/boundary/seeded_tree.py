@@ -15,9 +15,12 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.primary_guides import Choice, Defended, Target, below_one, choice, evaluate
 from jaxdr.transport.sampler import lattice, uniform
 
-ROUND_LEAF = 0.1  # share of a leaf's samples that is drawn from all of it
-GAPS = 2.0  # by how many mean distances of its seeds a box reaches beyond them
-SEEDS = 8  # a leaf, of each origin: given ones, evenly spread ones, and those drawn from a first tree
+IN_CELL = 0.05  # share of a leaf's samples that is drawn from all of it
+GAPS = 4.0  # by how many mean distances of its seeds a box reaches beyond them
+SEEDS = 32  # a leaf, of each origin: given, evenly spread, drawn
+ALONG = 2 / 3  # from edge to edge everything may change: extents along them count times this power of their number
+MOST = 0.7  # a box that takes this share of its cell along an axis takes all of it
+ROUNDS = 1  # of points drawn from the tree so far
 BLUR = 2.0**-13  # how far seeds are moved at random: a box has some width in float32, and no two seeds are one
 
 
@@ -39,8 +42,8 @@ class SeededTree(NamedTuple):
     def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Primary numbers from uniform ones: a leaf by its mass, then a point of its box, or of all of it."""
         leaf, left = self.leaves.sample(u[:, 0])
-        around = left < ROUND_LEAF
-        left = jnp.where(around, left / ROUND_LEAF, (left - ROUND_LEAF) / (1 - ROUND_LEAF))
+        around = left < IN_CELL
+        left = jnp.where(around, left / IN_CELL, (left - IN_CELL) / (1 - IN_CELL))
         lower = jnp.where(around[:, None], self.cell_lower[leaf], self.lower[leaf])
         upper = jnp.where(around[:, None], self.cell_upper[leaf], self.upper[leaf])
         point = lower + jnp.stack([left, u[:, 1], u[:, 2]], -1) * (upper - lower)
@@ -52,8 +55,8 @@ class SeededTree(NamedTuple):
         leaf = self.find(primary)
         lower, upper = self.lower[leaf], self.upper[leaf]
         inside = ((primary >= lower) & (primary < upper)).all(-1)
-        density = jnp.where(inside, (1 - ROUND_LEAF) * _over_volume(lower, upper), 0.0)
-        density += ROUND_LEAF * _over_volume(self.cell_lower[leaf], self.cell_upper[leaf])
+        density = jnp.where(inside, (1 - IN_CELL) * _over_volume(lower, upper), 0.0)
+        density += IN_CELL * _over_volume(self.cell_lower[leaf], self.cell_upper[leaf])
         return self.leaves.probability(leaf) * density
 
     def find(self, primary: Float[Array, "n 3"]) -> Int[Array, " n"]:
@@ -74,23 +77,33 @@ def _over_volume(lower, upper):
 
 
 def build_seeded_tree(
-    target: Target, seeds: Float[Array, "n 3"], usable: Bool[Array, " n"], leaves: int, samples: int, key: PRNGKeyArray
+    target: Target,
+    seeds: Float[Array, "n 3"],
+    usable: Bool[Array, " n"],
+    edges: int,
+    leaves: int,
+    samples: int,
+    key: PRNGKeyArray,
 ) -> SeededTree:
     """A tree of `leaves`, a power of two and two or more, around those usable seeds at which the target is positive.
 
-    As many evenly spread points are tried as seeds, and then points drawn from the tree around both. The leaves' masses
-    are root mean squares of `samples` evaluations in their boxes and of those at their seeds.
+    The first number runs over so many `edges`. Evenly spread points are tried as seeds as well, and then points drawn
+    from the tree around both. The leaves' masses are root mean squares of `samples` evaluations in their boxes and of
+    those at their seeds.
     """
+    scale = edges ** jnp.asarray([ALONG, 0.0, 0.0])
     count, dtype = SEEDS * leaves, seeds.dtype
     key_even, key_drawn, *keys = jax.random.split(key, 6)
     even = lattice(key_even, 1, jnp.arange(count), 4, dtype)[0, :, :3]
     points = _moved(jnp.concatenate([seeds, even]), keys[0])
     tried = jnp.concatenate([usable, jnp.ones(count, bool)])
     values = jnp.where(tried, evaluate(target, points), 0.0)
-    first = _grown(target, points, values, leaves, samples, keys[1])
-    drawn = Defended(first).sample(lattice(key_drawn, 1, jnp.arange(count), 4, dtype)[0, :, :3])
-    points, values = jnp.concatenate([points, drawn]), jnp.concatenate([values, evaluate(target, drawn)])
-    return _grown(target, points, values, leaves, samples, keys[2])
+    for key_round in jax.random.split(key_drawn, ROUNDS):
+        key_tree, key_shift = jax.random.split(key_round)
+        tree = _grown(target, points, values, scale, leaves, samples, key_tree)
+        drawn = Defended(tree).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[0, :, :3])
+        points, values = jnp.concatenate([points, drawn]), jnp.concatenate([values, evaluate(target, drawn)])
+    return _grown(target, points, values, scale, leaves, samples, keys[1])
 
 
 def _moved(points, key):
@@ -98,7 +111,7 @@ def _moved(points, key):
     return below_one(jnp.clip(moved, 0.0, 1.0))
 
 
-def _grown(target: Target, points, values, leaves: int, samples: int, key) -> SeededTree:
+def _grown(target: Target, points, values, scale, leaves: int, samples: int, key) -> SeededTree:
     """The tree around points of positive value."""
     levels = leaves.bit_length() - 1
     real, slots = values > 0, jnp.arange(leaves)
@@ -112,7 +125,7 @@ def _grown(target: Target, points, values, leaves: int, samples: int, key) -> Se
         slot, lower, upper = state
         number, least, most = extents(slot)
         several = number >= 2
-        axis = jnp.where(several[:, None], most - least, upper - lower).argmax(-1)
+        axis = (jnp.where(several[:, None], most - least, upper - lower) * scale).argmax(-1)
         along = jnp.take_along_axis(points, axis[jnp.minimum(slot, leaves - 1)][:, None], 1)[:, 0]
         ordered = along[jnp.lexsort((along, slot))]
         middle = jnp.cumsum(number) - number + number // 2
@@ -134,8 +147,9 @@ def _grown(target: Target, points, values, leaves: int, samples: int, key) -> Se
     number, least, most = extents(slot)
     several = (number >= 2)[:, None]
     beyond = GAPS * (most - least) / jnp.maximum(number - 1, 1)[:, None]
-    lower = jnp.where(several, jnp.maximum(least - beyond, cell_lower), cell_lower)
-    upper = jnp.where(several, jnp.minimum(most + beyond, cell_upper), cell_upper)
+    lower, upper = jnp.maximum(least - beyond, cell_lower), jnp.minimum(most + beyond, cell_upper)
+    fills = ~several | (upper - lower > MOST * (cell_upper - cell_lower))
+    lower, upper = jnp.where(fills, cell_lower, lower), jnp.where(fills, cell_upper, upper)
     u = uniform(key, (leaves, samples, 3), points.dtype)
     tried = evaluate(target, (lower[:, None] + u * (upper - lower)[:, None]).reshape(-1, 3)).reshape(leaves, samples)
     squares = (tried**2).sum(1) + jax.ops.segment_sum(values**2, slot, leaves)

@@ -23,7 +23,7 @@ def guides():
     seeds = jax.random.uniform(jax.random.key(1), (256, 3))
     usable = jnp.arange(256) % 2 == 0
     return {
-        "projective": build_seeded_tree(target, seeds, usable, 256, 16, jax.random.key(0)),
+        "projective": build_seeded_tree(target, seeds, usable, 8, 256, 16, jax.random.key(0)),
         "grid": build_grid(target, (8, 6, 5), 4, jax.random.key(0)),
         "kdtree": build_kdtree(target, borders, 1024, 32, 0.01),
     }
