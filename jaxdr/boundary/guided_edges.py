@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxdr.boundary.beam import detect, gathered_by_bounces, image, moves
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.boundary_segments import DirectionSampling, EmitterSampling, Strategy, segment_ends
-from jaxdr.boundary.edge_chains import chain_edges
+from jaxdr.boundary.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.flux_maps import flux_maps
 from jaxdr.boundary.guide_target import segment_target
@@ -39,11 +39,12 @@ class Plan(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What all chunks of an image share: the edges, which shapes move, a guide for every plan."""
+    """What all chunks of an image share: the edges, which shapes move, a guide for every plan, `order` where sorted."""
 
     lunes: EdgeLunes
     moving: Bool[Array, " S"]
     guides: tuple[Defended, ...]
+    order: EdgeOrder | None = None
 
 
 class GuidedEdges(eqx.Module):
@@ -102,7 +103,7 @@ class GuidedEdges(eqx.Module):
         """
         _check(packed, settings)
         detached = jax.tree.map(stop_gradient, packed)
-        lunes, flags = edge_lunes(packed, moving), jnp.asarray(moving)
+        lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
             order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
             lunes = edge_lunes(packed, moving, order)
@@ -127,7 +128,28 @@ class GuidedEdges(eqx.Module):
             return Defended(build_seeded_tree(target, seeds, usable, lunes.edge.shape[0], self._powers, count, key))
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
-        return Prepared(lunes, flags, guides)
+        return Prepared(lunes, flags, guides, order)
+
+    def prepare_with(
+        self,
+        packed: PackedScene,
+        moving: tuple[bool, ...],
+        settings: PathSettings,
+        guides: tuple[Defended, ...],
+        order: EdgeOrder | None,
+    ) -> Prepared:
+        """`prepare` with guides that were built for another position of the same meshes.
+
+        Raises ValueError as `prepare` does, and for another number of strategies than there are guides.
+        """
+        _check(packed, settings)
+        needed = len(self.plans(packed, settings))
+        if needed != len(guides):
+            raise ValueError(
+                f"render: guides were built for {len(guides)} strategies, and this scene at max_depth="
+                f"{settings.max_depth} needs {needed}; build them for it with build_guides"
+            )
+        return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
 
     @property
     def _powers(self) -> int:

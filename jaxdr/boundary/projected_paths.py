@@ -110,7 +110,7 @@ def _nearest_silhouettes(
         face, came, row, along, found = state
         rows = sides[face]
         start, side = lunes.start[rows], lunes.side[rows]
-        on_edge = jnp.clip(passes(*each, start, side).along, 0.0, 1.0)
+        on_edge = jnp.clip(passes(each[0], each[1], start, side).along, 0.0, 1.0)
         offset = start + on_edge[..., None] * side - each[0]
         miss = norm(offset - dot(offset, each[1])[..., None] * each[1])
         silhouette = passing(lunes, rows.reshape(-1), each[1].reshape(-1, 3)).silhouette.reshape(rows.shape)
