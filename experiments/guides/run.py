@@ -72,7 +72,8 @@ def measure(case, options, segments, keys):
     boundary = jd.GuidedEdges(sampling=CASES[case][-1], **options)
     settings = PathSettings(2, True, "auto")
     report = jd.guide_report(of, boundary, moving=("blocker",))
-    prepared = jd.jit(lambda of: boundary.prepare(pack(of), (False, False, True), settings))(of)
+    moving = tuple(name == "blocker" for name in of.shapes)
+    prepared = jd.jit(lambda of: boundary.prepare(pack(of), moving, settings))(of)
 
     @jd.jit
     def derivative(of, prepared, key):

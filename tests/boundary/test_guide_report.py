@@ -23,5 +23,5 @@ def test_bytes_are_bounded(boundary, most):
 
 
 def test_unknown_name():
-    with pytest.raises(ValueError, match="moving names 'ball', but the scene's shapes are floor, light, blocker"):
+    with pytest.raises(ValueError, match="moving names 'ball', but the scene's shapes are blocker, floor, light"):
         jd.guide_report(scene(sheet(QUADRANGLE, 0.1)), jd.GuidedEdges(), moving=("ball",))

@@ -15,7 +15,7 @@ from tests.gradients.floor_patch import scene
 from tests.gradients.floor_point import LIGHT
 
 SETTINGS = PathSettings(2, True, "auto")
-MOVING = (False, False, True)
+MOVING = (True, False, False)  # of blocker, floor, light
 
 
 @jax.jit
