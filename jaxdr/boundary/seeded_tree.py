@@ -15,12 +15,13 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.primary_guides import Choice, Defended, Target, below_one, choice, evaluate
 from jaxdr.transport.sampler import lattice, uniform
 
-IN_CELL = 0.05  # share of a leaf's samples that is drawn from all of it
+AROUND = 0.1  # share of a leaf's samples that is drawn from all of it
+SEARCH = 0.5  # the same of those that look for more seeds
 GAPS = 4.0  # by how many mean distances of its seeds a box reaches beyond them
 SEEDS = 32  # a leaf, of each origin: given, evenly spread, drawn
 ALONG = 2 / 3  # from edge to edge everything may change: extents along them count times this power of their number
 MOST = 0.7  # a box that takes this share of its cell along an axis takes all of it
-ROUNDS = 1  # of points drawn from the tree so far
+ROUNDS = 2  # of points drawn from the tree so far
 BLUR = 2.0**-13  # how far seeds are moved at random: a box has some width in float32, and no two seeds are one
 
 
@@ -28,7 +29,8 @@ class SeededTree(NamedTuple):
     """A complete binary tree of L leaves; node i has the children 2 i + 1 and 2 i + 2.
 
     Nodes are divided at `split` of their `axis`. The leaves' cells fill the unit cube, from `cell_lower` to
-    `cell_upper`; their boxes lie in them.
+    `cell_upper`; their boxes lie in them. A share `around` of a leaf's samples is
+    drawn from its cell.
     """
 
     axis: Int[Array, " N"]
@@ -38,12 +40,13 @@ class SeededTree(NamedTuple):
     lower: Float[Array, "L 3"]
     upper: Float[Array, "L 3"]
     leaves: Choice
+    around: Float[Array, ""]
 
     def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Primary numbers from uniform ones: a leaf by its mass, then a point of its box, or of all of it."""
         leaf, left = self.leaves.sample(u[:, 0])
-        around = left < IN_CELL
-        left = jnp.where(around, left / IN_CELL, (left - IN_CELL) / (1 - IN_CELL))
+        around = left < self.around
+        left = jnp.where(around, left / self.around, (left - self.around) / (1 - self.around))
         lower = jnp.where(around[:, None], self.cell_lower[leaf], self.lower[leaf])
         upper = jnp.where(around[:, None], self.cell_upper[leaf], self.upper[leaf])
         point = lower + jnp.stack([left, u[:, 1], u[:, 2]], -1) * (upper - lower)
@@ -55,8 +58,8 @@ class SeededTree(NamedTuple):
         leaf = self.find(primary)
         lower, upper = self.lower[leaf], self.upper[leaf]
         inside = ((primary >= lower) & (primary < upper)).all(-1)
-        density = jnp.where(inside, (1 - IN_CELL) * _over_volume(lower, upper), 0.0)
-        density += IN_CELL * _over_volume(self.cell_lower[leaf], self.cell_upper[leaf])
+        density = jnp.where(inside, (1 - self.around) * _over_volume(lower, upper), 0.0)
+        density += self.around * _over_volume(self.cell_lower[leaf], self.cell_upper[leaf])
         return self.leaves.probability(leaf) * density
 
     def find(self, primary: Float[Array, "n 3"]) -> Int[Array, " n"]:
@@ -101,6 +104,7 @@ def build_seeded_tree(
     for key_round in jax.random.split(key_drawn, ROUNDS):
         key_tree, key_shift = jax.random.split(key_round)
         tree = _grown(target, points, values, scale, leaves, samples, key_tree)
+        tree = tree._replace(around=jnp.asarray(SEARCH, dtype))
         drawn = Defended(tree).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[0, :, :3])
         points, values = jnp.concatenate([points, drawn]), jnp.concatenate([values, evaluate(target, drawn)])
     return _grown(target, points, values, scale, leaves, samples, keys[1])
@@ -155,4 +159,6 @@ def _grown(target: Target, points, values, scale, leaves: int, samples: int, key
     squares = (tried**2).sum(1) + jax.ops.segment_sum(values**2, slot, leaves)
     volume, whole = (upper - lower).prod(-1), (cell_upper - cell_lower).prod(-1)
     mass = volume * jnp.sqrt(squares / (samples + number))
-    return SeededTree(axis, split, cell_lower, cell_upper, lower, upper, choice(jnp.where(mass.sum() > 0, mass, whole)))
+    leaf = choice(jnp.where(mass.sum() > 0, mass, whole))
+    share = jnp.asarray(AROUND, points.dtype)
+    return SeededTree(axis, split, cell_lower, cell_upper, lower, upper, leaf, share)
