@@ -11,7 +11,7 @@ BOUNDS = [
     (jd.GuidedEdges("none", "emitter"), 0),
     (jd.GuidedEdges("grid", "emitter", cells=(64, 4, 4)), 4 * (64 + 64 * 4 + 64 * 4 * 4)),
     (jd.GuidedEdges("kdtree", "emitter", leaves=512), 170 * 512),
-    (jd.GuidedEdges("projective", "emitter", leaves=512), 72 * 128),
+    (jd.GuidedEdges("projective", "emitter", leaves=512), 70 * 128),
 ]
 
 
