@@ -8,6 +8,7 @@ and the gradient of a non-linear loss of the image is unbiased.
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
@@ -23,7 +24,7 @@ from jaxdr.scene.scene import Scene
 
 
 class Program(NamedTuple):
-    """Everything static about a rendering; hashable."""
+    """Everything static about a rendering; hashable. Of the integrator all but its arrays."""
 
     structure: Any  # a jax.tree_util.PyTreeDef
     is_float: tuple[bool, ...]
@@ -54,7 +55,8 @@ def render(
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
-    return _render(Program(structure, is_float, int(spp), integrator), floats, others, key)
+    arrays, static = eqx.partition(integrator, eqx.is_array)
+    return _render(Program(structure, is_float, int(spp), static), floats, others, arrays, key)
 
 
 def derivative_terms(
@@ -84,15 +86,15 @@ def _join(program: Program, floats, others) -> Scene:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _render(program: Program, floats, others, key):
-    return _image(program, floats, others, jax.random.split(key)[0])
+def _render(program: Program, floats, others, arrays, key):
+    return _image(program, floats, others, arrays, jax.random.split(key)[0])
 
 
 @partial(_render.defjvp, symbolic_zeros=True)
 def _render_jvp(program, primals, tangents):
-    floats, others, key = primals
+    floats, others, arrays, key = primals
     image_key, derivative_key = jax.random.split(key)
-    image = _image(program, floats, others, image_key)
+    image = _image(program, floats, others, arrays, image_key)
     active = tuple(not isinstance(t, SymbolicZero) for t in tangents[0])
     if not any(active):
         return image, jnp.zeros_like(image)
@@ -100,25 +102,27 @@ def _render_jvp(program, primals, tangents):
     at = tuple(f for f, a in zip(floats, active, strict=True) if a)
 
     def estimate(at):
-        return _derivative_image(program, active, at, floats, others, derivative_key)
+        return _derivative_image(program, active, at, floats, others, arrays, derivative_key)
 
     return image, jax.jvp(estimate, (at,), (moved,))[1]
 
 
 @partial(jax.jit, static_argnums=0)
-def _image(program: Program, floats, others, key):
-    terms = _estimate(_join(program, floats, others), key, program.spp, program.integrator, None)
+def _image(program: Program, floats, others, arrays, key):
+    integrator = eqx.combine(program.integrator, arrays)
+    terms = _estimate(_join(program, floats, others), key, program.spp, integrator, None)
     return terms["interior"]
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _derivative_image(program: Program, active, at, floats, others, key):
+def _derivative_image(program: Program, active, at, floats, others, arrays, key):
+    integrator = eqx.combine(program.integrator, arrays)
     at = iter(at)
     floats = [next(at) if a else jax.lax.stop_gradient(f) for f, a in zip(floats, active, strict=True)]
     flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
-    if program.integrator.boundary is not None:
+    if integrator.boundary is not None:
         check_still_maps(flags)
-    terms = _estimate(_join(program, floats, others), key, program.spp, program.integrator, moving_in(flags))
+    terms = _estimate(_join(program, floats, others), key, program.spp, integrator, moving_in(flags))
     return sum(terms.values())
 
 

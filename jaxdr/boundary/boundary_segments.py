@@ -73,7 +73,7 @@ class DirectionSampling:
     def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> Segments:
         """Lines from primary numbers."""
         point = edge_points(lunes, u[:, 0])
-        return _segments(lunes, point, lune_directions(lunes, point.row, u[:, 1:]), None)
+        return lines_past(lunes, point, lune_directions(lunes, point.row, u[:, 1:]), None)
 
     @staticmethod
     def density(
@@ -104,7 +104,7 @@ class EmitterSampling:
         sample = sample_emitter(packed, u[:, 1:])
         offset = sample.point.position - point.position(lunes)
         towards = jnp.where(sample.infinite[:, None], sample.direction, normalize(offset))
-        drawn = _segments(lunes, point, towards, sample.point)
+        drawn = lines_past(lunes, point, towards, sample.point)
         glows = sample.infinite | (dot(sample.point.normal, towards) < 0)
         glows = glows if sample.is_delta is None else glows & ~sample.is_delta
         return drawn._replace(silhouette=drawn.silhouette & glows)
@@ -129,7 +129,10 @@ class EmitterSampling:
 Strategy = type[DirectionSampling] | type[EmitterSampling]
 
 
-def _segments(lunes: EdgeLunes, point: EdgePoints, towards, emitter: SurfacePoint | None) -> Segments:
+def lines_past(
+    lunes: EdgeLunes, point: EdgePoints, towards: Float[Array, "n 3"], emitter: SurfacePoint | None
+) -> Segments:
+    """Lines in unit directions past points on edges."""
     passed = passing(lunes, point.row, towards)
     pole = occluded_side(lunes, point.row, passed)
     sine = jnp.sqrt(jnp.maximum(1.0 - passed.cosine**2, 0.0))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.boundary.edge_chains import EdgeOrder
 from jaxdr.boundary.silhouettes import never_silhouettes
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
@@ -24,13 +25,14 @@ STILL = 0.25  # share of the samples that goes to edges that do not move, where 
 class EdgeLunes(NamedTuple):
     """All edges of a scene, in the order of the first primary number; detached.
 
-    Row k is edge `edge[k]` of the packed scene, from `start` to `start + side`. In the frame (`first`, `second`) across
-    it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those of silhouettes, and the
-    faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per length. `share` of what jumps
-    at a row that counts: where a face has no area, its two long edges are one.
+    Row k is edge `edge[k]` of the packed scene, from `start` to `start + side` between its two `vertices`. In the frame
+    (`first`, `second`) across it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those
+    of silhouettes, and the faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per
+    length. `share` of what jumps at a row that counts: where a face has no area, its two long edges are one.
     """
 
     edge: Int[Array, " E"]
+    vertices: Int[Array, "E 2"]
     start: Float[Array, "E 3"]
     side: Float[Array, "E 3"]
     tangent: Float[Array, "E 3"]
@@ -54,7 +56,7 @@ class EdgePoints(NamedTuple):
 
     def moving(self, packed: PackedScene, lunes: EdgeLunes) -> Float[Array, "n 3"]:
         """The same, differentiable."""
-        ends = packed.vertices[packed.edges.vertices[lunes.edge[self.row]]]
+        ends = packed.vertices[lunes.vertices[self.row]]
         return (1 - self.along)[:, None] * ends[:, 0] + self.along[:, None] * ends[:, 1]
 
 
@@ -68,12 +70,18 @@ class Passing(NamedTuple):
     silhouette: Bool[Array, " n"]
 
 
-def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: Int[Array, " E"] | None = None) -> EdgeLunes:
-    """Lunes of all edges, in the given order. `moving`: which shapes move, or are seen by a camera that does."""
+def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder | None = None) -> EdgeLunes:
+    """Lunes of all edges, in the given order or the scene's.
+
+    `moving`: which shapes move, or are seen by a camera that does.
+    """
     packed = jax.tree.map(stop_gradient, packed)
     edges = packed.edges
-    number = jnp.arange(edges.vertices.shape[0]) if order is None else order
-    ends = packed.vertices[edges.vertices[number]]
+    number, between = jnp.arange(edges.vertices.shape[0]), edges.vertices
+    if order is not None:
+        number, between = order.edge, between[order.edge]
+        between = jnp.where(order.turned[:, None], between[:, ::-1], between)
+    ends = packed.vertices[between]
     side = ends[:, 1] - ends[:, 0]
     length, tangent = norm(side), normalize(side)
     across, second = orthonormal_basis(jnp.where((length > 0)[:, None], tangent, jnp.asarray([0.0, 0.0, 1.0])))
@@ -105,7 +113,7 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: Int[Array, 
     density = weight / (total * jnp.where(length > 0, length, 1.0))
     second = jnp.cross(tangent, first)
     share = packed.edges.shared(number, counts.astype(length.dtype))
-    return EdgeLunes(number, ends[:, 0], side, tangent, first, second, width, cdf / total, density, share)
+    return EdgeLunes(number, between, ends[:, 0], side, tangent, first, second, width, cdf / total, density, share)
 
 
 def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> EdgePoints:

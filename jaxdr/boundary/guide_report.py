@@ -1,11 +1,13 @@
 """What a guide costs: its memory, and the time to build it."""
 
 import time
+from collections.abc import Collection
 from typing import NamedTuple
 
 import jax
 
 from jaxdr.boundary.guided_edges import GuidedEdges
+from jaxdr.boundary.reused_guides import moving_shapes
 from jaxdr.compilation import jit
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
@@ -20,13 +22,23 @@ class GuideReport(NamedTuple):
     first_seconds: float
 
 
-def guide_report(scene: Scene, boundary: GuidedEdges, max_depth: int = 3, rays: str = "auto") -> GuideReport:
-    """Build the guides of a scene in which all shapes move, twice."""
+def guide_report(
+    scene: Scene,
+    boundary: GuidedEdges,
+    max_depth: int = 2,
+    rays: str = "auto",
+    moving: Collection[str] | None = None,
+) -> GuideReport:
+    """Build the guides of a scene twice, for shapes of these names that move: all of them, unless `moving` says which.
+
+    Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does not cover.
+    """
+    flags = moving_shapes("guide_report", scene, moving)
     settings = PathSettings(max_depth, True, rays)
 
     @jit
     def build(scene):
-        return boundary.prepare(pack(scene), (True,) * len(scene.shapes), settings).guides
+        return boundary.prepare(pack(scene), flags, settings).guides
 
     seconds = []
     for _ in range(2):

@@ -11,11 +11,14 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxdr.boundary.beam import detect, gathered_by_bounces, image, moves
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.boundary_segments import DirectionSampling, EmitterSampling, Strategy, segment_ends
+from jaxdr.boundary.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.flux_maps import flux_maps
 from jaxdr.boundary.guide_target import segment_target
 from jaxdr.boundary.kdtree_guide import build_kdtree, root_borders
 from jaxdr.boundary.primary_guides import Defended, Guide, Target, Unguided, build_grid
+from jaxdr.boundary.projected_paths import project_paths
+from jaxdr.boundary.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
@@ -36,11 +39,12 @@ class Plan(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What all chunks of an image share: the edges, which shapes move, a guide for every plan."""
+    """What all chunks of an image share: the edges, which shapes move, a guide for every plan, `order` where sorted."""
 
     lunes: EdgeLunes
     moving: Bool[Array, " S"]
     guides: tuple[Defended, ...]
+    order: EdgeOrder | None = None
 
 
 class GuidedEdges(eqx.Module):
@@ -51,24 +55,28 @@ class GuidedEdges(eqx.Module):
     - `sampling`: "emitter" draws segments for what emitters send towards them and the rest by direction, "direction"
       all by direction, "mis" (Yan et al. 2022, 4.2) the emitters' light by both.
     - `guide`: "none"; "grid", a regular one over edges and directions (Zhang et al. 2020); "kdtree", trees with
-      trilinear fits (Yan et al. 2022, 4.1). Built once for every image. A tenth of the segments is drawn without it.
+      trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected to silhouettes (Zhang
+      et al. 2023), for small emitters. Built once for every image. A tenth of the segments is drawn without it.
     - `samples`: segments per path sample and strategy.
     - `cells`: of a grid, along the edges and along both numbers of the direction; `leaves`: of all kd-trees of a
-      strategy, about.
-    - `guide_samples`: evaluations in every cell of a grid, or node of a tree.
+      strategy, about; a projective guide has a quarter, as a power of two.
+    - `guide_samples`: evaluations in every cell of a grid, node of a kd-tree, or leaf of a projective guide.
+    - `sort`: the edges in long chains (Yan et al. 2022, 4.3), so that a guide meets fewer jumps along them.
     - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
     """
 
-    guide: Literal["none", "grid", "kdtree"] = eqx.field(static=True, default="none")
+    guide: Literal["none", "grid", "kdtree", "projective"] = eqx.field(static=True, default="none")
     sampling: Literal["emitter", "direction", "mis"] = eqx.field(static=True, default="mis")
     samples: float = eqx.field(static=True, default=1.0)
     cells: tuple[int, int, int] = eqx.field(static=True, default=(1024, 8, 8))
     leaves: int = eqx.field(static=True, default=4096)
     guide_samples: int | None = eqx.field(static=True, default=None)
     threshold: float = eqx.field(static=True, default=0.1)
+    sort: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", ("none", "grid", "kdtree"))):
+        guides = "none", "grid", "kdtree", "projective"
+        for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", guides)):
             if getattr(self, name) not in known:
                 raise ValueError(f"GuidedEdges: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
         if not (self.samples > 0 and self.threshold > 0):
@@ -95,20 +103,58 @@ class GuidedEdges(eqx.Module):
         """
         _check(packed, settings)
         detached = jax.tree.map(stop_gradient, packed)
-        lunes, flags = edge_lunes(packed, moving), jnp.asarray(moving)
+        lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
+        if self.sort:
+            order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
+            lunes = edge_lunes(packed, moving, order)
         # A key of its own: all images of the same scene have the same guide.
         key_maps, *keys = jax.random.split(jax.random.key(0), 3)
         maps = flux_maps(detached, key_maps, settings) if self.guide != "none" and settings.max_depth > 2 else None
+        lines = None
+        if self.guide == "projective":
+            key_paths = jax.random.fold_in(key_maps, 1)
+            lines = project_paths(detached, lunes, SEEDS * self._powers, key_paths, settings.rays)
 
         def guide(plan: Plan, key) -> Defended:
             def target(primary):
                 options = plan.strategy, plan.emission, plan.gathered, primary, key, settings
                 return segment_target(detached, lunes, flags, maps, *options)
 
-            return Defended(self._guide(target, lunes, key))
+            if lines is None:
+                return Defended(self._guide(target, lunes, key))
+            seeds = plan.strategy.numbers(detached, lunes, *lines)
+            usable = lines[1].valid
+            count = self.guide_samples or 16
+            return Defended(build_seeded_tree(target, seeds, usable, lunes.edge.shape[0], self._powers, count, key))
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
-        return Prepared(lunes, flags, guides)
+        return Prepared(lunes, flags, guides, order)
+
+    def prepare_with(
+        self,
+        packed: PackedScene,
+        moving: tuple[bool, ...],
+        settings: PathSettings,
+        guides: tuple[Defended, ...],
+        order: EdgeOrder | None,
+    ) -> Prepared:
+        """`prepare` with guides that were built for another position of the same meshes.
+
+        Raises ValueError as `prepare` does, and for another number of strategies than there are guides.
+        """
+        _check(packed, settings)
+        needed = len(self.plans(packed, settings))
+        if needed != len(guides):
+            raise ValueError(
+                f"render: guides were built for {len(guides)} strategies, and this scene at max_depth="
+                f"{settings.max_depth} needs {needed}; build them for it with build_guides"
+            )
+        return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
+
+    @property
+    def _powers(self) -> int:
+        """Leaves of a projective guide."""
+        return 1 << max(1, self.leaves.bit_length() - 3)
 
     def _guide(self, target: Target, lunes: EdgeLunes, key) -> Guide:
         if self.guide == "grid":

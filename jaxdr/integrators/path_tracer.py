@@ -59,7 +59,7 @@ class Prepared(NamedTuple):
 
 
 class PathTracer(eqx.Module):
-    """Unidirectional path tracing with next-event estimation; every field is static.
+    """Unidirectional path tracing with next-event estimation; every field is static but what `ReusedGuides` hold.
 
     - `max_depth`: longest path in segments, as Mitsuba counts: 1 = emitters seen directly, 2 = direct light, ...
     - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and*
@@ -81,7 +81,7 @@ class PathTracer(eqx.Module):
     """
 
     max_depth: int = eqx.field(static=True, default=3)
-    boundary: BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=KernelDensity())
+    boundary: BoundaryEstimator | FilmEstimator | None = KernelDensity()
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     antithetic: bool = eqx.field(static=True, default=False)

@@ -26,6 +26,7 @@ GUIDES = [
     jd.GuidedEdges("none", "mis"),
     jd.GuidedEdges("grid", "emitter", cells=(64, 4, 4), guide_samples=64),
     jd.GuidedEdges("kdtree", "mis", leaves=256),
+    jd.GuidedEdges("projective", "mis", leaves=1024, sort=True),
 ]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from jaxdr.boundary.kdtree_guide import KdTree, build_kdtree, root_borders
 from jaxdr.boundary.primary_guides import Defended, build_grid
+from jaxdr.boundary.seeded_tree import SeededTree, build_seeded_tree
 
 
 def target(p):
@@ -19,13 +20,16 @@ def target(p):
 
 def guides():
     borders = root_borders(jnp.asarray([0.1, 0.1, 0.35, 0.7, 1.0]), 16)
+    seeds = jax.random.uniform(jax.random.key(1), (256, 3))
+    usable = jnp.arange(256) % 2 == 0
     return {
+        "projective": build_seeded_tree(target, seeds, usable, 8, 256, 16, jax.random.key(0)),
         "grid": build_grid(target, (8, 6, 5), 4, jax.random.key(0)),
         "kdtree": build_kdtree(target, borders, 1024, 32, 0.01),
     }
 
 
-@pytest.fixture(scope="module", params=("grid", "kdtree"))
+@pytest.fixture(scope="module", params=("grid", "kdtree", "projective"))
 def guide(request):
     with jax.enable_x64(True):
         return jax.jit(lambda: guides()[request.param])()
@@ -37,6 +41,12 @@ def boxes(guide):
         used = np.asarray(guide.leaves.probability(jnp.arange(guide.first.shape[0]))) > 0
         assert used.sum() > 100
         return guide.nodes.lower[used], guide.nodes.upper[used]
+    if isinstance(guide, SeededTree):
+        # Cells, cut along the sides of the boxes in them.
+        cuts = jnp.stack([guide.cell_lower, guide.lower, guide.upper, guide.cell_upper])
+        parts = jnp.asarray(list(np.ndindex(3, 3, 3)))
+        lower, upper = (cuts[parts + k, :, jnp.arange(3)] for k in (0, 1))
+        return tuple(jnp.moveaxis(a, 1, -1).reshape(-1, 3) for a in (lower, upper))
     size = (guide.x.shape[1], guide.y.shape[1], guide.z.shape[1])
     cell = jnp.stack(jnp.meshgrid(*map(jnp.arange, size), indexing="ij"), -1).reshape(-1, 3)
     return cell / jnp.asarray(size), (cell + 1) / jnp.asarray(size)

@@ -19,32 +19,35 @@ FILM = 8
 NODES = 24
 
 
-def scene(blocker: jd.Mesh) -> jd.Scene:
+def scene(blocker: jd.Mesh, light=LIGHT, fov: float = FOV) -> jd.Scene:
     """Floor, light and blocker; the film lies on the floor, and nothing hides it from the camera."""
-    of = point_scene(blocker, 4.0)
-    camera = jd.Perspective(jd.look_at(CAMERA, POINT, UP), FOV, jd.Film(FILM, FILM, jd.Box()))
+    of = point_scene(blocker, 4.0, light)
+    camera = jd.Perspective(jd.look_at(CAMERA, POINT, UP), fov, jd.Film(FILM, FILM, jd.Box()))
     return dataclasses.replace(of, camera=camera)
 
 
-def exact(blocker: jd.Mesh) -> np.ndarray:
-    """Derivative of the film's mean by the vertices of an open blocker over the floor."""
+def exact(blocker: jd.Mesh, light=LIGHT, fov: float = FOV, nodes: int = NODES) -> np.ndarray:
+    """Derivative of the film's mean by the vertices of an open blocker over the floor; smaller lights need more nodes.
+
+    `nodes` of the quadrature along each side of the film.
+    """
     vertices = np.asarray(blocker.vertices, float)
     outlines = [face for face in np.asarray(blocker.faces) if np.all(vertices[face, 2] > 0)]
-    return _exact(tuple(map(tuple, vertices)), tuple(map(tuple, outlines)))
+    return _exact(tuple(map(tuple, vertices)), tuple(map(tuple, outlines)), tuple(map(tuple, light)), fov, nodes)
 
 
 @cache
-def _exact(corners, faces):
-    vertices, outlines = np.array(corners), [list(face) for face in faces]
+def _exact(corners, faces, light, fov, count):
+    vertices, outlines, light = np.array(corners), [list(face) for face in faces], np.array(light)
     pieces = [vertices[outline] for outline in outlines]
     to_world = np.asarray(jd.look_at(CAMERA, POINT, UP), float)
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    half, total = np.tan(np.deg2rad(FOV) / 2), np.zeros_like(vertices)
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    half, total = np.tan(np.deg2rad(fov) / 2), np.zeros_like(vertices)
     for x, weight_x in zip(nodes, weights, strict=True):
         for y, weight_y in zip(nodes, weights, strict=True):
             direction = to_world[:3, :3] @ [half * x, half * y, 1.0]
             point = CAMERA - direction * (CAMERA[2] / direction[2])
             share = 0.25 * weight_x * weight_y * REFLECTANCE / np.pi * RADIANCE
-            for outline, derivative in zip(outlines, irradiance_derivatives(point, UP, LIGHT, pieces)[0], strict=True):
+            for outline, derivative in zip(outlines, irradiance_derivatives(point, UP, light, pieces)[0], strict=True):
                 np.add.at(total, outline, share * derivative)
     return total

@@ -1,0 +1,85 @@
+"""Guides that are built once and used for many steps of an optimisation.
+
+A guide is a density of primary numbers, and the map from these to lines past edges is that of the shape of the moment:
+whatever moved since the guide was built, the density of what is drawn is known exactly. What is lost is only how well
+it fits.
+"""
+
+from collections.abc import Collection
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.boundary.edge_chains import EdgeOrder
+from jaxdr.boundary.guided_edges import GuidedEdges, Prepared
+from jaxdr.boundary.primary_guides import Defended
+from jaxdr.scene.packed import PackedScene, pack
+from jaxdr.scene.scene import Scene
+from jaxdr.transport.path import PathSettings
+
+
+class ReusedGuides(eqx.Module):
+    """`GuidedEdges` with guides that are there already, by `build_guides`: a boundary estimator for `PathTracer`.
+
+    A pytree: guides of the same sizes go through one compiled program. The order of sorted edges is kept with them.
+    """
+
+    boundary: GuidedEdges = eqx.field(static=True)
+    guides: tuple[Defended, ...]
+    order: EdgeOrder | None
+    edges: int = eqx.field(static=True)
+
+    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
+        """Edges of the shape of the moment.
+
+        Raises ValueError as `GuidedEdges.prepare` does, and for guides of another mesh or depth.
+        """
+        edges = packed.edges.vertices.shape[0]
+        if edges != self.edges:
+            raise ValueError(
+                f"render: guides were built for a scene of {self.edges} edges, and this one has {edges}; build them "
+                "again with build_guides after remeshing"
+            )
+        return self.boundary.prepare_with(packed, moving, settings, self.guides, self.order)
+
+    def film_term(
+        self, packed: PackedScene, prepared: Any, count: int, key: PRNGKeyArray, settings: PathSettings, form: str
+    ) -> Float[Array, "H W 3"]:
+        """As `GuidedEdges.film_term`."""
+        return self.boundary.film_term(packed, prepared, count, key, settings, form)
+
+
+def build_guides(
+    scene: Scene,
+    boundary: GuidedEdges,
+    max_depth: int = 2,
+    rays: str = "auto",
+    moving: Collection[str] | None = None,
+) -> ReusedGuides:
+    """Build the guides of a scene, for shapes of these names that move: all of them, unless `moving` says which.
+
+    Name those that are differentiated: the edges are spread over the first primary number by what moves, and guides for
+    others fit badly. Works under jit. Raises ValueError for names that the scene does not have, and for scenes that
+    `GuidedEdges` does not cover.
+    """
+    settings = PathSettings(max_depth, True, rays)
+    guides, order = _built(scene, boundary, moving_shapes("build_guides", scene, moving), settings)
+    edges = sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values())
+    return ReusedGuides(boundary, guides, order, edges)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3))
+def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settings: PathSettings):
+    prepared = boundary.prepare(pack(scene), moving, settings)
+    return prepared.guides, prepared.order
+
+
+def moving_shapes(caller: str, scene: Scene, names: Collection[str] | None) -> tuple[bool, ...]:
+    """Which shapes of a scene are named; all without names. Raises ValueError for names that it does not have."""
+    unknown = sorted(set(names or ()) - set(scene.shapes))
+    if unknown:
+        raise ValueError(f"{caller}: moving names {unknown[0]!r}, but the scene's shapes are {', '.join(scene.shapes)}")
+    return tuple(names is None or name in names for name in scene.shapes)
