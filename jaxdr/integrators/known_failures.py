@@ -7,13 +7,15 @@ arrays, so that they hold under `jit` and cost nothing.
 from typing import Any, NamedTuple
 
 from jaxdr.boundary.emitter_planes import FEW_FACES
+from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.redner_was import RednerWAS
 from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.callers_line import warn
 from jaxdr.scene.scene import Scene
 
-# Faces of one mesh from which on kernel density is too large by 6 per cent and more (experiments/tessellation).
+# Faces of one mesh from which on kernel density is too large by 6 per cent and more (experiments/tessellation), and
+# guided edges are, too (docs/stability.md).
 FINE = 300_000
 # Auxiliary points below which 5 per cent of a boundary's velocity and more are not found (experiments/warped_area).
 ENOUGH_POINTS = 6
@@ -55,6 +57,11 @@ def known_failure(boundary: Any, found: Traits) -> str | None:
                 f"it is too small under area emitters of more than {FEW_FACES} faces where those are smaller than its "
                 "kernel (by 5 % under a tiny lamp); take LineSampling"
             )
+    if isinstance(boundary, GuidedEdges) and found.fine is not None:
+        return (
+            f"it is too large on meshes of {FINE:,} faces and more, as {found.fine} has (by 7 ± 3 % at a million): "
+            "silhouettes that are hidden within rounding count; take LineSampling"
+        )
     if isinstance(boundary, WarpedArea | RednerWAS) and boundary.distance == "exponential":
         return (
             'with distance="exponential" (Eq. 57) half of a derivative and more is missing: its velocity does not '

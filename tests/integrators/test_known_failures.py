@@ -79,8 +79,9 @@ def test_nothing_is_said_of_what_is_right(boundary):
 def test_fine_meshes(monkeypatch):
     assert known_failure(jd.KernelDensity(), traits(scene())) is None
     monkeypatch.setattr(known_failures, "FINE", 12)
-    assert "as box has" in (known_failure(jd.KernelDensity(), traits(scene())) or "")
-    assert known_failure(jd.GuidedEdges(), traits(scene())) is None
+    for boundary in (jd.KernelDensity(), jd.GuidedEdges()):
+        assert "as box has" in (known_failure(boundary, traits(scene())) or "")
+    assert known_failure(RIGHT, traits(scene())) is None
 
 
 def test_one_warning_at_the_callers_line():
