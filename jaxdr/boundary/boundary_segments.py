@@ -25,7 +25,7 @@ from jaxdr.boundary.edge_lunes import (
 )
 from jaxdr.boundary.silhouettes import BESIDE
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
@@ -102,12 +102,9 @@ class EmitterSampling:
         """Lines from primary numbers; those towards lights without area do not count."""
         point = edge_points(lunes, u[:, 0])
         sample = sample_emitter(packed, u[:, 1:])
-        offset = sample.point.position - point.position(lunes)
-        towards = jnp.where(sample.infinite[:, None], sample.direction, normalize(offset))
+        towards = sample.direction_from(point.position(lunes))
         drawn = lines_past(lunes, point, towards, sample.point)
-        glows = sample.infinite | (dot(sample.point.normal, towards) < 0)
-        glows = glows if sample.is_delta is None else glows & ~sample.is_delta
-        return drawn._replace(silhouette=drawn.silhouette & glows)
+        return drawn._replace(silhouette=drawn.silhouette & sample.shines_on(towards))
 
     @staticmethod
     def density(packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds) -> Float[Array, " n"]:

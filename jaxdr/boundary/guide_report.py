@@ -7,11 +7,9 @@ from typing import NamedTuple
 import jax
 
 from jaxdr.boundary.guided_edges import GuidedEdges
-from jaxdr.boundary.reused_guides import moving_shapes
+from jaxdr.boundary.reused_guides import build_guides
 from jaxdr.compilation import jit
-from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.path import PathSettings
 
 
 class GuideReport(NamedTuple):
@@ -33,13 +31,7 @@ def guide_report(
 
     Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does not cover.
     """
-    flags = moving_shapes("guide_report", scene, moving)
-    settings = PathSettings(max_depth, True, rays)
-
-    @jit
-    def build(scene):
-        return boundary.prepare(pack(scene), flags, settings).guides
-
+    build = jit(lambda scene: build_guides(scene, boundary, max_depth, rays, moving).guides)
     seconds = []
     for _ in range(2):
         start = time.perf_counter()

@@ -120,12 +120,8 @@ class GuidedEdges(eqx.Module):
                 options = plan.strategy, plan.emission, plan.gathered, primary, key, settings
                 return segment_target(detached, lunes, flags, maps, *options)
 
-            if lines is None:
-                return Defended(self._guide(target, lunes, key))
-            seeds = plan.strategy.numbers(detached, lunes, *lines)
-            usable = lines[1].valid
-            count = self.guide_samples or 16
-            return Defended(build_seeded_tree(target, seeds, usable, lunes.edge.shape[0], self._powers, count, key))
+            seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
+            return Defended(self._guide(target, lunes, seeds, key))
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
         return Prepared(lunes, flags, guides, order)
@@ -156,12 +152,22 @@ class GuidedEdges(eqx.Module):
         """Leaves of a projective guide."""
         return 1 << max(1, self.leaves.bit_length() - 3)
 
-    def _guide(self, target: Target, lunes: EdgeLunes, key) -> Guide:
+    def _guide(
+        self,
+        target: Target,
+        lunes: EdgeLunes,
+        seeds: tuple[Float[Array, "n 3"], Bool[Array, " n"]] | None,
+        key: PRNGKeyArray,
+    ) -> Guide:
+        """The guide of one strategy; `seeds` are primary numbers of projected paths, and which of them are usable."""
         if self.guide == "grid":
             return build_grid(target, self.cells, self.guide_samples or 4, key)
         if self.guide == "kdtree":
             borders = root_borders(lunes.cdf, max(1, self.leaves // 4))
             return build_kdtree(target, borders, self.leaves, self.guide_samples or 32, self.threshold)
+        if seeds is not None:
+            edges, count = lunes.edge.shape[0], self.guide_samples or 16
+            return build_seeded_tree(target, *seeds, edges, self._powers, count, key)
         return Unguided()
 
     def film_term(

@@ -17,7 +17,7 @@ from jaxdr.boundary.edge_lunes import EdgeLunes, EdgePoints, passing
 from jaxdr.boundary.edge_reservoir import passes
 from jaxdr.boundary.occluders import connect_faces
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, intersect, leave, on_fixed_ray
@@ -54,8 +54,7 @@ def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> Shado
     sample = sample_emitter(packed, u[:, 2:])
     towards = jnp.where(sample.infinite[:, None], sample.direction, sample.point.position - first.position)
     start = leave(first, towards)
-    there = first.valid & (sample.infinite | (dot(sample.point.normal, towards) < 0))
-    there = there if sample.is_delta is None else there & ~sample.is_delta
+    there = first.valid & sample.shines_on(towards)
     offset = leave(sample.point, -towards) - start
     offset = jnp.where(sample.infinite[:, None], 2.0 * packed.size() * sample.direction, offset)
     reach = jnp.where(there, 1.0, 0.0).astype(u.dtype)
@@ -90,10 +89,7 @@ def project_paths(
     inside, _ = jax.lax.fori_loop(0, HALVINGS, halve, (u[one], outside))
     last = shadow_rays(packed, inside, rays)
     point, found = _nearest_silhouettes(packed, lunes, last)
-    position = point.position(lunes)
-    infinite = last.emitter.infinite[:, None]
-    towards = jnp.where(infinite, last.emitter.direction, normalize(last.emitter.point.position - position))
-    drawn = lines_past(lunes, point, towards, last.emitter.point)
+    drawn = lines_past(lunes, point, last.emitter.direction_from(point.position(lunes)), last.emitter.point)
     return drawn, SegmentEnds(last.first, last.emitter.point, both & found & drawn.silhouette)
 
 
@@ -103,7 +99,7 @@ def _nearest_silhouettes(
     """(points on edges beside the faces that hide emitters, nearest to paths; whether there is any)."""
     sides, behind = _rows_at(packed, lunes), connect_faces(packed).behind
     origin, emitter = path.first.position, path.emitter
-    towards = jnp.where(emitter.infinite[:, None], emitter.direction, normalize(emitter.point.position - origin))
+    towards = emitter.direction_from(origin)
     each = [jnp.repeat(a[:, None], 3, axis=1) for a in (origin, towards)]
 
     def step(_, state):

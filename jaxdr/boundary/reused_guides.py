@@ -66,7 +66,7 @@ def build_guides(
     `GuidedEdges` does not cover.
     """
     settings = PathSettings(max_depth, True, rays)
-    guides, order = _built(scene, boundary, moving_shapes("build_guides", scene, moving), settings)
+    guides, order = _built(scene, boundary, _flags(scene, moving), settings)
     edges = sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values())
     return ReusedGuides(boundary, guides, order, edges)
 
@@ -77,9 +77,10 @@ def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settin
     return prepared.guides, prepared.order
 
 
-def moving_shapes(caller: str, scene: Scene, names: Collection[str] | None) -> tuple[bool, ...]:
+def _flags(scene: Scene, names: Collection[str] | None) -> tuple[bool, ...]:
     """Which shapes of a scene are named; all without names. Raises ValueError for names that it does not have."""
     unknown = sorted(set(names or ()) - set(scene.shapes))
     if unknown:
-        raise ValueError(f"{caller}: moving names {unknown[0]!r}, but the scene's shapes are {', '.join(scene.shapes)}")
+        known = ", ".join(scene.shapes)
+        raise ValueError(f"build_guides: moving names {unknown[0]!r}, but the scene's shapes are {known}")
     return tuple(names is None or name in names for name in scene.shapes)

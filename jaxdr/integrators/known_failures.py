@@ -14,8 +14,8 @@ from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.callers_line import warn
 from jaxdr.scene.scene import Scene
 
-# Faces of one mesh from which on kernel density is too large by 6 per cent and more (experiments/tessellation), and
-# guided edges are, too (docs/stability.md).
+# Faces of one mesh from which on kernel density is too large by 6 per cent and more (experiments/tessellation). Guided
+# edges were measured at a million alone: by 7 ± 3 per cent (docs/stability.md).
 FINE = 300_000
 # Auxiliary points below which 5 per cent of a boundary's velocity and more are not found (experiments/warped_area).
 ENOUGH_POINTS = 6
@@ -46,21 +46,15 @@ def traits(scene: Scene) -> Traits:
 
 def known_failure(boundary: Any, found: Traits) -> str | None:
     """Why a boundary estimator is biased on such a scene whatever its samples, and the remedy; None where it is not."""
-    if isinstance(boundary, KernelDensity):
-        if found.fine is not None:
-            return (
-                f"it is 6 % too large and more on meshes of {FINE:,} faces, as {found.fine} has: silhouettes that are "
-                "hidden within rounding count; take LineSampling"
-            )
-        if found.emitter_faces > FEW_FACES:
-            return (
-                f"it is too small under area emitters of more than {FEW_FACES} faces where those are smaller than its "
-                "kernel (by 5 % under a tiny lamp); take LineSampling"
-            )
-    if isinstance(boundary, GuidedEdges) and found.fine is not None:
+    if isinstance(boundary, KernelDensity | GuidedEdges) and found.fine is not None:
         return (
-            f"it is too large on meshes of {FINE:,} faces and more, as {found.fine} has (by 7 ± 3 % at a million): "
-            "silhouettes that are hidden within rounding count; take LineSampling"
+            f"it is 6 % too large and more on meshes of {FINE:,} faces, as {found.fine} has: silhouettes that are "
+            "hidden within rounding count; take LineSampling"
+        )
+    if isinstance(boundary, KernelDensity) and found.emitter_faces > FEW_FACES:
+        return (
+            f"it is too small under area emitters of more than {FEW_FACES} faces where those are smaller than its "
+            "kernel (by 5 % under a tiny lamp); take LineSampling"
         )
     if isinstance(boundary, WarpedArea | RednerWAS) and boundary.distance == "exponential":
         return (

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import search_sorted_rows, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -32,6 +32,15 @@ class EmitterSample(NamedTuple):
     def is_delta(self) -> Bool[Array, " N"] | None:
         """Whether it is on a light without area; None where the scene has none."""
         return None if self.light is None else self.light >= 0
+
+    def direction_from(self, position: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
+        """Unit directions to them from points of the scene."""
+        return jnp.where(self.infinite[:, None], self.direction, normalize(self.point.position - position))
+
+    def shines_on(self, towards: Float[Array, "N 3"]) -> Bool[Array, " N"]:
+        """Whether they glow, as seen along `towards` (of any length); lights without area do not."""
+        glows = self.infinite | (dot(self.point.normal, towards) < 0)
+        return glows if self.is_delta is None else glows & ~self.is_delta
 
 
 class Shares(NamedTuple):
