@@ -202,33 +202,50 @@ class Samples:
             require(value >= 1, name, "must be at least 1", value)
 
 
+def require_one_size(of: "Remesh | Level") -> None:
+    """Raise ValueError for a number of vertices that no mesh has, and where it comes with a length of edges."""
+    require(of.vertices == 0 or of.vertices >= 4, "vertices", "must be at least 4", of.vertices)
+    require(not (of.edge_length and of.vertices), "vertices", "give this or edge_length, not both", of.vertices)
+
+
 @dataclass(frozen=True)
 class Remesh:
-    """Before step `iteration`, remesh to edges about `edge_length` long; the optimiser starts afresh."""
+    """Before step `iteration`, remesh to edges about `edge_length` long, or to so many `vertices`; the optimiser starts
+    afresh."""
 
     iteration: int
-    edge_length: float
+    edge_length: float = 0.0
+    vertices: int = 0
 
     def __post_init__(self):
         require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
-        require(self.edge_length > 0, "edge_length", "must be positive", self.edge_length)
+        require(self.edge_length >= 0, "edge_length", "must be positive", self.edge_length)
+        require_one_size(self)
+        require(self.edge_length > 0 or self.vertices > 0, "edge_length", "give it, or vertices", self.edge_length)
 
 
 @dataclass(frozen=True)
 class Level:
     """A stage of a run from coarse to fine: `resolution` of the views (0: that of the cameras), samples per pixel of
     `image` and `gradient` and `views_per_step` (0: those of the config). Unless 0, the mesh gets edges about
-    `edge_length` long when the level begins, and the optimiser starts afresh."""
+    `edge_length` long or just so many `vertices` when the level begins, and the optimiser starts afresh."""
 
     resolution: int = 0
     image: int = 0
     gradient: int = 0
     views_per_step: int = 0
     edge_length: float = 0.0
+    vertices: int = 0
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
             require(value >= 0, name, "must not be negative", value)
+        require_one_size(self)
+
+    @property
+    def remeshes(self) -> bool:
+        """Whether there is a new topology when it begins."""
+        return self.edge_length > 0 or self.vertices > 0
 
 
 @dataclass(frozen=True)
@@ -322,8 +339,9 @@ class OptimizeConfig:
         sizes = [level.resolution or full for level in self.levels]
         rule = f"resolutions must not fall, and end with cameras.resolution = {full}"
         require(sizes == sorted(sizes) and sizes[-1] == full, "levels", rule, sizes)
-        first = self.levels[0].edge_length
-        require(first == 0, "levels[0].edge_length", "the first level has the initial mesh: leave it out", first)
+        for name in ("edge_length", "vertices"):
+            first = getattr(self.levels[0], name)
+            require(first == 0, f"levels[0].{name}", "the first level has the initial mesh: leave it out", first)
         for i, level in enumerate(self.levels):
             key, count = f"levels[{i}].views_per_step", level.views_per_step
             require(count <= views, key, f"must not exceed cameras.views = {views}", count)
@@ -338,6 +356,7 @@ class OptimizeConfig:
                 level.gradient or samples.gradient,
                 level.views_per_step or count,
                 level.edge_length,
+                level.vertices,
             )
             for level in self.levels or (Level(),)
         )

@@ -1,24 +1,24 @@
 """The optimisation loop: from rendered target views and a sphere to a mesh."""
 
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
-from jaxdr.optimize.config import OptimizeConfig
+from jaxdr.optimize.config import Level, OptimizeConfig, Remesh
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
-from jaxdr.optimize.phase import Phase, State, make_phase, view_renderer
+from jaxdr.optimize.phase import Phase, Programs, State, make_phase, make_programs
 from jaxdr.optimize.planned import planned
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
-from jaxdr.optimize.remesh import remesh, require_gpytoolbox
+from jaxdr.optimize.remesh import remesh, remesh_to, require_gpytoolbox
 from jaxdr.optimize.signal import signal_to_noise
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
@@ -38,7 +38,10 @@ def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = 
     run = _Run(config)
     run.folder.open(resume, overwrite)
     with deferred_interrupt() as run.interruption:
-        return run.run(resume)
+        try:
+            return run.run(resume)
+        finally:
+            run.beside.shutdown(cancel_futures=True)
 
 
 class _Run:
@@ -48,12 +51,15 @@ class _Run:
         self.config = config
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh
-        self.remeshing = {step.iteration: step.edge_length for step in config.optimizer.remesh}
+        self.remeshing = {step.iteration: step for step in config.optimizer.remesh}
         self.stages = config.stages()
-        if self.remeshing or any(stage.edge_length for stage in self.stages):
+        if self.remeshing or any(stage.remeshes for stage in self.stages):
             require_gpytoolbox()  # now, not after an hour
         self.folder = RunFolder(config)
         self.plan: Plan | None = None
+        self.programs: list[Programs] = []  # one for each level, made once the integrator is known
+        self.beside = ThreadPoolExecutor(1, "jaxdr next level")
+        self.coming: Future | None = None
         self.interruption = Interruption()
         self.collapsed = False
         self.folded_at_start = folded_share(self.initial)
@@ -63,9 +69,11 @@ class _Run:
     def run(self, resume: bool) -> dict:
         total = self.config.optimizer.iterations
         self.plan_integrator(resume)
+        self.programs = [make_programs(self.config, self.problem, level) for level in range(len(self.stages))]
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
-        targets = self.targets(phase, resume)
+        self.look_ahead(phase, resume)
+        targets = self.targets(phase.level, resume)
         if iteration == 0:
             self.folder.save_mesh("target", self.problem.target)
             self.save_pictures(phase, state, targets, 0)
@@ -76,7 +84,7 @@ class _Run:
                 if iteration in self.remeshing and iteration > phase.start:
                     mesh = self.remeshed(phase, state, self.remeshing[iteration], iteration, progress)
                     if mesh is not None:
-                        phase = make_phase(self.config, self.problem, mesh, iteration)
+                        phase = make_phase(self.config, self.programs[0], mesh, iteration)
                         state = phase.fresh_state()
                 state, row = self.step(phase, state, targets, iteration)
                 iteration += 1
@@ -87,7 +95,8 @@ class _Run:
                 progress.step(loss=row["loss"], gradient=row["gradient_norm"], chamfer=distance)
                 if iteration < total and self.finer(phase, row):
                     phase, state = self.next_level(phase, state, iteration, row, progress)
-                    targets = self.targets(phase, resume)
+                    targets = self.coming.result()
+                    self.look_ahead(phase, resume)
                 if self.due(iteration, self.config.report.pictures):
                     self.save_pictures(phase, state, targets, iteration)
                 if self.due(iteration, self.config.report.checkpoint) or self.interruption.requested:
@@ -105,7 +114,7 @@ class _Run:
             self.problem = self.problem._replace(integrator=self.plan.integrator)
 
     def fresh(self) -> tuple[int, Phase, State]:
-        phase = make_phase(self.config, self.problem, self.initial, 0)
+        phase = make_phase(self.config, self.programs[0], self.initial, 0)
         return 0, phase, phase.fresh_state()
 
     def restored(self) -> tuple[int, Phase, State]:
@@ -121,18 +130,35 @@ class _Run:
         if start > 0:
             mesh = Mesh(saved.others["vertices"], saved.others["faces"])
             mesh = mesh.smooth() if self.config.initial.shading == "smooth" else mesh
-        phase = make_phase(self.config, self.problem, mesh, start, level, since)
+        phase = make_phase(self.config, self.programs[level], mesh, start, level, since)
         self.clock -= saved.seconds
         return saved.iteration, phase, saved.state(phase.fresh_state())
 
-    def targets(self, phase: Phase, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+    def targets(self, level: int, resume: bool, quiet: bool = False) -> Float[np.ndarray, "N H W 3"]:
         """Target views of a level: rendered, or read back when a run is resumed."""
-        mesh, spp, last = self.problem.target, self.config.samples.target, phase.level + 1 == len(self.stages)
-        size = self.stages[phase.level].resolution
-        image = jit(view_renderer(self.problem.scene, mesh, self.problem.integrator, size), static_argnums=3)
+        mesh, spp, last = self.problem.target, self.config.samples.target, level + 1 == len(self.stages)
+        image = self.programs[level].image
         key = jax.random.fold_in(self.key, TARGETS)
-        images = rendered(lambda *view: image(mesh.vertices, *view, spp), self.poses(), key, self.interruption)
-        return target_views(self.folder, resume, images, None if last else phase.level)
+        images = rendered(lambda *view: image(mesh, *view, spp), self.poses(), key, self.interruption, quiet)
+        return target_views(self.folder, resume, images, None if last else level)
+
+    def look_ahead(self, phase: Phase, resume: bool) -> None:
+        """Prepare the level after that of `phase`, if there is one, in a thread beside what goes on."""
+        if phase.level + 1 < len(self.stages):
+            self.coming = self.beside.submit(self.prepared, phase.level + 1, phase.mesh, resume)
+
+    def prepared(self, level: int, mesh: Mesh, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+        """Target views of a level; its gradient is compiled where one knows already how many faces it will have."""
+        stage = self.stages[level]
+        targets = self.targets(level, resume, quiet=True)
+        if stage.edge_length > 0:
+            return targets
+        try:
+            mesh = remesh_to(mesh, stage.vertices) if stage.vertices else mesh
+        except ValueError:  # the mesh as it will be then is another one: it may do
+            return targets
+        self.programs[level].gradient(mesh, self.poses()[0], jnp.asarray(targets[0]), self.key)
+        return targets
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""
@@ -185,21 +211,21 @@ class _Run:
             f"level {number + 1} of {len(self.stages)}: "
             f"{stage.resolution} pixels, {stage.gradient} spp, {stage.views_per_step} views a step"
         )
-        if stage.edge_length > 0:
-            mesh = self.remeshed(phase, state, stage.edge_length, iteration, progress)
+        if stage.remeshes:
+            mesh = self.remeshed(phase, state, stage, iteration, progress)
             if mesh is not None:
-                phase = make_phase(self.config, self.problem, mesh, iteration, number, iteration)
+                phase = make_phase(self.config, self.programs[number], mesh, iteration, number, iteration)
                 return phase, phase.fresh_state()
-        phase = make_phase(self.config, self.problem, phase.mesh, phase.start, number, iteration)
+        phase = make_phase(self.config, self.programs[number], phase.mesh, phase.start, number, iteration)
         return phase, state
 
     def remeshed(
-        self, phase: Phase, state: State, edge_length: float, iteration: int, progress: Progress
+        self, phase: Phase, state: State, to: Level | Remesh, iteration: int, progress: Progress
     ) -> Mesh | None:
         """The current mesh with a new topology; None, said aloud, when remeshing fails."""
         current = phase.current_mesh(state)
         try:
-            mesh = remesh(current, edge_length)
+            mesh = remesh_to(current, to.vertices) if to.vertices else remesh(current, to.edge_length)
         except ValueError as problem:
             progress.say(f"after step {iteration}: kept the mesh as it was ({problem})")
             return None

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.integrators import PathTracer
 from jaxdr.optimize import losses
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import OptimizeConfig, Optimizer
@@ -29,14 +28,25 @@ class State(NamedTuple):
     optimizer: optax.OptState
 
 
+class Programs(NamedTuple):
+    """What is compiled for a level: functions of meshes, which are traced anew for another number of vertices or faces.
+
+    - `image`: (mesh, camera-to-world, key, spp) -> image.
+    - `gradient`: (mesh, camera-to-world, target, key) -> loss of one view and its gradient by the vertices.
+    """
+
+    image: Callable
+    gradient: Callable
+
+
 class Phase(NamedTuple):
     """What stays while topology and level do.
 
     - `mesh`: the mesh when the topology last changed; `start`: number of steps done by then.
     - `level`: number of the level; `since`: number of steps done when it began.
     - `steps`: preconditioner; `optimizer`: its learning rate goes on from `start`.
-    - `image`: jitted (vertices, camera-to-world, key, spp) -> image.
-    - `view_gradient`: jitted (vertices, camera-to-world, target, key) -> loss and its gradient by the vertices.
+    - `image`: (vertices, camera-to-world, key, spp) -> image.
+    - `view_gradient`: (vertices, camera-to-world, target, key) -> loss and its gradient by the vertices.
     - `update`: jitted (state, gradient by the vertices) -> state.
     """
 
@@ -64,15 +74,32 @@ class Phase(NamedTuple):
         return self.mesh.with_vertices(self.vertices(state))
 
 
-def make_phase(
-    config: OptimizeConfig, problem: Problem, mesh: Mesh, start: int, level: int = 0, since: int = 0
-) -> Phase:
-    """Preconditioner and functions for a topology and level; JAX compiles them when they are first called."""
+def make_programs(config: OptimizeConfig, problem: Problem, level: int) -> Programs:
+    """The programs of a level; JAX compiles them when they are first called."""
     stage = config.stages()[level]
+    image = view_renderer(problem, stage.resolution)
+
+    def gradient(mesh: Mesh, *view):
+        def moved(vertices, *arguments):
+            return image(mesh.with_vertices(vertices), *arguments)
+
+        return view_gradient(moved, config.optimizer.loss, stage.image, stage.gradient)(mesh.vertices, *view)
+
+    return Programs(jit(image, static_argnums=3), jit(gradient))
+
+
+def make_phase(
+    config: OptimizeConfig, programs: Programs, mesh: Mesh, start: int, level: int = 0, since: int = 0
+) -> Phase:
+    """Preconditioner and functions for a topology and level."""
     steps = LargeSteps(mesh, config.optimizer.lam)
     optimizer = adam_uniform(learning_rate(config.optimizer, start))
-    image = view_renderer(problem.scene, mesh, problem.integrator, stage.resolution)
-    gradient = view_gradient(image, config.optimizer.loss, stage.image, stage.gradient)
+
+    def image(vertices, *view):
+        return programs.image(mesh.with_vertices(vertices), *view)
+
+    def gradient(vertices, *view):
+        return programs.gradient(mesh.with_vertices(vertices), *view)
 
     @jit
     def update(state: State, gradient: Float[Array, "V 3"]) -> State:
@@ -80,7 +107,7 @@ def make_phase(
         updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
         return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
 
-    return Phase(mesh, start, level, since, steps, optimizer, jit(image, static_argnums=3), jit(gradient), update)
+    return Phase(mesh, start, level, since, steps, optimizer, image, gradient, update)
 
 
 def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
@@ -90,16 +117,16 @@ def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
     return lambda count: decay(count + start)
 
 
-def view_renderer(scene: Scene, mesh: Mesh, integrator: PathTracer | None, resolution: int) -> Callable:
-    """Function (vertices, camera-to-world, key, spp) -> square image of the scene with `mesh` as the object."""
+def view_renderer(problem: Problem, resolution: int) -> Callable:
+    """Function (mesh, camera-to-world, key, spp) -> square image of the scene with `mesh` as the object."""
+    scene, integrator = problem.scene, problem.integrator
     old = scene.shapes[OBJECT]
-    shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
     camera = dataclasses.replace(scene.camera, film=Film(resolution, resolution))
-    scene = Scene(shapes, camera, scene.environment, scene.lights)
 
-    def image(vertices, to_world, key, spp):
-        moved = scene.replace({f"{OBJECT}.vertices": vertices, "camera.to_world": to_world})
-        return render(moved, key, spp=spp, integrator=integrator)
+    def image(mesh, to_world, key, spp):
+        shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
+        viewed = Scene(shapes, camera, scene.environment, scene.lights).replace({"camera.to_world": to_world})
+        return render(viewed, key, spp=spp, integrator=integrator)
 
     return image
 

@@ -12,13 +12,16 @@ from tqdm import tqdm
 
 
 class Progress:
-    """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then."""
+    """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then.
 
-    def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0):
-        self.name, self.total, self.done, self.seconds = name, total, done, seconds
+    Nothing at all if `quiet`.
+    """
+
+    def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0, quiet: bool = False):
+        self.name, self.total, self.done, self.seconds, self.quiet = name, total, done, seconds, quiet
         self.first = done
         self.bar = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not quiet:
             self.bar = tqdm(total=total, initial=done, desc=name, file=sys.stderr, dynamic_ncols=True)
 
     def __enter__(self) -> "Progress":
@@ -31,6 +34,8 @@ class Progress:
     def step(self, **values: float) -> None:
         """One more step is done; `values` are shown beside the progress."""
         self.done += 1
+        if self.quiet:
+            return
         if self.bar is not None:
             self.bar.set_postfix({k: f"{v:.4g}" for k, v in values.items()}, refresh=False)
             self.bar.update()

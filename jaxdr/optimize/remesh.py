@@ -4,8 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxdr.geometry.edges import NON_MANIFOLD
+from jaxdr.geometry.edges import INTERIOR, NON_MANIFOLD
 from jaxdr.geometry.mesh import Mesh
+
+# Lengths that `remesh_to` tries, and the share of the vertices with which it is content: the rest are split edges.
+ATTEMPTS = 10
+ENOUGH = 0.95
 
 
 def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
@@ -38,6 +42,76 @@ def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     if (np.asarray(result.edges.kind) == NON_MANIFOLD).any() or (mesh.closed and not result.closed):
         raise ValueError(f"remesh: the result is not manifold at edge length {edge_length}; try another one")
     return result if mesh.normal_faces is None else result.smooth()
+
+
+def remesh_to(mesh: Mesh, vertices: int, iterations: int = 10) -> Mesh:
+    """A mesh of the same surface with just so many `vertices`, all edges about as long as one another.
+
+    `remesh` with an edge length that leaves a few too few, then the longest edges are split in their middle. Closed
+    meshes of the same genus and as many vertices have as many faces and edges: JAX compiles nothing anew for them.
+
+    Raises what `remesh` raises, and ValueError for fewer than 4 vertices and where no edge length leaves about as many.
+    """
+    if vertices < 4:
+        raise ValueError(f"remesh_to: needs at least 4 vertices, got {vertices}")
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    # Of equilateral triangles, two a vertex.
+    length = np.sqrt(2 * area / (np.sqrt(3) * vertices))
+    short, long, best = 0.0, np.inf, None
+    for _ in range(ATTEMPTS):
+        result = remesh(mesh, length, iterations)
+        share = len(result.vertices) / vertices
+        if share <= 1:
+            long, best = length, max((b for b in (best, result) if b), key=lambda mesh: len(mesh.vertices))
+        else:
+            short = length
+        if ENOUGH <= share <= 1:
+            break
+        length *= np.sqrt(share / ((1 + ENOUGH) / 2))
+        if not short < length < long:  # the number of vertices jumps with the length
+            length = np.sqrt(short * long)
+    if best is None or len(best.vertices) < vertices / 2:
+        raise ValueError(f"remesh_to: found no edge length that leaves about {vertices} vertices")
+    result = split_longest_edges(best, vertices)
+    return result if mesh.normal_faces is None else result.smooth()
+
+
+def split_longest_edges(mesh: Mesh, vertices: int) -> Mesh:
+    """A mesh with so many `vertices`, flat-shaded: its longest edges are split in their middle; those of one face stay.
+
+    Raises ValueError for a mesh that has more of them already, or no edge of two faces.
+    """
+    points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    if len(points) > vertices:
+        raise ValueError(f"split_longest_edges: the mesh has {len(points)} vertices, more than {vertices}")
+    while len(points) < vertices:
+        mesh = Mesh(points, faces)
+        edges, sides = np.asarray(mesh.edges.vertices), np.asarray(mesh.edges.faces)
+        inner = np.flatnonzero(np.asarray(mesh.edges.kind) == INTERIOR)
+        if not len(inner):
+            raise ValueError("split_longest_edges: the mesh has no edge of two faces")
+        lengths = np.linalg.norm(np.diff(points[edges[inner]], axis=1)[:, 0], axis=1)
+        taken, chosen = np.zeros(len(faces), bool), []
+        # Of the longest ones those without a face in common; the others when the mesh is looked at again.
+        for edge in inner[np.argsort(-lengths, kind="stable")][: vertices - len(points)]:
+            if not taken[sides[edge]].any():
+                taken[sides[edge]] = True
+                chosen.append(edge)
+        points, faces = _split(points, faces, edges[chosen], sides[chosen])
+    return Mesh(points, faces)
+
+
+def _split(points, faces, edges, sides) -> tuple[np.ndarray, np.ndarray]:
+    """Every one of `edges` [n, 2] split in its middle, with the two faces at it, `sides` [n, 2]."""
+    middles = len(points) + np.arange(len(edges))
+    faces, more = faces.copy(), []
+    for edge, middle, pair in zip(edges, middles, sides, strict=True):
+        for face in pair:
+            corners = faces[face].copy()
+            more.append(np.where(corners == edge[0], middle, corners))
+            faces[face] = np.where(corners == edge[1], middle, corners)
+    return np.concatenate([points, points[edges].mean(1)]), np.concatenate([faces, more])
 
 
 def require_gpytoolbox() -> Callable:

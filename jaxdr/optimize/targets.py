@@ -34,9 +34,10 @@ def rendered(
     poses: Float[Array, "N 4 4"],
     key: PRNGKeyArray,
     interruption: Interruption,
+    quiet: bool = False,
 ) -> Iterator[Array]:
-    """`image` of every pose, a key each, with progress. Raises `Interrupted` after Ctrl-C."""
-    with Progress("render targets", len(poses)) as progress:
+    """`image` of every pose, a key each, with progress unless `quiet`. Raises `Interrupted` after Ctrl-C."""
+    with Progress("render targets", len(poses), quiet=quiet) as progress:
         for i, pose in enumerate(poses):
             yield image(pose, jax.random.fold_in(key, i))
             progress.step()

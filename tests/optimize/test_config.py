@@ -76,7 +76,15 @@ def test_overrides(write, override, read):
         ('[optimizer]\nloss = "l3"', r"optimizer\.loss: expected one of 'l1', 'l2', 'two_key_l2', got 'l3'"),
         ("[optimizer]\nviews_per_step = 9", r"optimizer\.views_per_step: must not exceed cameras\.views = 8, got 9"),
         ("[optimizer]\nremesh = 3", r"optimizer\.remesh: expected a list of tables, got 3"),
-        ("[[optimizer.remesh]]\niteration = 3", r"optimizer\.remesh\[0\]\.edge_length: missing; expected a number"),
+        ("[[optimizer.remesh]]\niteration = 3", r"optimizer\.remesh\[0\]\.edge_length: give it, or vertices, got 0"),
+        (
+            "[[optimizer.remesh]]\niteration = 3\nedge_length = 1\nvertices = 9",
+            r"optimizer\.remesh\[0\]\.vertices: give this or edge_length, not both, got 9",
+        ),
+        (
+            "[[optimizer.remesh]]\niteration = 3\nvertices = 3",
+            r"optimizer\.remesh\[0\]\.vertices: must be at least 4, got 3",
+        ),
         ("optimizer = 3", r"optimizer: expected a table, got 3"),
         ("[cameras]\nelevation = [1.0]", r"cameras\.elevation: expected a list of 2 numbers, got \[1\.0\]"),
         ("[cameras]\nelevation = [50, 10]", r"cameras\.elevation: must be two increasing angles"),

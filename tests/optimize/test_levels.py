@@ -10,7 +10,8 @@ import pytest
 
 from jaxdr.optimize import loop, phase
 from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer, Remesh, Target
-from jaxdr.optimize.loop import Interrupted, optimize
+from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
+from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, build_problem
 from jaxdr.optimize.signal import signal_to_noise
 
@@ -60,6 +61,41 @@ def test_every_level_has_its_own_numbers(tmp_path, seen, capsys):
         "targets_1.npy",
         "targets.npy",
     }
+
+
+def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch):
+    """Nothing is traced for a level whose number of vertices is known, once a level has begun."""
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    levels = (Level(resolution=8, image=1, gradient=1), Level(gradient=2), Level(vertices=300, gradient=3))
+    made = config(tmp_path / "run", levels, signal_to_noise=1e9)
+    made = dataclasses.replace(made, report=dataclasses.replace(made.report, pictures=12))
+    original, traced = loop._Run.step, []
+
+    def step(self, phase, state, targets, iteration):
+        if self.coming is not None:
+            self.coming.result()
+        count = len(seen)
+        result = original(self, phase, state, targets, iteration)
+        traced.append(len(seen) - count)
+        return result
+
+    monkeypatch.setattr(loop._Run, "step", step)
+    optimize(made)
+    assert columns(made, "level", "vertices")[-1] == ("2", "300")
+    assert traced[0] > 0 and not any(traced[1:])
+
+
+def test_a_failure_beside_the_run_ends_it(tmp_path, monkeypatch):
+    original = phase.render
+
+    def render(scene, key, spp, integrator):
+        image = original(scene, key, spp, integrator)
+        return image if scene.camera.film.width == 8 else image * jnp.nan
+
+    monkeypatch.setattr(phase, "render", render)
+    made = config(tmp_path / "run", levels=(Level(resolution=8), Level()), signal_to_noise=1e9)
+    with pytest.raises(NotFinite, match="the target image of view 0 is not finite"):
+        optimize(made)
 
 
 def test_a_level_goes_on_while_there_is_signal(tmp_path):
@@ -114,15 +150,16 @@ def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
         assert key != key_again and not np.array_equal(gradient, gradient_again)
     a, b = (np.mean([gradient for *_, gradient in part], axis=0) for part in (first, second))
     np.testing.assert_allclose(moves[1], (a + b) / 2, rtol=1e-6)
-    steps = original(made, build_problem(made), build_problem(made).scene.shapes[OBJECT].mesh, 0).steps
+    steps = LargeSteps(build_problem(made).scene.shapes[OBJECT].mesh, made.optimizer.lam)
     (ratio,) = [float(ratio) for (ratio,) in columns(made, "signal_to_noise") if ratio]
     expected = signal_to_noise(*(steps.from_latent(jnp.asarray(g, jnp.float32)) for g in (a, b)))
     assert ratio == pytest.approx(expected, rel=1e-4)
 
 
-def test_interrupted_as_a_level_begins_and_resumed(tmp_path, monkeypatch):
+@pytest.mark.parametrize("size", [Level(edge_length=0.15), Level(vertices=200)])
+def test_interrupted_as_a_level_begins_and_resumed(tmp_path, monkeypatch, size):
     pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
-    levels = (LEVELS[0], LEVELS[2])
+    levels = (LEVELS[0], size)
     straight, stopped = (config(tmp_path / name, levels, signal_to_noise=1e9) for name in ("straight", "stopped"))
     straight, stopped = (with_optimizer(made, iterations=5) for made in (straight, stopped))
     optimize(straight)
@@ -159,6 +196,10 @@ def test_gpytoolbox_is_asked_for_before_the_start(tmp_path, monkeypatch):
         (
             {"levels": (Level(48, edge_length=0.1), Level())},
             r"levels\[0\]\.edge_length: the first level has",
+        ),
+        (
+            {"levels": (Level(48, vertices=100), Level())},
+            r"levels\[0\]\.vertices: the first level has",
         ),
         ({"levels": (Level(48, views_per_step=9), Level())}, r"levels\[0\]\.views_per_step: must not exceed"),
         (

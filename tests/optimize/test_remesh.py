@@ -8,7 +8,7 @@ import trimesh
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
-from jaxdr.optimize.remesh import remesh
+from jaxdr.optimize.remesh import remesh, remesh_to, split_longest_edges
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,53 @@ def test_edges_get_the_length_and_the_surface_stays(gpytoolbox, sphere, length):
     assert chamfer(result, sphere) < 0.005
 
 
+@pytest.mark.parametrize("count", [301, 642, 1500])
+def test_just_so_many_vertices(gpytoolbox, sphere, count):
+    stretched = sphere.with_vertices(np.asarray(sphere.vertices) * [1.0, 0.6, 1.7])
+    result = remesh_to(stretched, count)
+    assert result.closed
+    assert (len(result.vertices), len(result.edges.vertices), len(result.faces)) == (
+        count,
+        3 * count - 6,
+        2 * count - 4,
+    )
+    lengths = edge_lengths(result)
+    assert lengths.max() < 2.2 * np.median(lengths)
+    assert chamfer(result, stretched) < 0.01
+
+
+def test_splitting_keeps_the_surface_and_its_orientation(sphere):
+    result = split_longest_edges(sphere, 700)
+    assert result.closed and len(result.vertices) == 700
+    assert volume(result) == pytest.approx(volume(sphere), rel=1e-5)
+    # Only the longest: no edge that was not split is longer than one that was.
+    kept = {tuple(sorted(edge)) for edge in np.asarray(result.edges.vertices).tolist()}
+    old = [tuple(sorted(edge)) for edge in np.asarray(sphere.edges.vertices).tolist()]
+    lengths = dict(zip(old, edge_lengths(sphere), strict=True))
+    split = sorted((lengths[edge] for edge in old if edge not in kept), reverse=True)
+    assert len(split) == 700 - 642
+    assert np.mean(split) > np.quantile(list(lengths.values()), 0.9)
+
+
+def volume(mesh):
+    a, b, c = np.asarray(mesh.vertices, float)[np.asarray(mesh.faces)].transpose(1, 0, 2)
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+def test_numbers_that_can_not_be_met(gpytoolbox, sphere):
+    with pytest.raises(ValueError, match="at least 4 vertices, got 3"):
+        remesh_to(sphere, 3)
+    with pytest.raises(ValueError, match="has 642 vertices, more than 600"):
+        split_longest_edges(sphere, 600)
+    with pytest.raises(ValueError, match="no edge of two faces"):
+        split_longest_edges(Mesh(np.eye(3), [[0, 1, 2]]), 5)
+
+
 def test_shading_is_kept(gpytoolbox, sphere):
     assert remesh(sphere, 0.3).normal_faces is None
     assert remesh(sphere.smooth(), 0.3).normal_faces is not None
+    assert remesh_to(sphere, 500).normal_faces is None
+    assert remesh_to(sphere.smooth(), 500).normal_faces is not None
 
 
 def test_rejects_bad_lengths(gpytoolbox, sphere):
