@@ -1,9 +1,9 @@
-"""Line sampling against the tessellation: the same soft shadow from a thousand to a million triangles.
+"""Estimators against the tessellation: the same soft shadow from a thousand to a million triangles.
 
     python -m experiments.tessellation.run
 
-Standard deviation and time of a derivative image, its bias against central differences of the image with common random
-numbers, nodes of the silhouette tree visited by a chord, and chords whose layers could not be counted.
+Standard deviation and time of a derivative image, and its bias against central differences of the image with common
+random numbers. Guides are built in every call.
 """
 
 import statistics
@@ -15,6 +15,14 @@ from experiments import common
 
 STUDY = "tessellation"
 LEVELS = (3, 5, 7, 8)
+# By label: boundary estimator and options.
+ESTIMATORS = {
+    "LineSampling": ("LineSampling", {}),
+    "KernelDensity": ("KernelDensity", {}),
+    "GuidedEdges": ("GuidedEdges", {"sampling": "emitter"}),
+    "GuidedEdges, grid": ("GuidedEdges", {"sampling": "emitter", "guide": "grid"}),
+    "GuidedEdges, kd-trees": ("GuidedEdges", {"sampling": "emitter", "guide": "kdtree"}),
+}
 SPP, KEYS = 16, 12
 STEP = 0.02
 REFERENCE_SPP, REFERENCE_KEYS = 256, 12
@@ -45,7 +53,7 @@ def scene_of(level):
     return jd.Scene(shapes, jd.Perspective(eye, 24.0, jd.Film(64, 64, jd.Box())))
 
 
-def measure(level, boundary, quick):
+def measure(level, label, quick):
     """One row: translation of the ball along x."""
     import jax
     import jax.numpy as jnp
@@ -54,7 +62,8 @@ def measure(level, boundary, quick):
 
     scene = scene_of(level)
     rest = scene.parameters()["ball.vertices"]
-    integrator = jd.PathTracer(max_depth=2, boundary=getattr(jd, boundary)(), sampling="emitter")
+    boundary, options = ESTIMATORS[label]
+    integrator = jd.PathTracer(max_depth=2, boundary=getattr(jd, boundary)(**options), sampling="emitter")
 
     def image(x, key, spp):
         moved = rest.at[:, 0].add(x)
@@ -92,7 +101,7 @@ def measure(level, boundary, quick):
     time = statistics.median(seconds)
     return {
         "triangles": int(scene.shapes["ball"].mesh.faces.shape[0]),
-        "estimator": boundary,
+        "estimator": label,
         "seconds": time,
         "deviation": float(np.sqrt(deviation2)),
         "projection": float(projections.mean()),
@@ -107,19 +116,21 @@ def chart(rows, path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(1, 3, figsize=(13, 4))
+    figure, panels = plt.subplots(1, 4, figsize=(16, 4))
     for i, estimator in enumerate(dict.fromkeys(row["estimator"] for row in rows)):
         mine = [row for row in rows if row["estimator"] == estimator]
         triangles = [row["triangles"] for row in mine]
         panels[0].loglog(triangles, [row["seconds"] for row in mine], "o-", color=f"C{i}", label=estimator)
         panels[1].loglog(triangles, [row["deviation"] for row in mine], "o-", color=f"C{i}")
+        panels[3].loglog(triangles, [row["work"] for row in mine], "o-", color=f"C{i}")
         panels[2].errorbar(
             triangles, [row["projection"] for row in mine], [row["projection_error"] for row in mine],
             fmt="o-", capsize=3, color=f"C{i}",
         )  # fmt: skip
     panels[2].set_xscale("log")
     panels[2].axhspan(0.99, 1.01, color="0.93", zorder=0)
-    for panel, label in zip(panels, ("seconds", "standard deviation / size", "projection on differences"), strict=True):
+    labels = "seconds", "standard deviation / size", "projection on differences", "error² · seconds"
+    for panel, label in zip(panels, labels, strict=True):
         panel.set(xlabel="triangles", ylabel=label)
         panel.grid(True, which="major", alpha=0.3)
     panels[0].legend(fontsize=8)
@@ -132,8 +143,8 @@ def main():
     folder = common.results(STUDY, options.quick)
     rows = []
     for level in LEVELS[:2] if options.quick else LEVELS:
-        for boundary in ("LineSampling", "KernelDensity"):
-            rows.append(common.in_fresh_process(measure, level, boundary, options.quick))
+        for label in ESTIMATORS:
+            rows.append(common.in_fresh_process(measure, level, label, options.quick))
             print(rows[-1], flush=True)
             common.write_json(folder / "tessellation.json", {"rows": rows})
     table = common.table(rows, COLUMNS)

@@ -1,0 +1,154 @@
+"""Guides x strategies x sorting of `GuidedEdges` at equal time: the ablation of Yan et al. 2022 (figures 6 and 8).
+
+    python -m experiments.guides.ablation [--scene environment_penguin shadow_goathead]
+
+The boundary term alone, as in the paper: a derivative image of the rotated penguin under a sky, and of a moved head's
+soft shadow. All settings take turns, call by call, with guides built once; the error at equal time is that of the mean
+of as many independent calls as fit in it, its variance being the calls' variance over their number.
+"""
+
+import statistics
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments import common, reference_scenes
+
+STUDY = "guides"
+SCENES = "environment_penguin", "shadow_goathead"
+STRATEGIES = {"emitter": "light", "direction": "direction", "mis": "both"}
+GUIDES = "none", "grid", "kdtree", "projective"
+SECONDS = 4.0  # the equal time
+COLUMNS = {
+    "guide": ("guide", ""),
+    "sampling": ("sampling", ""),
+    "sorted": ("sorted", ""),
+    "error after 4 s": ("error", ".3f"),
+    "and with the guide built in them": ("error_built", ".3f"),
+    "projection": ("projection", ".3f"),
+    "±": ("projection_error", ".3f"),
+    "seconds a call": ("seconds", ".3f"),
+    "to build": ("build", ".2f"),
+    "MB": ("megabytes", ".2f"),
+}
+
+
+def settings():
+    """(guide, sampling, sorted): without a guide the order of edges means nothing."""
+    return [(g, s, order) for g in GUIDES for s in STRATEGIES for order in (False, True) if g != "none" or not order]
+
+
+def line(case, guide, sampling, order, segments):
+    """(function key -> boundary term's derivative image, what `jd.guide_report` says) of a setting."""
+    import jax
+
+    import jaxdr as jd
+    from jaxdr.scene.packed import pack
+    from jaxdr.transport.path import PathSettings
+
+    boundary = jd.GuidedEdges(guide=guide, sampling=sampling, sort=order)
+    path, scene, name = PathSettings(2, True, "auto"), case.scene, f"{case.shape}.vertices"
+    moving = tuple(shape == case.shape for shape in scene.shapes)
+    prepared = jd.jit(lambda scene: boundary.prepare(pack(scene), moving, path))(scene)
+
+    @jd.jit
+    def derivative(scene, prepared, key):
+        def image(vertices):
+            packed = pack(scene.replace({name: vertices}))
+            return boundary.film_term(packed, prepared, segments, key, path, "fixed")
+
+        return jax.jvp(image, (scene.parameters()[name],), (case.direction,))[1]
+
+    derivative(scene, prepared, jax.random.key(10**6))
+    report = jd.guide_report(scene, boundary, moving=(case.shape,))
+    return lambda key: derivative(scene, prepared, key), report
+
+
+def measure(folder, segments, keys):
+    """(rows, pictures: mean images by setting) of a scene."""
+    import jax
+
+    case = reference_scenes.load(folder)
+    lines = {setting: line(case, *setting, segments) for setting in tqdm(settings(), "compile")}
+    images, seconds = {s: [] for s in lines}, {s: [] for s in lines}
+    for k in tqdm(range(keys), "calls"):
+        for setting, (derivative, _) in lines.items():
+            answer, time = common.seconds_of(derivative, jax.random.key(k))
+            images[setting].append(np.asarray(answer, float))
+            seconds[setting].append(time)
+    images = {setting: np.array(found) for setting, found in images.items()}
+    variances = {setting: found.var(0, ddof=1).mean() for setting, found in images.items()}
+    # Every line is unbiased: what they are compared with is the mean of all, weighted by how good they are.
+    weights = [1 / max(variances[s], 1e-30) for s in lines]
+    truth = np.average([images[s].mean(0) for s in lines], axis=0, weights=weights)
+    size = np.sqrt((truth**2).mean())
+    rows = []
+    for setting, (_, report) in lines.items():
+        time = statistics.median(seconds[setting])
+        along = (images[setting] * truth).sum((1, 2, 3)) / (truth**2).sum()
+        left = SECONDS - report.seconds
+        deviation = float(np.sqrt(variances[setting]) / size)
+        rows.append({
+            "guide": setting[0],
+            "sampling": STRATEGIES[setting[1]],
+            "sorted": "yes" if setting[2] else "no",
+            "deviation": deviation,
+            "seconds": time,
+            "build": report.seconds,
+            "megabytes": report.bytes / 1e6,
+            "error": deviation * (time / SECONDS) ** 0.5,
+            "error_built": deviation * (time / left) ** 0.5 if left > time else None,
+            "projection": float(along.mean()),
+            "projection_error": float(along.std(ddof=1) / keys**0.5),
+        })  # fmt: skip
+    shown = {}
+    for setting in lines:
+        calls = int(np.clip(round(SECONDS / statistics.median(seconds[setting])), 1, keys))
+        shown[setting] = images[setting][:calls].mean(0), calls
+    return rows, shown, truth
+
+
+def picture(rows, shown, truth, path):
+    """Guides across, strategies down, unsorted; the mean of all lines in front."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    errors = {(row["guide"], row["sampling"]): row["error"] for row in rows if row["sorted"] == "no"}
+    figure, panels = plt.subplots(len(STRATEGIES), len(GUIDES) + 1, figsize=(11, 7))
+    limit = np.quantile(np.abs(truth.sum(-1)), 0.99)
+    style = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "interpolation": "nearest"}
+    for down, (sampling, name) in zip(panels, STRATEGIES.items(), strict=True):
+        down[0].imshow(truth.sum(-1), **style)
+        down[0].set(title="mean of all", ylabel=name)
+        for panel, guide in zip(down[1:], GUIDES, strict=True):
+            image, calls = shown[guide, sampling, False]
+            panel.imshow(image.sum(-1), **style)
+            panel.set(title=f"{guide}, {calls} calls: {errors[guide, name]:.2f}")
+        for panel in down:
+            panel.set(xticks=[], yticks=[])
+            panel.title.set_fontsize(9)
+    figure.tight_layout()
+    figure.savefig(path, dpi=100)
+
+
+def main():
+    parser = common.parser(__doc__)
+    parser.add_argument("--segments", type=int, default=1 << 15)
+    parser.add_argument("--keys", type=int, default=24)
+    parser.add_argument("--scene", nargs="*", choices=SCENES, default=SCENES)
+    options = parser.parse_args()
+    segments, keys = (1 << 11, 2) if options.quick else (options.segments, options.keys)
+    folder = common.results(STUDY, options.quick)
+    for scene in options.scene:
+        rows, shown, truth = common.in_fresh_process(measure, options.oracle / scene, segments, keys)
+        common.write_json(folder / f"ablation_{scene}.json", {"segments": segments, "keys": keys, "rows": rows})
+        table = common.table(rows, COLUMNS)
+        (folder / f"ablation_{scene}.md").write_text(table + "\n")
+        picture(rows, shown, truth, folder / f"ablation_{scene}.png")
+        print(f"{scene}\n\n{table}\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
