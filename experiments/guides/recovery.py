@@ -8,6 +8,7 @@ everything, compilation and guides (built anew for every view of every step) inc
 
 import csv
 import json
+from itertools import pairwise
 from pathlib import Path
 
 from experiments import common
@@ -51,7 +52,7 @@ def measured(setting, options, seed):
     summary, metrics = common.in_fresh_process(run, setting, seed, options.quick, options.target)
     curve = [(int(row["iteration"]), float(row["seconds"]), float(row["chamfer"])) for row in metrics if row["chamfer"]]
     seconds = [float(row["seconds"]) for row in metrics]
-    steps = sorted(b - a for a, b in zip(seconds, seconds[1:], strict=False))
+    steps = sorted(b - a for a, b in pairwise(seconds))
     row = {"setting": setting, "seed": seed, "chamfer": summary["chamfer_final"], "seconds": summary["seconds"]}
     return {"row": row | {"step": steps[len(steps) // 2]}, "curve": curve}
 
