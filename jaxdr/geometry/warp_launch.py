@@ -4,6 +4,7 @@ Every kernel works on the slice that starts at its argument `start`, so that a C
 """
 
 import os
+import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor, wait
 
@@ -16,11 +17,18 @@ THREADS = os.cpu_count() or 1
 SLICE = 8192
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
+_loading = threading.Lock()
 
 
 def on_host(array: wp.array) -> np.ndarray:
     """The array on the host: a view on CPU, a copy from CUDA."""
     return array.numpy()
+
+
+def _load(kernel, device) -> None:
+    """Compile or load a kernel's module, before threads launch it; programs may run side by side, too."""
+    with _loading:
+        wp.load_module(kernel.module, device=device)
 
 
 def launch(kernel, count: int, leading: list, rest: list, device, each: int = SLICE) -> None:
@@ -30,7 +38,7 @@ def launch(kernel, count: int, leading: list, rest: list, device, each: int = SL
     if not device.is_cpu:
         wp.launch(kernel, dim=count, inputs=[*leading, 0, *rest], device=device, record_tape=False)
         return
-    wp.load_module(kernel.module, device=device)
+    _load(kernel, device)
 
     def run(start):
         size = min(each, count - start)
@@ -79,7 +87,7 @@ def _run(kernel, leading, rest, total, seed, probability, lists, counts, device)
         inputs = [*leading, 0, *rest, seed, probability, *lists, found]
         wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
         return found.numpy()
-    wp.load_module(kernel.module, device=device)
+    _load(kernel, device)
 
     def run(start):
         size = min(SLICE, total - start)

@@ -111,5 +111,6 @@ def structure_cache(kind: str, device) -> BVHCache:
     key = (kind, str(device))
     if key not in _caches:
         make = _STRUCTURES[kind]
-        _caches[key] = BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m))
+        # In one step: another thread may be here, too.
+        _caches.setdefault(key, BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m)))
     return _caches[key]
