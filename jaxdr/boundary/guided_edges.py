@@ -101,7 +101,7 @@ class GuidedEdges(eqx.Module):
 
         Raises ValueError for what no segment covers, and for what has not been verified yet.
         """
-        _check(packed, settings)
+        _check(packed)
         detached = jax.tree.map(stop_gradient, packed)
         lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
@@ -138,7 +138,7 @@ class GuidedEdges(eqx.Module):
 
         Raises ValueError as `prepare` does, and for another number of strategies than there are guides.
         """
-        _check(packed, settings)
+        _check(packed)
         needed = len(self.plans(packed, settings))
         if needed != len(guides):
             raise ValueError(
@@ -235,12 +235,10 @@ def _nonzero(x) -> Any:
     return jnp.where(x > 0, x, 1.0)
 
 
-def _check(packed: PackedScene, settings: PathSettings) -> None:
+def _check(packed: PackedScene) -> None:
     """Raises ValueError for what no segment covers, and for what has not been verified yet."""
     what = None
-    if settings.max_depth > 2:
-        what = f"only direct light (max_depth=2), but max_depth is {settings.max_depth}"
-    elif packed.has_delta_lobes:
+    if packed.has_delta_lobes:
         what = "no visibility changes over mirrors and smooth glass"
     elif packed.normals is not None:
         what = "no horizons of surfaces with interpolated normals"

@@ -44,7 +44,7 @@ def candidates(look: StaticLook, max_depth: int) -> Candidates:
     left_out["RednerWAS"] = known_failure(RednerWAS(), look.traits) or ""
     if max_depth > 2:
         del tried["GuidedEdges"]
-        left_out["GuidedEdges"] = "only for direct light"
+        left_out["GuidedEdges"] = "tried for direct light; noisy where light is scattered on"
     for name, made in list(tried.items()):
         reason = known_failure(made, look.traits)
         if reason is not None:

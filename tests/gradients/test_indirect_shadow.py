@@ -1,8 +1,4 @@
-"""Shadows in light that arrives from a surface, against exact numbers: a floor point under a panel lit by a far lamp.
-
-The panel reflects the same radiance everywhere, so it is the polygonal light of `floor_point` one bounce later. The
-lamp stands low to one side: nothing shades the panel, and it does not reach the upper side of the floor.
-"""
+"""Shadows in light that arrives from a surface, in closed form: a floor point under a panel lit by a far lamp."""
 
 from functools import partial
 
@@ -12,40 +8,10 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from tests.gradients.floor_point import (
-    BOX,
-    HALF_PLANE,
-    LIGHT,
-    QUADRANGLE,
-    RADIANCE,
-    exact,
-    mean_and_error,
-    scene,
-    sheet,
-)
+from tests.gradients.floor_point import BOX, HALF_PLANE, QUADRANGLE, exact, mean_and_error, scene, sheet
+from tests.gradients.lit_panel import lit_panel
 
-DISTANCE, SIZE = 1000.0, 50.0
-TOWARDS_LAMP = np.array([0.0, 1.0, -0.15]) / np.hypot(1.0, 0.15)
-PANEL_REFLECTANCE = 0.8
 NAMES = ("blocker.vertices", "floor.vertices")
-
-
-def lit_panel(blocker: jd.Mesh) -> jd.Scene:
-    """The scene of `floor_point` with a reflecting panel for a light: its radiance is `RADIANCE` up to 0.1 %."""
-    centre = DISTANCE * TOWARDS_LAMP
-    left = np.array([1.0, 0.0, 0.0])
-    up = np.cross(TOWARDS_LAMP, left)
-    corners = centre + 0.5 * SIZE * np.array([-left - up, left - up, left + up, -left + up])
-    lamp = jd.Mesh(corners[::-1], [[0, 1, 2], [0, 2, 3]])
-    towards = centre - LIGHT.mean(0)
-    squared = towards @ towards
-    per_radiance = SIZE**2 * (-towards[2] / np.sqrt(squared)) * (towards @ TOWARDS_LAMP / np.sqrt(squared)) / squared
-    emitted = RADIANCE / (PANEL_REFLECTANCE / np.pi * per_radiance)
-    under = scene(blocker)
-    shapes = dict(under.shapes)
-    shapes["light"] = jd.Shape(shapes["light"].mesh, jd.Diffuse(PANEL_REFLECTANCE))
-    shapes["lamp"] = jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(float(emitted)))
-    return jd.Scene(shapes=shapes, camera=under.camera)
 
 
 @partial(jax.jit, static_argnames="boundary")
@@ -59,7 +25,7 @@ def estimate(of, values, key, boundary):
 
 def estimates(blocker, boundary, keys):
     """Radiance [keys] and derivatives {name: [keys, ...]} for independent keys."""
-    of = lit_panel(blocker)
+    of = lit_panel(scene(blocker))
     parameters = of.parameters()
     values = {name: parameters[name] for name in NAMES}
     rows = [jax.device_get(estimate(of, values, key, boundary)) for key in jax.random.split(jax.random.key(1), keys)]

@@ -50,7 +50,7 @@ def reflected(name, alpha, about, source, light=None, **options) -> Case:
         0.02,
         max_depth=3,
         reference_spp=512,
-        expected=dict.fromkeys(("RednerWAS", "GuidedEdges"), DIRECT_ONLY) | options.pop("expected", {}),
+        expected={"RednerWAS": DIRECT_ONLY} | options.pop("expected", {}),
         extra=("LineSampling, attached",),
         **options,
     )
@@ -72,7 +72,7 @@ def uv_seams() -> Case:
         0.02,
         max_depth=3,
         reference_spp=512,
-        expected=dict.fromkeys(("RednerWAS", "GuidedEdges"), DIRECT_ONLY),
+        expected={"RednerWAS": DIRECT_ONLY},
     )
 
 
