@@ -75,14 +75,19 @@ class Target:
 
 @dataclass(frozen=True)
 class Initial:
-    """Where the optimisation starts: a sphere at the origin, an icosahedron subdivided `subdivisions` times."""
+    """Where the optimisation starts: a sphere at the origin, an icosahedron subdivided `subdivisions` times.
+
+    With `vertices`, in place of those: a geodesic one of the number 10 n² + 2 that comes closest.
+    """
 
     subdivisions: int = 3
+    vertices: int = 0
     radius: float = 0.4
     shading: Literal["flat", "smooth"] = "flat"
 
     def __post_init__(self):
         require(0 <= self.subdivisions <= 8, "subdivisions", "must be between 0 and 8", self.subdivisions)
+        require(self.vertices == 0 or self.vertices >= 12, "vertices", "must be at least 12", self.vertices)
         require(self.radius > 0, "radius", "must be positive", self.radius)
 
 
@@ -211,29 +216,41 @@ def require_one_size(of: "Remesh | Level") -> None:
 @dataclass(frozen=True)
 class Remesh:
     """Before step `iteration`, remesh to edges about `edge_length` long, or to so many `vertices`; the optimiser starts
-    afresh."""
+    afresh. With `every`, again whenever that many further steps are done, before step `until` (0: to the end)."""
 
     iteration: int
     edge_length: float = 0.0
     vertices: int = 0
+    every: int = 0
+    until: int = 0
 
     def __post_init__(self):
         require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
+        require(self.every >= 0, "every", "must not be negative", self.every)
+        rule = "needs every, and must be larger than iteration"
+        require(self.until == 0 or (self.every > 0 and self.until > self.iteration), "until", rule, self.until)
         require(self.edge_length >= 0, "edge_length", "must be positive", self.edge_length)
         require_one_size(self)
         require(self.edge_length > 0 or self.vertices > 0, "edge_length", "give it, or vertices", self.edge_length)
+
+    def steps(self, iterations: int) -> range:
+        """The steps before which it happens, in a run of so many."""
+        end = (self.until or iterations) if self.every else self.iteration + 1
+        return range(self.iteration, end, self.every or 1)
 
 
 @dataclass(frozen=True)
 class Level:
     """A stage of a run from coarse to fine: `resolution` of the views (0: that of the cameras), samples per pixel of
-    `image` and `gradient` and `views_per_step` (0: those of the config). Unless 0, the mesh gets edges about
-    `edge_length` long or just so many `vertices` when the level begins, and the optimiser starts afresh."""
+    `image` and `gradient`, `views_per_step`, and strength `lam` of the preconditioner (0: those of the config). Unless
+    0, the mesh gets edges about `edge_length` long or just so many `vertices` when the level begins. With another mesh
+    or another `lam` the optimiser starts afresh."""
 
     resolution: int = 0
     image: int = 0
     gradient: int = 0
     views_per_step: int = 0
+    lam: float = 0.0
     edge_length: float = 0.0
     vertices: int = 0
 
@@ -273,7 +290,7 @@ class Optimizer:
         require(self.lam >= 0, "lam", "must not be negative", self.lam)
         require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
         require(self.signal_to_noise > 0, "signal_to_noise", "must be positive", self.signal_to_noise)
-        at = [step.iteration for step in self.remesh]
+        at = [i for remesh in self.remesh for i in remesh.steps(self.iterations)]
         require(at == sorted(set(at)), "remesh", "iterations must increase", at)
 
 
@@ -334,8 +351,9 @@ class OptimizeConfig:
 
     def _check_levels(self) -> None:
         full, views = self.cameras.resolution, self.cameras.views
-        remesh = self.optimizer.remesh
-        require(not remesh, "optimizer.remesh", "levels have an edge_length of their own: leave it out", remesh)
+        remesh, sized = self.optimizer.remesh, any(level.remeshes for level in self.levels)
+        rule = "levels that remesh are there already: leave it out, or their edge_length and vertices"
+        require(not (remesh and sized), "optimizer.remesh", rule, remesh)
         sizes = [level.resolution or full for level in self.levels]
         rule = f"resolutions must not fall, and end with cameras.resolution = {full}"
         require(sizes == sorted(sizes) and sizes[-1] == full, "levels", rule, sizes)
@@ -355,6 +373,7 @@ class OptimizeConfig:
                 level.image or samples.image,
                 level.gradient or samples.gradient,
                 level.views_per_step or count,
+                level.lam or self.optimizer.lam,
                 level.edge_length,
                 level.vertices,
             )

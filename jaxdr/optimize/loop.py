@@ -51,15 +51,17 @@ class _Run:
         self.config = config
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh
-        self.remeshing = {step.iteration: step for step in config.optimizer.remesh}
+        options = config.optimizer
+        self.remeshing = {i: remesh for remesh in options.remesh for i in remesh.steps(options.iterations)}
         self.stages = config.stages()
         if self.remeshing or any(stage.remeshes for stage in self.stages):
             require_gpytoolbox()  # now, not after an hour
         self.folder = RunFolder(config)
         self.plan: Plan | None = None
         self.programs: list[Programs] = []  # one for each level, made once the integrator is known
-        self.beside = ThreadPoolExecutor(1, "jaxdr next level")
+        self.beside = ThreadPoolExecutor(1, "jaxdr ahead")
         self.coming: Future | None = None
+        self.rendered: dict[int, np.ndarray] = {}  # target views by their resolution
         self.interruption = Interruption()
         self.collapsed = False
         self.folded_at_start = folded_share(self.initial)
@@ -69,14 +71,16 @@ class _Run:
     def run(self, resume: bool) -> dict:
         total = self.config.optimizer.iterations
         self.plan_integrator(resume)
-        self.programs = [make_programs(self.config, self.problem, level) for level in range(len(self.stages))]
+        self.programs = make_programs(self.config, self.problem)
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
-        self.look_ahead(phase, resume)
+        compiled = self.beside.submit(self.compile, phase.level, phase.mesh)
         targets = self.targets(phase.level, resume)
+        self.look_ahead(phase, resume)
         if iteration == 0:
             self.folder.save_mesh("target", self.problem.target)
             self.save_pictures(phase, state, targets, 0)
+        compiled.result()
 
         with Progress("optimise", total, iteration) as progress:
             distance = self.chamfer(phase, state)
@@ -84,7 +88,8 @@ class _Run:
                 if iteration in self.remeshing and iteration > phase.start:
                     mesh = self.remeshed(phase, state, self.remeshing[iteration], iteration, progress)
                     if mesh is not None:
-                        phase = make_phase(self.config, self.programs[0], mesh, iteration)
+                        programs = self.programs[phase.level]
+                        phase = make_phase(self.config, programs, mesh, iteration, phase.level, phase.since)
                         state = phase.fresh_state()
                 state, row = self.step(phase, state, targets, iteration)
                 iteration += 1
@@ -137,10 +142,13 @@ class _Run:
     def targets(self, level: int, resume: bool, quiet: bool = False) -> Float[np.ndarray, "N H W 3"]:
         """Target views of a level: rendered, or read back when a run is resumed."""
         mesh, spp, last = self.problem.target, self.config.samples.target, level + 1 == len(self.stages)
-        image = self.programs[level].image
+        image, resolution = self.programs[level].image, self.stages[level].resolution
         key = jax.random.fold_in(self.key, TARGETS)
-        images = rendered(lambda *view: image(mesh, *view, spp), self.poses(), key, self.interruption, quiet)
-        return target_views(self.folder, resume, images, None if last else level)
+        images = self.rendered.get(resolution)
+        if images is None:
+            images = rendered(lambda *view: image(mesh, *view, spp), self.poses(), key, self.interruption, quiet)
+        self.rendered[resolution] = target_views(self.folder, resume, images, None if last else level)
+        return self.rendered[resolution]
 
     def look_ahead(self, phase: Phase, resume: bool) -> None:
         """Prepare the level after that of `phase`, if there is one, in a thread beside what goes on."""
@@ -151,14 +159,20 @@ class _Run:
         """Target views of a level; its gradient is compiled where one knows already how many faces it will have."""
         stage = self.stages[level]
         targets = self.targets(level, resume, quiet=True)
-        if stage.edge_length > 0:
+        if stage.edge_length > 0 or (self.programs[level] is self.programs[level - 1] and not stage.vertices):
             return targets
         try:
             mesh = remesh_to(mesh, stage.vertices) if stage.vertices else mesh
         except ValueError:  # the mesh as it will be then is another one: it may do
             return targets
-        self.programs[level].gradient(mesh, self.poses()[0], jnp.asarray(targets[0]), self.key)
+        self.compile(level, mesh)
         return targets
+
+    def compile(self, level: int, mesh: Mesh) -> None:
+        """Have the gradient of a level compiled for meshes like this one: JAX does when it is called."""
+        resolution = self.stages[level].resolution
+        target = jnp.zeros((resolution, resolution, 3), mesh.vertices.dtype)
+        self.programs[level].gradient(mesh, self.poses()[0], target, self.key)
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""
@@ -203,7 +217,7 @@ class _Run:
     def next_level(
         self, phase: Phase, state: State, iteration: int, row: dict, progress: Progress
     ) -> tuple[Phase, State]:
-        """What is compiled for the next level; the optimiser goes on unless there is a new topology."""
+        """What is compiled for the next level; the optimiser goes on unless there is another topology or `lam`."""
         number = phase.level + 1
         stage = self.stages[number]
         progress.say(
@@ -216,6 +230,10 @@ class _Run:
             if mesh is not None:
                 phase = make_phase(self.config, self.programs[number], mesh, iteration, number, iteration)
                 return phase, phase.fresh_state()
+        if stage.lam != self.stages[phase.level].lam:
+            mesh = phase.current_mesh(state)
+            phase = make_phase(self.config, self.programs[number], mesh, iteration, number, iteration)
+            return phase, phase.fresh_state()
         phase = make_phase(self.config, self.programs[number], phase.mesh, phase.start, number, iteration)
         return phase, state
 

@@ -13,7 +13,7 @@ from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize import losses
 from jaxdr.optimize.adam import adam_uniform
-from jaxdr.optimize.config import OptimizeConfig, Optimizer
+from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
 from jaxdr.render import render
@@ -74,9 +74,15 @@ class Phase(NamedTuple):
         return self.mesh.with_vertices(self.vertices(state))
 
 
-def make_programs(config: OptimizeConfig, problem: Problem, level: int) -> Programs:
-    """The programs of a level; JAX compiles them when they are first called."""
-    stage = config.stages()[level]
+def make_programs(config: OptimizeConfig, problem: Problem) -> list[Programs]:
+    """The programs of every level, shared where resolution and samples are the same; compiled when they are called."""
+    made: dict[tuple[int, int, int], Programs] = {}
+    for stage in config.stages():
+        made.setdefault((stage.resolution, stage.image, stage.gradient), _programs(config, problem, stage))
+    return [made[stage.resolution, stage.image, stage.gradient] for stage in config.stages()]
+
+
+def _programs(config: OptimizeConfig, problem: Problem, stage: Level) -> Programs:
     image = view_renderer(problem, stage.resolution)
 
     def gradient(mesh: Mesh, *view):
@@ -92,7 +98,7 @@ def make_phase(
     config: OptimizeConfig, programs: Programs, mesh: Mesh, start: int, level: int = 0, since: int = 0
 ) -> Phase:
     """Preconditioner and functions for a topology and level."""
-    steps = LargeSteps(mesh, config.optimizer.lam)
+    steps = LargeSteps(mesh, config.stages()[level].lam)
     optimizer = adam_uniform(learning_rate(config.optimizer, start))
 
     def image(vertices, *view):

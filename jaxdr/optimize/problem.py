@@ -38,7 +38,8 @@ def build_problem(config: OptimizeConfig) -> Problem:
     views = camera_poses(config.cameras)
     resolution = config.cameras.resolution
     camera = Perspective(views[0], config.cameras.fov, Film(resolution, resolution))
-    initial = sphere(subdivisions=config.initial.subdivisions, radius=config.initial.radius)
+    start = config.initial
+    initial = sphere(start.subdivisions, start.radius, vertex_count=start.vertices or None)
     initial = initial.smooth() if config.initial.shading == "smooth" else initial
 
     # Folds and passages through itself may show the inside on the way to the target: grey there too, not black.

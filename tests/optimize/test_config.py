@@ -24,6 +24,12 @@ def write(tmp_path):
     return write
 
 
+def test_remeshing_again_and_again():
+    assert list(Remesh(20, vertices=99, every=20, until=70).steps(100)) == [20, 40, 60]
+    assert list(Remesh(20, vertices=99, every=40).steps(100)) == [20, 60]
+    assert list(Remesh(20, vertices=99).steps(100)) == [20]
+
+
 def test_defaults_and_values(write):
     config = read_config(
         write(
@@ -81,6 +87,11 @@ def test_overrides(write, override, read):
             "[[optimizer.remesh]]\niteration = 3\nedge_length = 1\nvertices = 9",
             r"optimizer\.remesh\[0\]\.vertices: give this or edge_length, not both, got 9",
         ),
+        (
+            "[[optimizer.remesh]]\niteration = 3\nvertices = 9\nuntil = 8",
+            r"optimizer\.remesh\[0\]\.until: needs every, and must be larger than iteration, got 8",
+        ),
+        ("[initial]\nvertices = 9", r"initial\.vertices: must be at least 12, got 9"),
         (
             "[[optimizer.remesh]]\niteration = 3\nvertices = 3",
             r"optimizer\.remesh\[0\]\.vertices: must be at least 4, got 3",

@@ -64,7 +64,7 @@ def test_every_level_has_its_own_numbers(tmp_path, seen, capsys):
 
 
 def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch):
-    """Nothing is traced for a level whose number of vertices is known, once a level has begun."""
+    """Nothing is traced in a step, where the numbers of vertices are known: the first level's program is there too."""
     pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
     levels = (Level(resolution=8, image=1, gradient=1), Level(gradient=2), Level(vertices=300, gradient=3))
     made = config(tmp_path / "run", levels, signal_to_noise=1e9)
@@ -82,7 +82,19 @@ def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch
     monkeypatch.setattr(loop._Run, "step", step)
     optimize(made)
     assert columns(made, "level", "vertices")[-1] == ("2", "300")
-    assert traced[0] > 0 and not any(traced[1:])
+    assert not any(traced)
+
+
+def test_levels_with_the_same_samples_share_a_program(tmp_path, seen):
+    """More views a step, and meshes of as many vertices: nothing is traced again, and targets are rendered once."""
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    levels = (Level(views_per_step=1), Level(views_per_step=2))
+    made = config(tmp_path / "run", levels, signal_to_noise=1e9, remesh=(Remesh(2, vertices=162, every=3, until=9),))
+    optimize(made)
+    assert columns(made, "level", "vertices")[-1] == ("1", "162")
+    assert sorted(seen) == [(16, 4)] * 3 + [(16, 16)]  # pictures, and both in the gradient; targets
+    np.testing.assert_array_equal(np.load(tmp_path / "run/targets_0.npy"), np.load(tmp_path / "run/targets.npy"))
+    assert int(checkpoint(made)["start"]) == 8 and int(checkpoint(made)["since"]) == 3
 
 
 def test_a_failure_beside_the_run_ends_it(tmp_path, monkeypatch):
@@ -118,6 +130,21 @@ def test_the_optimiser_goes_on_where_the_topology_does(tmp_path):
     optimize(made)
     assert int(checkpoint(made)["state_1"]) == 12 and int(checkpoint(made)["level"]) == 1
     assert checkpoint(made)["start"] == 0 and checkpoint(made)["since"] == 2
+
+
+def test_another_preconditioner_starts_afresh_from_the_shape_as_it_is(tmp_path, monkeypatch):
+    made = config(tmp_path / "run", levels=(Level(), Level(lam=0.5)), signal_to_noise=1e9)
+    original, vertices = loop._Run.next_level, []
+
+    def next_level(self, phase, state, *arguments):
+        phases = (phase, state), original(self, phase, state, *arguments)
+        vertices.extend(np.asarray(phase.vertices(state)) for phase, state in phases)
+        return phases[1]
+
+    monkeypatch.setattr(loop._Run, "next_level", next_level)
+    optimize(made)
+    np.testing.assert_allclose(*vertices, atol=1e-6)
+    assert int(checkpoint(made)["state_1"]) == 10 and int(checkpoint(made)["start"]) == 2
 
 
 def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
@@ -156,7 +183,7 @@ def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
     assert ratio == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("size", [Level(edge_length=0.15), Level(vertices=200)])
+@pytest.mark.parametrize("size", [Level(edge_length=0.15), Level(vertices=200), Level(lam=3.0)])
 def test_interrupted_as_a_level_begins_and_resumed(tmp_path, monkeypatch, size):
     pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
     levels = (LEVELS[0], size)
@@ -203,8 +230,8 @@ def test_gpytoolbox_is_asked_for_before_the_start(tmp_path, monkeypatch):
         ),
         ({"levels": (Level(48, views_per_step=9), Level())}, r"levels\[0\]\.views_per_step: must not exceed"),
         (
-            {"levels": (Level(48), Level()), "optimizer": Optimizer(remesh=(Remesh(3, 0.1),))},
-            r"optimizer\.remesh: levels have an edge_length",
+            {"levels": (Level(48), Level(vertices=99)), "optimizer": Optimizer(remesh=(Remesh(3, 0.1),))},
+            r"optimizer\.remesh: levels that remesh are there already",
         ),
     ],
 )
