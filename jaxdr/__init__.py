@@ -11,6 +11,7 @@ from jaxdr.boundary.line_sampling import LineSampling as LineSampling
 from jaxdr.boundary.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.reused_guides import ReusedGuides as ReusedGuides
 from jaxdr.boundary.reused_guides import build_guides as build_guides
+from jaxdr.boundary.reused_guides import refit_guides as refit_guides
 from jaxdr.boundary.warped_area import WarpedArea as WarpedArea
 from jaxdr.compilation import jit as jit
 from jaxdr.geometry import shapes as shapes

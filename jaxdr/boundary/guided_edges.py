@@ -1,5 +1,6 @@
 """Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
 
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -109,22 +110,47 @@ class GuidedEdges(eqx.Module):
             lunes = edge_lunes(packed, moving, order)
         # A key of its own: all images of the same scene have the same guide.
         key_maps, *keys = jax.random.split(jax.random.key(0), 3)
-        maps = flux_maps(detached, key_maps, settings) if self.guide != "none" and settings.max_depth > 2 else None
         lines = None
         if self.guide == "projective":
             key_paths = jax.random.fold_in(key_maps, 1)
             lines = project_paths(detached, lunes, SEEDS * self._powers, key_paths, settings.rays)
+        target = self._targets(detached, lunes, flags, key_maps, settings)
 
         def guide(plan: Plan, key) -> Defended:
-            def target(primary):
-                options = plan.strategy, plan.emission, plan.gathered, primary, key, settings
-                return segment_target(detached, lunes, flags, maps, *options)
-
             seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
-            return Defended(self._guide(target, lunes, seeds, key))
+            return Defended(self._guide(target(plan, key), lunes, seeds, key))
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
         return Prepared(lunes, flags, guides, order)
+
+    def _targets(
+        self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
+    ) -> Callable[[Plan, PRNGKeyArray], Target]:
+        """What guides of every plan are made for."""
+        maps = flux_maps(detached, key, settings) if self.guide != "none" and settings.max_depth > 2 else None
+
+        def target(plan: Plan, key: PRNGKeyArray) -> Target:
+            options = plan.strategy, plan.emission, plan.gathered
+            return lambda primary: segment_target(detached, lunes, moving, maps, *options, primary, key, settings)
+
+        return target
+
+    def refit(
+        self,
+        packed: PackedScene,
+        moving: tuple[bool, ...],
+        settings: PathSettings,
+        guides: tuple[Defended, ...],
+        order: EdgeOrder | None,
+        key: PRNGKeyArray,
+    ) -> tuple[Defended, ...]:
+        """Guides with the boxes that they have and densities after the scene as it is. Raises as `prepare_with`."""
+        plans = self._plans_of(packed, settings, guides)
+        detached = jax.tree.map(stop_gradient, packed)
+        key_maps, *keys = jax.random.split(key, 3)
+        target = self._targets(detached, edge_lunes(packed, moving, order), jnp.asarray(moving), key_maps, settings)
+        rows = zip(plans, guides, keys, strict=False)
+        return tuple(Defended(g.guide.refitted(target(plan, k), self._evaluations, k)) for plan, g, k in rows)
 
     def prepare_with(
         self,
@@ -138,14 +164,24 @@ class GuidedEdges(eqx.Module):
 
         Raises ValueError as `prepare` does, and for another number of strategies than there are guides.
         """
+        self._plans_of(packed, settings, guides)
+        return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
+
+    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[Plan, ...]:
+        """The plans that guides were built for; raises ValueError where they weren't."""
         _check(packed)
-        needed = len(self.plans(packed, settings))
-        if needed != len(guides):
+        plans = self.plans(packed, settings)
+        if len(plans) != len(guides):
             raise ValueError(
                 f"render: guides were built for {len(guides)} strategies, and this scene at max_depth="
-                f"{settings.max_depth} needs {needed}; build them for it with build_guides"
+                f"{settings.max_depth} needs {len(plans)}; build them for it with build_guides"
             )
-        return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
+        return plans
+
+    @property
+    def _evaluations(self) -> int:
+        """Of the target, for every box."""
+        return self.guide_samples or {"none": 0, "grid": 4, "kdtree": 32, "projective": 16}[self.guide]
 
     @property
     def _powers(self) -> int:
@@ -161,13 +197,13 @@ class GuidedEdges(eqx.Module):
     ) -> Guide:
         """The guide of one strategy; `seeds` are primary numbers of projected paths, and which of them are usable."""
         if self.guide == "grid":
-            return build_grid(target, self.cells, self.guide_samples or 4, key)
+            return build_grid(target, self.cells, self._evaluations, key)
         if self.guide == "kdtree":
             borders = root_borders(lunes.cdf, max(1, self.leaves // 4))
-            return build_kdtree(target, borders, self.leaves, self.guide_samples or 32, self.threshold)
+            return build_kdtree(target, borders, self.leaves, self._evaluations, self.threshold)
         if seeds is not None:
-            edges, count = lunes.edge.shape[0], self.guide_samples or 16
-            return build_seeded_tree(target, *seeds, edges, self._powers, count, key)
+            edges = lunes.edge.shape[0]
+            return build_seeded_tree(target, *seeds, edges, self._powers, self._evaluations, key)
         return Unguided()
 
     def film_term(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.primary_guides import Choice, Target, below_one, choice, evaluate
 from jaxdr.scene.sampling import linear
@@ -73,6 +73,19 @@ class KdTree(NamedTuple):
         value = (_basis(x) * corners).sum(-1) / jnp.where(there, size.prod(-1), 1.0)
         return jnp.where(there, self.leaves.probability(node) * value, 0.0)
 
+    def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "KdTree":
+        """The same leaves, fitted to another target."""
+        capacity, roots = self.first.shape[0], self.borders.shape[0]
+        parent = self.first >= 0
+        used = jnp.arange(capacity) < roots
+        for child in (self.first, self.first + 1):
+            used = used.at[jnp.where(parent, child, capacity)].set(True, mode="drop")
+        leaf = used & ~parent
+        slots = jnp.nonzero(leaf, size=(capacity + roots) // 2, fill_value=capacity)[0]
+        fitted = fit(target, self.nodes.lower[slots], self.nodes.upper[slots], samples)
+        nodes = jax.tree.map(lambda a, new: a.at[slots].set(new, mode="drop"), self.nodes, fitted)
+        return self._replace(nodes=nodes, leaves=_leaf_choice(nodes, leaf))
+
     def find(self, primary: Float[Array, "n 3"]) -> Int[Array, " n"]:
         """The leaves that points lie in."""
         node = jnp.clip(jnp.searchsorted(self.borders, primary[:, 0], side="right") - 1, 0, self.borders.shape[0] - 1)
@@ -104,29 +117,14 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
     `borders`: of the roots' intervals, 0 and 1 included. Nodes are split while there are fewer than `leaves` leaves and
     an error is above `threshold` times the mean one that as many leaves may have if their errors add up to the mass.
     """
-    pattern = _pattern(samples)
-    with jax.ensure_compile_time_eval():
-        basis = np.asarray(_basis(jnp.asarray(pattern)), float)
-    inverse, pattern, basis = (jnp.asarray(a, borders.dtype) for a in (np.linalg.pinv(basis), pattern, basis))
-
-    def fit(lower, upper) -> Leaves:
-        shape = lower.shape[:-1]
-        points = lower[..., None, :] + pattern * (upper - lower)[..., None, :]
-        values = evaluate(target, points.reshape(-1, 3)).reshape(*shape, samples)
-        corners = values @ inverse.T
-        left = values - corners @ basis.T
-        error = jnp.sqrt((left**2).mean(-1)) * (upper - lower).prod(-1)
-        corners = jnp.maximum(corners, LEAST * values.mean(-1, keepdims=True))
-        level = corners.mean(-1)
-        corners = jnp.where(level[..., None] > 0, corners / jnp.where(level > 0, level, 1.0)[..., None], 1.0)
-        return Leaves(lower, upper, level, corners, error)
-
     roots = borders.shape[0] - 1
     lower = jnp.zeros((roots, 3), borders.dtype).at[:, 0].set(borders[:-1])
     upper = jnp.ones((roots, 3), borders.dtype).at[:, 0].set(borders[1:])
     count = max(1, (leaves - roots) // ROUNDS)
     capacity = roots + 2 * count * ROUNDS
-    nodes = jax.tree.map(lambda a: jnp.zeros((capacity, *a.shape[1:]), a.dtype).at[:roots].set(a), fit(lower, upper))
+    nodes = jax.tree.map(
+        lambda a: jnp.zeros((capacity, *a.shape[1:]), a.dtype).at[:roots].set(a), fit(target, lower, upper, samples)
+    )
     first, axis = jnp.full(capacity, -1), jnp.zeros(capacity, jnp.int32)
     used = jnp.arange(capacity) < roots
 
@@ -141,7 +139,7 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
         # [node, axis, half, 3]
         low = jnp.stack([jnp.broadcast_to(lower[:, None], (count, 3, 3)), jnp.where(unit, middle, lower[:, None])], 2)
         high = jnp.stack([jnp.where(unit, middle, upper[:, None]), jnp.broadcast_to(upper[:, None], (count, 3, 3))], 2)
-        halves = fit(low, high)
+        halves = fit(target, low, high, samples)
         along = halves.error.sum(-1).argmax(-1)
         halves = jax.tree.map(lambda a: a[jnp.arange(count), along].reshape(2 * count, *a.shape[3:]), halves)
         nodes = jax.tree.map(lambda t, a: jax.lax.dynamic_update_slice_in_dim(t, a, start, 0), nodes, halves)
@@ -154,8 +152,30 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
     starts = roots + 2 * count * jnp.arange(ROUNDS)
     nodes, first, axis, used = jax.lax.scan(step, (nodes, first, axis, used), starts)[0]
     leaf = used & (first < 0)
+    return KdTree(nodes, first, axis, borders[:-1], _leaf_choice(nodes, leaf))
+
+
+def fit(target: Target, lower: Float[Array, "*n 3"], upper: Float[Array, "*n 3"], samples: int) -> Leaves:
+    """Trilinear fits of the target in boxes, least squares of `samples` evaluations in each."""
+    pattern = _pattern(samples)
+    with jax.ensure_compile_time_eval():
+        basis = np.asarray(_basis(jnp.asarray(pattern)), float)
+    inverse, pattern, basis = (jnp.asarray(a, lower.dtype) for a in (np.linalg.pinv(basis), pattern, basis))
+    points = lower[..., None, :] + pattern * (upper - lower)[..., None, :]
+    values = evaluate(target, points.reshape(-1, 3)).reshape(*lower.shape[:-1], samples)
+    corners = values @ inverse.T
+    left = values - corners @ basis.T
+    error = jnp.sqrt((left**2).mean(-1)) * (upper - lower).prod(-1)
+    corners = jnp.maximum(corners, LEAST * values.mean(-1, keepdims=True))
+    level = corners.mean(-1)
+    corners = jnp.where(level[..., None] > 0, corners / jnp.where(level > 0, level, 1.0)[..., None], 1.0)
+    return Leaves(lower, upper, level, corners, error)
+
+
+def _leaf_choice(nodes: Leaves, leaf: Bool[Array, " N"]) -> Choice:
+    """Leaves by their mass; by their volume if none has any."""
     mass, volume = jnp.where(leaf, nodes.mass(), 0.0), jnp.where(leaf, nodes.volume(), 0.0)
-    return KdTree(nodes, first, axis, borders[:-1], choice(jnp.where(mass.sum() > 0, mass, volume)))
+    return choice(jnp.where(mass.sum() > 0, mass, volume))
 
 
 def _pattern(samples: int) -> Float[np.ndarray, "n 3"]:

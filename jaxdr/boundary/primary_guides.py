@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.scene.sampling import search_sorted_rows
 
@@ -27,6 +27,10 @@ class Guide(Protocol):
 
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
         """Their density."""
+        ...
+
+    def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "Guide":
+        """The same boxes with densities after another target, from `samples` evaluations in each."""
         ...
 
 
@@ -59,6 +63,10 @@ class Unguided(NamedTuple):
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
         """One."""
         return jnp.ones_like(primary[:, 0])
+
+    def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "Unguided":
+        """There is nothing to fit."""
+        return self
 
 
 class Choice(NamedTuple):
@@ -122,6 +130,16 @@ class Grid(NamedTuple):
         along_z = _probability(self.z, x * self.y.shape[1] + y, z)
         return along_x * along_y * along_z * size.prod()
 
+    def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "Grid":
+        """The mean of the old density and that of new evaluations: what one missed another may find."""
+        new = build_grid(target, self._size, samples, key)
+        return grid_of(0.5 * (self.probabilities() + new.probabilities()))
+
+    def probabilities(self) -> Float[Array, "X Y Z"]:
+        """With which cells are chosen."""
+        x, y, z = (jnp.diff(cdf, axis=1, prepend=0.0) for cdf in (self.x, self.y, self.z))
+        return x[0][:, None, None] * y[:, :, None] * z.reshape(self._size)
+
     @property
     def _size(self) -> tuple[int, int, int]:
         return self.x.shape[1], self.y.shape[1], self.z.shape[1]
@@ -145,7 +163,7 @@ def grid_of(values: Float[Array, "X Y Z"]) -> Grid:
     return Grid(cumulative(rows.sum(1)[None]), cumulative(rows), cumulative(columns))
 
 
-def build_grid(target: Target, size: tuple[int, int, int], samples: int, key) -> Grid:
+def build_grid(target: Target, size: tuple[int, int, int], samples: int, key: PRNGKeyArray) -> Grid:
     """A grid of the means of `samples` random evaluations of the target in every cell."""
     lower = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in size), indexing="ij"), -1).reshape(-1, 3)
     u = jax.random.uniform(key, (samples, *lower.shape))

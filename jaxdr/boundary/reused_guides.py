@@ -37,12 +37,7 @@ class ReusedGuides(eqx.Module):
 
         Raises ValueError as `GuidedEdges.prepare` does, and for guides of another mesh or depth.
         """
-        edges = packed.edges.vertices.shape[0]
-        if edges != self.edges:
-            raise ValueError(
-                f"render: guides were built for a scene of {self.edges} edges, and this one has {edges}; build them "
-                "again with build_guides after remeshing"
-            )
+        _same_edges(packed.edges.vertices.shape[0], self.edges)
         return self.boundary.prepare_with(packed, moving, settings, self.guides, self.order)
 
     def film_term(
@@ -69,6 +64,39 @@ def build_guides(
     guides, order = _built(scene, boundary, _flags(scene, moving), settings)
     edges = sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values())
     return ReusedGuides(boundary, guides, order, edges)
+
+
+def refit_guides(
+    scene: Scene,
+    guides: ReusedGuides,
+    key: PRNGKeyArray,
+    max_depth: int = 2,
+    rays: str = "auto",
+    moving: Collection[str] | None = None,
+) -> ReusedGuides:
+    """Guides of the same sizes, fitted to the scene as it is, for a part of what building them takes.
+
+    Boxes and leaves stay what they are, and so does the order of sorted edges. `max_depth` and `moving` as they were
+    built with; `key` chooses where the target is evaluated. Works under jit. Raises ValueError as `build_guides` does,
+    and for guides of another mesh or depth.
+    """
+    settings = PathSettings(max_depth, True, rays)
+    _same_edges(sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values()), guides.edges)
+    return _refitted(scene, guides, key, _flags(scene, moving), settings)
+
+
+@partial(jax.jit, static_argnums=(3, 4))
+def _refitted(scene: Scene, guides: ReusedGuides, key, moving: tuple[bool, ...], settings: PathSettings):
+    found = guides.boundary.refit(pack(scene), moving, settings, guides.guides, guides.order, key)
+    return eqx.tree_at(lambda g: g.guides, guides, found)
+
+
+def _same_edges(edges: int, built: int) -> None:
+    if edges != built:
+        raise ValueError(
+            f"render: guides were built for a scene of {built} edges, and this one has {edges}; build them "
+            "again with build_guides after remeshing"
+        )
 
 
 @partial(jax.jit, static_argnums=(1, 2, 3))

@@ -62,6 +62,13 @@ class SeededTree(NamedTuple):
         density += self.around * _over_volume(self.cell_lower[leaf], self.cell_upper[leaf])
         return self.leaves.probability(leaf) * density
 
+    def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "SeededTree":
+        """The same boxes, with masses after another target."""
+        squares = _squares(target, self.lower, self.upper, samples, key)
+        mass = (self.upper - self.lower).prod(-1) * jnp.sqrt(squares / samples)
+        whole = (self.cell_upper - self.cell_lower).prod(-1)
+        return self._replace(leaves=choice(jnp.where(mass.sum() > 0, mass, whole)))
+
     def find(self, primary: Float[Array, "n 3"]) -> Int[Array, " n"]:
         """The leaves that points lie in."""
         levels = (self.split.shape[0] + 1).bit_length() - 1
@@ -154,11 +161,16 @@ def _grown(target: Target, points, values, scale, leaves: int, samples: int, key
     lower, upper = jnp.maximum(least - beyond, cell_lower), jnp.minimum(most + beyond, cell_upper)
     fills = ~several | (upper - lower > MOST * (cell_upper - cell_lower))
     lower, upper = jnp.where(fills, cell_lower, lower), jnp.where(fills, cell_upper, upper)
-    u = uniform(key, (leaves, samples, 3), points.dtype)
-    tried = evaluate(target, (lower[:, None] + u * (upper - lower)[:, None]).reshape(-1, 3)).reshape(leaves, samples)
-    squares = (tried**2).sum(1) + jax.ops.segment_sum(values**2, slot, leaves)
+    squares = _squares(target, lower, upper, samples, key) + jax.ops.segment_sum(values**2, slot, leaves)
     volume, whole = (upper - lower).prod(-1), (cell_upper - cell_lower).prod(-1)
     mass = volume * jnp.sqrt(squares / (samples + number))
     leaf = choice(jnp.where(mass.sum() > 0, mass, whole))
     share = jnp.asarray(AROUND, points.dtype)
     return SeededTree(axis, split, cell_lower, cell_upper, lower, upper, leaf, share)
+
+
+def _squares(target: Target, lower, upper, samples: int, key) -> Float[Array, " L"]:
+    """Sums of the squares of `samples` random evaluations in boxes."""
+    u = uniform(key, (lower.shape[0], samples, 3), lower.dtype)
+    points = lower[:, None] + u * (upper - lower)[:, None]
+    return (evaluate(target, points.reshape(-1, 3)).reshape(-1, samples) ** 2).sum(1)

@@ -1,6 +1,7 @@
 """The optimisation loop: from rendered target views and a sphere to a mesh."""
 
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
@@ -74,7 +75,7 @@ class _Run:
         self.programs = make_programs(self.config, self.problem)
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
-        compiled = self.beside.submit(self.compile, phase.level, phase.mesh)
+        compiled = self.ahead(self.compile, phase.level, phase.mesh)
         targets = self.targets(phase.level, resume)
         self.look_ahead(phase, resume)
         if iteration == 0:
@@ -153,7 +154,17 @@ class _Run:
     def look_ahead(self, phase: Phase, resume: bool) -> None:
         """Prepare the level after that of `phase`, if there is one, in a thread beside what goes on."""
         if phase.level + 1 < len(self.stages):
-            self.coming = self.beside.submit(self.prepared, phase.level + 1, phase.mesh, resume)
+            self.coming = self.ahead(self.prepared, phase.level + 1, phase.mesh, resume)
+
+    def ahead(self, function: Callable, *arguments) -> Future:
+        """Call a function in the thread beside, one after the other, with the precision that this thread has."""
+        x64 = jax.config.jax_enable_x64
+
+        def called():
+            with jax.enable_x64(x64):
+                return function(*arguments)
+
+        return self.beside.submit(called)
 
     def prepared(self, level: int, mesh: Mesh, resume: bool) -> Float[np.ndarray, "N H W 3"]:
         """Target views of a level; its gradient is compiled where one knows already how many faces it will have."""

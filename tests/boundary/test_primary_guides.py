@@ -18,7 +18,12 @@ def target(p):
     return jnp.where(y < 0.6, x * x + jnp.exp(-40 * (y - 0.3 * z) ** 2) * (z > 0.2), 0.0)
 
 
-def guides():
+def moved(p):
+    """The target of a shape that has moved since."""
+    return target((p + jnp.asarray([0.1, 0.15, -0.1])) % 1.0)
+
+
+def guides(target):
     borders = root_borders(jnp.asarray([0.1, 0.1, 0.35, 0.7, 1.0]), 16)
     seeds = jax.random.uniform(jax.random.key(1), (256, 3))
     usable = jnp.arange(256) % 2 == 0
@@ -29,10 +34,22 @@ def guides():
     }
 
 
-@pytest.fixture(scope="module", params=("grid", "kdtree", "projective"))
+GUIDES = "grid", "kdtree", "projective"
+
+
+@pytest.fixture(scope="module", params=(*GUIDES, *(f"{name}, refitted" for name in GUIDES)))
 def guide(request):
+    """Built for the target, or built for another and refitted."""
+    name, *refitted = request.param.split(", ")
+
+    def made():
+        samples = {"grid": 4, "kdtree": 32, "projective": 16}[name]
+        if not refitted:
+            return guides(target)[name]
+        return guides(moved)[name].refitted(target, samples, jax.random.key(2))
+
     with jax.enable_x64(True):
-        return jax.jit(lambda: guides()[request.param])()
+        return jax.jit(made)()
 
 
 def boxes(guide):
@@ -91,3 +108,19 @@ def test_guides_follow_the_target(guide):
 
         guided, unguided = deviations(guide, u)
         assert float(guided) < 0.7 * float(unguided)
+
+
+@pytest.mark.parametrize("name", GUIDES)
+def test_refitting_follows_what_moved(name):
+    """Less variance than with the guide as it was."""
+    with jax.enable_x64(True):
+        u = jax.random.uniform(jax.random.key(2), (1 << 13, 3))
+
+        @jax.jit
+        def deviation(guide):
+            drawn = Defended(guide).sample(u)
+            return (target(drawn) / Defended(guide).pdf(drawn, u.shape[0])).std()
+
+        old = jax.jit(lambda: guides(moved)[name])()
+        new = jax.jit(lambda old: old.refitted(target, 16, jax.random.key(3)))(old)
+        assert float(deviation(new)) < 0.8 * float(deviation(old))

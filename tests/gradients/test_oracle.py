@@ -6,6 +6,7 @@ Its tolerances are kept; what fewer samples add is allowed for by the standard e
 import argparse
 import importlib.util
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -56,12 +57,27 @@ def cases():
 
 @pytest.mark.parametrize(("case", "name", "boundary"), cases())
 def test_quick(check, case, name, boundary):
-    spp, deviation = CASES[case, name]
-    row = compare(check, case, name, spp, keys=8, boundary=boundary)
+    passes(check, compare(check, case, name, CASES[case, name][0], keys=8, boundary=boundary), CASES[case, name][1])
+
+
+def passes(check, row, deviation):
+    """`check`'s own tolerances, and what few samples add."""
     assert row["projection_error"] < deviation, "too few samples to tell"
     assert row["primal"] < check.PRIMAL_TOLERANCE
     assert abs(row["projection"] - 1) < check.PROJECTION_TOLERANCE + 3 * row["projection_error"]
     assert row["passed"] or abs(row["projection"] - 1) > check.PROJECTION_TOLERANCE, f"mean gradient: {row['mean']:.1%}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guide", ["none", "grid", "kdtree", "projective"])
+@pytest.mark.parametrize(("case", "name"), [*CASES, ("mirror_spot", "translate_y")])
+def test_guides(check, monkeypatch, case, name, guide):
+    """Every guide of `GuidedEdges`; with -rP the rows are shown."""
+    monkeypatch.setattr(jd, "GuidedEdges", partial(jd.GuidedEdges, guide))
+    spp, deviation = CASES.get((case, name), (128, 0.04))
+    row = compare(check, case, name, spp, keys=8, boundary="GuidedEdges")
+    print(f"{case}, {name}, {guide}: {row}")
+    passes(check, row, deviation)
 
 
 @pytest.mark.slow

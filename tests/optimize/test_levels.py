@@ -97,6 +97,20 @@ def test_levels_with_the_same_samples_share_a_program(tmp_path, seen):
     assert int(checkpoint(made)["start"]) == 8 and int(checkpoint(made)["since"]) == 3
 
 
+def test_precision_is_that_of_the_caller(tmp_path, monkeypatch):
+    """Of a thread's own, as `jax.enable_x64` has it: what is prepared in another thread has it as well."""
+    original, dtypes = phase.render, set()
+
+    def render(scene, key, spp, integrator):
+        dtypes.add(str(scene.parameters()[f"{OBJECT}.vertices"].dtype))
+        return original(scene, key, spp, integrator)
+
+    monkeypatch.setattr(phase, "render", render)
+    with jax.enable_x64(True):
+        optimize(config(tmp_path / "run", levels=(Level(resolution=8), Level()), signal_to_noise=1e9))
+    assert dtypes == {"float64"}
+
+
 def test_a_failure_beside_the_run_ends_it(tmp_path, monkeypatch):
     original = phase.render
 
