@@ -158,7 +158,7 @@ class _Run:
 
     def ahead(self, function: Callable, *arguments) -> Future:
         """Call a function in the thread beside, one after the other, with the precision that this thread has."""
-        x64 = jax.config.jax_enable_x64
+        x64 = jax.dtypes.canonicalize_dtype(float) == np.float64
 
         def called():
             with jax.enable_x64(x64):
