@@ -17,7 +17,7 @@ from jaxdr.boundary.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.flux_maps import flux_maps
 from jaxdr.boundary.guide_target import segment_target
 from jaxdr.boundary.kdtree_guide import build_kdtree, root_borders
-from jaxdr.boundary.primary_guides import Defended, Guide, Target, Unguided, build_grid
+from jaxdr.boundary.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.projected_paths import project_paths
 from jaxdr.boundary.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.scene.bsdf.base import spreads_through
@@ -57,7 +57,8 @@ class GuidedEdges(eqx.Module):
       all by direction, "mis" (Yan et al. 2022, 4.2) the emitters' light by both.
     - `guide`: "none"; "grid", a regular one over edges and directions (Zhang et al. 2020); "kdtree", trees with
       trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected to silhouettes (Zhang
-      et al. 2023), for small emitters. Built once for every image. A tenth of the segments is drawn without it.
+      et al. 2023), for small emitters. Built once for every image. A tenth of the segments or more is drawn without
+      it, as many as its fit asks for.
     - `samples`: segments per path sample and strategy.
     - `cells`: of a grid, along the edges and along both numbers of the direction; `leaves`: of all kd-trees of a
       strategy, about; a projective guide has a quarter, as a power of two.
@@ -118,7 +119,7 @@ class GuidedEdges(eqx.Module):
 
         def guide(plan: Plan, key) -> Defended:
             seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
-            return Defended(self._guide(target(plan, key), lunes, seeds, key))
+            return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
         return Prepared(lunes, flags, guides, order)
@@ -149,8 +150,12 @@ class GuidedEdges(eqx.Module):
         detached = jax.tree.map(stop_gradient, packed)
         key_maps, *keys = jax.random.split(key, 3)
         target = self._targets(detached, edge_lunes(packed, moving, order), jnp.asarray(moving), key_maps, settings)
-        rows = zip(plans, guides, keys, strict=False)
-        return tuple(Defended(g.guide.refitted(target(plan, k), self._evaluations, k)) for plan, g, k in rows)
+
+        def refitted(plan: Plan, old: Defended, key) -> Defended:
+            new = old.guide.refitted(target(plan, key), self._evaluations, key)
+            return self._defended(new, target(plan, key), packed, key)
+
+        return tuple(refitted(*row) for row in zip(plans, guides, keys, strict=False))
 
     def prepare_with(
         self,
@@ -187,6 +192,12 @@ class GuidedEdges(eqx.Module):
     def _powers(self) -> int:
         """Leaves of a projective guide."""
         return 1 << max(1, self.leaves.bit_length() - 3)
+
+    def _defended(self, guide: Guide, target: Target, packed: PackedScene, key) -> Defended:
+        dtype = packed.vertices.dtype
+        if self.guide == "none":
+            return Defended(guide, jnp.asarray(1.0, dtype))
+        return defended(guide, target, jax.random.fold_in(key, 1), dtype)
 
     def _guide(
         self,

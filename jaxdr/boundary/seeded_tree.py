@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.primary_guides import Choice, Defended, Target, below_one, choice, evaluate
+from jaxdr.boundary.primary_guides import SHARES, Choice, Defended, Target, below_one, choice, evaluate
 from jaxdr.transport.sampler import lattice, uniform
 
 AROUND = 0.1  # share of a leaf's samples that is drawn from all of it
@@ -107,12 +107,13 @@ def build_seeded_tree(
     even = lattice(key_even, 1, jnp.arange(count), 4, dtype)[0, :, :3]
     points = _moved(jnp.concatenate([seeds, even]), keys[0])
     tried = jnp.concatenate([usable, jnp.ones(count, bool)])
+    least = jnp.asarray(SHARES[0], dtype)
     values = jnp.where(tried, evaluate(target, points), 0.0)
     for key_round in jax.random.split(key_drawn, ROUNDS):
         key_tree, key_shift = jax.random.split(key_round)
         tree = _grown(target, points, values, scale, leaves, samples, key_tree)
         tree = tree._replace(around=jnp.asarray(SEARCH, dtype))
-        drawn = Defended(tree).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[0, :, :3])
+        drawn = Defended(tree, least).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[0, :, :3])
         points, values = jnp.concatenate([points, drawn]), jnp.concatenate([values, evaluate(target, drawn)])
     return _grown(target, points, values, scale, leaves, samples, keys[1])
 

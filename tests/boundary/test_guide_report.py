@@ -20,6 +20,7 @@ def test_bytes_are_bounded(boundary, most):
     report = jd.guide_report(scene(sheet(QUADRANGLE, 0.1)), boundary, moving=("blocker",))
     assert 0.5 * most <= report.bytes <= most
     assert report.first_seconds >= report.seconds > 0
+    assert len(report.unguided) == 1 and 0.099 < report.unguided[0] <= 1.0
 
 
 def test_unknown_name():

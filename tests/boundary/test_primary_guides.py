@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxdr.boundary.kdtree_guide import KdTree, build_kdtree, root_borders
-from jaxdr.boundary.primary_guides import Defended, build_grid
+from jaxdr.boundary.primary_guides import SHARES, Defended, build_grid, defended, grid_of
 from jaxdr.boundary.seeded_tree import SeededTree, build_seeded_tree
 
 
@@ -32,6 +32,11 @@ def guides(target):
         "grid": build_grid(target, (8, 6, 5), 4, jax.random.key(0)),
         "kdtree": build_kdtree(target, borders, 1024, 32, 0.01),
     }
+
+
+def guarded(guide):
+    """With the least share of samples without it."""
+    return Defended(guide, jnp.asarray(SHARES[0], float))
 
 
 GUIDES = "grid", "kdtree", "projective"
@@ -77,7 +82,7 @@ def test_density_integrates_to_one(guide):
         nodes = 0.5 + jnp.asarray(np.stack(np.meshgrid(*[[-1, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)) / 12**0.5
         points = lower[:, None] + nodes * (upper - lower)[:, None]
         weight = (upper - lower).prod(-1) / 8
-        for pdf in (guide.pdf, partial(Defended(guide).pdf, count=1000)):
+        for pdf in (guide.pdf, partial(guarded(guide).pdf, count=1000)):
             total = (jax.jit(pdf)(points.reshape(-1, 3)).reshape(-1, 8).sum(-1) * weight).sum()
             assert abs(float(total) - 1) < 1e-6
 
@@ -86,8 +91,8 @@ def test_samples_have_the_density(guide):
     """The mean of f / p over samples is the integral of f, for f of several frequencies; 1 / p has the mean 1."""
     with jax.enable_x64(True):
         u = jax.random.uniform(jax.random.key(1), (1 << 14, 3))
-        points = jax.jit(Defended(guide).sample)(u)
-        pdf = jax.jit(partial(Defended(guide).pdf, count=u.shape[0]))(points)
+        points = jax.jit(guarded(guide).sample)(u)
+        pdf = jax.jit(partial(guarded(guide).pdf, count=u.shape[0]))(points)
         assert float(points.min()) >= 0 and float(points.max()) < 1
         points, pdf = np.asarray(points), np.asarray(pdf)
         waves = np.array(list(np.ndindex(3, 3, 3)))
@@ -103,8 +108,8 @@ def test_guides_follow_the_target(guide):
 
         @jax.jit
         def deviations(guide, u):
-            guided = Defended(guide).sample(u)
-            return (target(guided) / Defended(guide).pdf(guided, u.shape[0])).std(), target(u).std()
+            guided = guarded(guide).sample(u)
+            return (target(guided) / guarded(guide).pdf(guided, u.shape[0])).std(), target(u).std()
 
         guided, unguided = deviations(guide, u)
         assert float(guided) < 0.7 * float(unguided)
@@ -118,9 +123,18 @@ def test_refitting_follows_what_moved(name):
 
         @jax.jit
         def deviation(guide):
-            drawn = Defended(guide).sample(u)
-            return (target(drawn) / Defended(guide).pdf(drawn, u.shape[0])).std()
+            drawn = guarded(guide).sample(u)
+            return (target(drawn) / guarded(guide).pdf(drawn, u.shape[0])).std()
 
         old = jax.jit(lambda: guides(moved)[name])()
         new = jax.jit(lambda old: old.refitted(target, 16, jax.random.key(3)))(old)
         assert float(deviation(new)) < 0.8 * float(deviation(old))
+
+
+@pytest.mark.parametrize("missed, share", [(0.0, 0.1), (0.25, 0.4), (1.0, 1.0)])
+def test_share_without_a_guide_is_the_best_one(missed, share):
+    """A guide that draws from one half, of a target that is 1 there and e elsewhere: 0.5 / (2 - s) + 0.5 e^2 / s is
+    least at s = 2 e / (1 + e)."""
+    half = grid_of(jnp.asarray([1.0, 0.0])[:, None, None])
+    found = defended(half, lambda p: jnp.where(p[:, 0] < 0.5, 1.0, missed), jax.random.key(0), float)
+    assert abs(float(found.share) - share) < 0.01
