@@ -3,6 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,7 @@ TURNS = 6  # independent calls of every candidate in a round
 CLOSE = 2.0  # how much worse than the best a candidate may be in the first round and go on to the second
 FINALISTS = 2
 BETTER = 0.9  # what a change has to come to, relative to what it is a change of
+COMPILERS = 2  # threads of XLA, while the next program is traced
 LEAST_SECONDS = 1e-4  # below, the clock is all that is measured
 
 Setting = tuple[Any, int]  # integrator, samples per pixel
@@ -71,13 +73,18 @@ class Pilot:
 
     def __call__(self, settings: dict[str, Setting]) -> dict[str, Measured | Refused]:
         """Every setting by name, in turns, each round beginning with another one."""
-        programs: dict[str, Any] = {}
         found: dict[str, Measured | Refused] = {}
-        for name, setting in settings.items():
-            try:
-                programs[name] = self._program(*setting)
-            except ValueError as problem:
-                found[name] = Refused((str(problem).splitlines() or [""])[0])
+        compiled: dict[str, Future] = {}
+        pool = ThreadPoolExecutor(COMPILERS, "jaxdr plan")
+        try:
+            for name, setting in settings.items():
+                try:
+                    compiled[name] = pool.submit(self._lowered(*setting).compile)
+                except ValueError as problem:
+                    found[name] = Refused((str(problem).splitlines() or [""])[0])
+            programs = {name: program.result() for name, program in compiled.items()}
+        finally:
+            pool.shutdown(cancel_futures=True)
         calls: dict[str, list] = {name: [] for name in programs}
         names = list(programs)
         for turn in range(TURNS + 1):  # the first one is slow for other reasons too
@@ -90,7 +97,7 @@ class Pilot:
             found[name] = measured(settings[name][1], [c[0] for c in some], [c[1] for c in some])
         return {name: found[name] for name in settings}
 
-    def _program(self, integrator: Integrator, spp: int):
+    def _lowered(self, integrator: Integrator, spp: int):
         def derivative(scene, along, t, key):
             def images(t):
                 return derivative_terms(along.at(scene, t), key, spp, integrator, self.moving)
@@ -98,7 +105,7 @@ class Pilot:
             return jax.jvp(images, (t,), (jnp.ones_like(t),))[1]
 
         integrator.check(self.scene)
-        return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key).compile()
+        return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key)
 
     def _call(self, program, turn: int) -> tuple[dict[str, Array], float]:
         # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.

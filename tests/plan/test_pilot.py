@@ -103,5 +103,5 @@ def test_a_refusal_is_told(monkeypatch):
     def refuse(integrator, spp):
         raise ValueError("render: not this one\n  because")
 
-    monkeypatch.setattr(pilot, "_program", refuse)
+    monkeypatch.setattr(pilot, "_lowered", refuse)
     assert pilot({"x": (jd.PathTracer(), 4)}) == {"x": Refused("render: not this one")}
