@@ -42,9 +42,6 @@ def candidates(look: StaticLook, max_depth: int) -> Candidates:
         return Candidates({"KernelDensity": KernelDensity()}, {})  # no boundary term is in the program
     tried, left_out = dict(ESTIMATORS), dict(LEFT_OUT)
     left_out["RednerWAS"] = known_failure(RednerWAS(), look.traits) or ""
-    if max_depth > 2:
-        del tried["GuidedEdges"]
-        left_out["GuidedEdges"] = "tried for direct light; noisy where light is scattered on"
     for name, made in list(tried.items()):
         reason = known_failure(made, look.traits)
         if reason is not None:

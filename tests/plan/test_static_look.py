@@ -74,7 +74,7 @@ def test_estimators_by_nature():
     direct = candidates(look(scene(), "box.vertices"), 2)
     assert {"LineSampling", "KernelDensity", "GuidedEdges"} <= direct.tried.keys()
     assert {"RednerWAS", "WarpedArea"} == direct.left_out.keys()
-    assert "GuidedEdges" in candidates(look(scene(), "box.vertices"), 3).left_out
+    assert candidates(look(scene(), "box.vertices"), 5).tried.keys() == direct.tried.keys()
     round_lamp = candidates(look(scene(sphere(1, radius=0.3, center=(0.0, 0.0, 3.0))), "box.vertices"), 2)
     assert "KernelDensity" in round_lamp.left_out and "LineSampling" in round_lamp.tried
     assert not any(isinstance(made, jd.KernelDensity) for made in round_lamp.tried.values())

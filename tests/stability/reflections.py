@@ -95,7 +95,7 @@ def cases() -> list[Case]:
             0.01,
             "the same, roughness 0.01",
             smooth,
-            expected=dict.fromkeys(("KernelDensity", "LineSampling"), LOBE) | NOISY,
+            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), LOBE) | NOISY,
         ),
         reflected(
             "self_shadow_reflected",
