@@ -44,7 +44,8 @@ def choices(name, oracle, budget, keys, spp=SPP):
     small, _ = small_film(scene)
     along = direction(scene, [parameter], jax.random.key(1))
     moving = moving_along(scene, tuple(along.values))
-    rounds = [Pilot(small, along, moving, jax.random.key(100 + k))(settings) for k in range(keys)]
+    pilot = Pilot(small, along, moving, jax.random.key(100))
+    rounds = [pilot(settings, jax.random.key(100 + k)) for k in range(keys)]
     rows = []
     for label in settings:
         found = [some[label] for some in rounds]

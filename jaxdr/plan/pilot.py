@@ -70,32 +70,44 @@ class Pilot:
     def __init__(self, scene: Scene, along: Direction, moving: Moving, key: PRNGKeyArray):
         self.scene, self.along, self.moving, self.key = scene, along, moving, key
         self.nudge = along.nudge()
+        self.programs: dict[tuple[int, int], tuple[Integrator, Any]] = {}  # by id, which the integrator kept here holds
 
-    def __call__(self, settings: dict[str, Setting]) -> dict[str, Measured | Refused]:
-        """Every setting by name, in turns, each round beginning with another one."""
-        found: dict[str, Measured | Refused] = {}
-        compiled: dict[str, Future] = {}
-        pool = ThreadPoolExecutor(COMPILERS, "jaxdr plan")
-        try:
-            for name, setting in settings.items():
-                try:
-                    compiled[name] = pool.submit(self._lowered(*setting).compile)
-                except ValueError as problem:
-                    found[name] = Refused((str(problem).splitlines() or [""])[0])
-            programs = {name: program.result() for name, program in compiled.items()}
-        finally:
-            pool.shutdown(cancel_futures=True)
+    def __call__(self, settings: dict[str, Setting], key: PRNGKeyArray | None = None) -> dict[str, Measured | Refused]:
+        """Every setting by name, in turns, each round beginning with another one. `key`: in place of the pilot's."""
+        key = self.key if key is None else key
+        programs, found = self._compiled(settings)
         calls: dict[str, list] = {name: [] for name in programs}
         names = list(programs)
         for turn in range(TURNS + 1):  # the first one is slow for other reasons too
             for i in range(len(names)):
                 name = names[(i + turn) % len(names)]
-                answer = self._call(programs[name], turn)
+                answer = self._call(programs[name], turn, key)
                 if turn > 0:
                     calls[name].append(answer)
         for name, some in calls.items():
             found[name] = measured(settings[name][1], [c[0] for c in some], [c[1] for c in some])
         return {name: found[name] for name in settings}
+
+    def _compiled(self, settings: dict[str, Setting]) -> tuple[dict[str, Any], dict[str, Measured | Refused]]:
+        """(programs, refusals) by name; each integrator is compiled once per number of samples."""
+        refused: dict[str, Measured | Refused] = {}
+        compiled: dict[str, Future] = {}
+        pool = ThreadPoolExecutor(COMPILERS, "jaxdr plan")
+        try:
+            for name, (integrator, spp) in settings.items():
+                if (id(integrator), spp) in self.programs:
+                    continue
+                try:
+                    compiled[name] = pool.submit(self._lowered(integrator, spp).compile)
+                except ValueError as problem:
+                    refused[name] = Refused((str(problem).splitlines() or [""])[0])
+            for name, program in compiled.items():
+                integrator, spp = settings[name]
+                self.programs[id(integrator), spp] = integrator, program.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+        kept = {name: (id(integrator), spp) for name, (integrator, spp) in settings.items() if name not in refused}
+        return {name: self.programs[setting][1] for name, setting in kept.items()}, refused
 
     def _lowered(self, integrator: Integrator, spp: int):
         def derivative(scene, along, t, key):
@@ -107,10 +119,10 @@ class Pilot:
         integrator.check(self.scene)
         return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key)
 
-    def _call(self, program, turn: int) -> tuple[dict[str, Array], float]:
+    def _call(self, program, turn: int, key: PRNGKeyArray) -> tuple[dict[str, Array], float]:
         # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.
         t = jax.block_until_ready(jnp.asarray(self.nudge * (turn + 1)))
-        key = jax.random.fold_in(self.key, turn)
+        key = jax.random.fold_in(key, turn)
         start = time.perf_counter()
         answer = jax.block_until_ready(program(self.scene, self.along, t, key))
         return answer, time.perf_counter() - start

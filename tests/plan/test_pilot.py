@@ -1,11 +1,12 @@
 """The choice among candidates, on settings whose variance and time are known."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.plan.pilot import FIRST, Measured, Pilot, Refused, choose, measured
+from jaxdr.plan.pilot import FIRST, TURNS, Measured, Pilot, Refused, choose, measured
 
 
 class Machine:
@@ -99,9 +100,40 @@ def test_variance_and_shares():
 
 def test_a_refusal_is_told(monkeypatch):
     pilot = Pilot.__new__(Pilot)  # of no scene
+    pilot.key, pilot.programs = None, {}
 
     def refuse(integrator, spp):
         raise ValueError("render: not this one\n  because")
 
     monkeypatch.setattr(pilot, "_lowered", refuse)
     assert pilot({"x": (jd.PathTracer(), 4)}) == {"x": Refused("render: not this one")}
+
+
+def test_programs_are_compiled_once(monkeypatch):
+    """However often a setting is asked for, by whatever name, and with other keys."""
+    pilot = Pilot.__new__(Pilot)  # of no scene
+    own, another = jax.random.key(0), jax.random.key(1)
+    pilot.key, pilot.programs = own, {}
+    lowered, called = [], []
+
+    class Lowered:
+        def __init__(self, integrator, spp):
+            self.setting = integrator, spp
+            lowered.append(self.setting)
+
+        def compile(self):
+            return self.setting
+
+    def call(program, turn, key):
+        called.append((program, key))
+        return {"interior": jnp.zeros((2, 2, 3))}, 0.1
+
+    monkeypatch.setattr(pilot, "_lowered", Lowered)
+    monkeypatch.setattr(pilot, "_call", call)
+    tracer, other = jd.PathTracer(), jd.PathTracer(2)
+    pilot({"x": (tracer, 4)})
+    pilot({"x": (tracer, 8), "y": (tracer, 4), "z": (other, 4)}, another)
+    assert lowered == [(tracer, 4), (tracer, 8), (other, 4)]
+    assert all(key is own for _, key in called[: TURNS + 1])
+    assert {program for program, _ in called[TURNS + 1 :]} == set(lowered)
+    assert all(key is another for _, key in called[TURNS + 1 :])
