@@ -11,6 +11,7 @@ from jaxdr.boundary import ESTIMATORS
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import PathTracer
+from jaxdr.optimize.field_aligned import LEAST
 from jaxdr.optimize.strict_toml import build, read_toml
 from jaxdr.plan.plan import AUTO
 
@@ -216,11 +217,13 @@ def require_one_size(of: "Remesh | Level") -> None:
 @dataclass(frozen=True)
 class Remesh:
     """Before step `iteration`, remesh to edges about `edge_length` long, or to so many `vertices`; the optimiser starts
-    afresh. With `every`, again whenever that many further steps are done, before step `until` (0: to the end)."""
+    afresh. With `every`, again whenever that many further steps are done, before step `until` (0: to the end).
+    `field_aligned`: with edges in long chains (`jaxdr.remesh_field_aligned`), to so many `vertices` alone."""
 
     iteration: int
     edge_length: float = 0.0
     vertices: int = 0
+    field_aligned: bool = False
     every: int = 0
     until: int = 0
 
@@ -232,6 +235,9 @@ class Remesh:
         require(self.edge_length >= 0, "edge_length", "must be positive", self.edge_length)
         require_one_size(self)
         require(self.edge_length > 0 or self.vertices > 0, "edge_length", "give it, or vertices", self.edge_length)
+        if self.field_aligned:
+            rule = f"must be at least {LEAST} with field_aligned"
+            require(self.vertices >= LEAST, "vertices", rule, self.vertices)
 
     def steps(self, iterations: int) -> range:
         """The steps before which it happens, in a run of so many."""

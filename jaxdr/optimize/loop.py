@@ -13,6 +13,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
 from jaxdr.optimize.config import Level, OptimizeConfig, Remesh
+from jaxdr.optimize.field_aligned import remesh_field_aligned, require_pyinstantmeshes
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, Programs, State, make_phase, make_programs
@@ -45,6 +46,17 @@ def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = 
             run.beside.shutdown(cancel_futures=True)
 
 
+def is_field_aligned(to: Level | Remesh) -> bool:
+    return isinstance(to, Remesh) and to.field_aligned
+
+
+def with_new_topology(mesh: Mesh, to: Level | Remesh) -> Mesh:
+    """The same surface as `to` asks for it. Raises ValueError where remeshing fails."""
+    if is_field_aligned(to):
+        return remesh_field_aligned(mesh, to.vertices)
+    return remesh_to(mesh, to.vertices) if to.vertices else remesh(mesh, to.edge_length)
+
+
 class _Run:
     """One call of `optimize`."""
 
@@ -55,8 +67,11 @@ class _Run:
         options = config.optimizer
         self.remeshing = {i: remesh for remesh in options.remesh for i in remesh.steps(options.iterations)}
         self.stages = config.stages()
-        if self.remeshing or any(stage.remeshes for stage in self.stages):
-            require_gpytoolbox()  # now, not after an hour
+        sizes = [*options.remesh, *(stage for stage in self.stages if stage.remeshes)]
+        if any(is_field_aligned(to) for to in sizes):
+            require_pyinstantmeshes()  # now, not after an hour
+        if not all(is_field_aligned(to) for to in sizes):
+            require_gpytoolbox()
         self.folder = RunFolder(config)
         self.plan: Plan | None = None
         self.programs: list[Programs] = []  # one for each level, made once the integrator is known
@@ -254,7 +269,7 @@ class _Run:
         """The current mesh with a new topology; None, said aloud, when remeshing fails."""
         current = phase.current_mesh(state)
         try:
-            mesh = remesh_to(current, to.vertices) if to.vertices else remesh(current, to.edge_length)
+            mesh = with_new_topology(current, to)
         except ValueError as problem:
             progress.say(f"after step {iteration}: kept the mesh as it was ({problem})")
             return None

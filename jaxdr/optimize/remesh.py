@@ -24,24 +24,34 @@ def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     the mesh, for a non-manifold mesh, and when the result is empty, not finite, non-manifold or no longer closed.
     """
     remesh_botsch = require_gpytoolbox()
+    check_manifold(mesh, "remesh")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
-    if not np.isfinite(vertices).all():
-        raise ValueError("remesh: the mesh has vertices that are not finite")
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     if not 0 < edge_length < diagonal:
         raise ValueError(
             f"remesh: edge_length must lie between 0 and the mesh's diagonal {diagonal:.4g}, got {edge_length}"
         )
-    if (np.asarray(mesh.edges.kind) == NON_MANIFOLD).any():
-        raise ValueError("remesh: the mesh has edges with more than two faces or inconsistent orientation")
-
     vertices, faces = remesh_botsch(vertices, faces, iterations, float(edge_length), True)
+    result = checked_result(mesh, vertices, faces, f"remesh: edge length {edge_length}")
+    return result if mesh.normal_faces is None else result.smooth()
+
+
+def check_manifold(mesh: Mesh, what: str) -> None:
+    """Raises ValueError, which begins with `what`, for a mesh that is not finite or not manifold."""
+    if not np.isfinite(np.asarray(mesh.vertices)).all():
+        raise ValueError(f"{what}: the mesh has vertices that are not finite")
+    if (np.asarray(mesh.edges.kind) == NON_MANIFOLD).any():
+        raise ValueError(f"{what}: the mesh has edges with more than two faces or inconsistent orientation")
+
+
+def checked_result(mesh: Mesh, vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
+    """What became of `mesh`; ValueError, which begins with `what`, if it is empty, not finite, not manifold or open."""
     if len(faces) == 0 or not np.isfinite(vertices).all():
-        raise ValueError(f"remesh: nothing usable is left at edge length {edge_length}; the mesh may be too coarse")
+        raise ValueError(f"{what}: nothing usable is left; the mesh may be too coarse")
     result = Mesh(vertices, faces)
     if (np.asarray(result.edges.kind) == NON_MANIFOLD).any() or (mesh.closed and not result.closed):
-        raise ValueError(f"remesh: the result is not manifold at edge length {edge_length}; try another one")
-    return result if mesh.normal_faces is None else result.smooth()
+        raise ValueError(f"{what}: the result is not manifold; try a finer mesh")
+    return result
 
 
 def remesh_to(mesh: Mesh, vertices: int, iterations: int = 10) -> Mesh:

@@ -96,6 +96,10 @@ def test_overrides(write, override, read):
             "[[optimizer.remesh]]\niteration = 3\nvertices = 3",
             r"optimizer\.remesh\[0\]\.vertices: must be at least 4, got 3",
         ),
+        (
+            "[[optimizer.remesh]]\niteration = 3\nedge_length = 0.1\nfield_aligned = true",
+            r"optimizer\.remesh\[0\]\.vertices: must be at least 16 with field_aligned, got 0",
+        ),
         ("optimizer = 3", r"optimizer: expected a table, got 3"),
         ("[cameras]\nelevation = [1.0]", r"cameras\.elevation: expected a list of 2 numbers, got \[1\.0\]"),
         ("[cameras]\nelevation = [50, 10]", r"cameras\.elevation: must be two increasing angles"),

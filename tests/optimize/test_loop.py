@@ -179,6 +179,12 @@ def test_remeshing_starts_the_optimiser_afresh_and_resumes(config, tmp_path, mon
         np.testing.assert_array_equal(value, checkpoint(config)[name], err_msg=name)
 
 
+def test_remeshing_along_a_field(config):
+    pytest.importorskip("pyinstantmeshes", reason='it is optional: pip install "jaxdr[field-aligned]"')
+    optimize(with_optimizer(config, remesh=(Remesh(iteration=3, vertices=200, field_aligned=True),)))
+    assert [row["vertices"] for row in rows(config)] == ["162"] * 3 + ["200"] * 3
+
+
 def test_a_failed_remeshing_is_said_and_survived(config, monkeypatch, capsys):
     def fail(mesh, edge_length):
         raise ValueError("remesh: the result is not manifold")
@@ -190,13 +196,16 @@ def test_a_failed_remeshing_is_said_and_survived(config, monkeypatch, capsys):
     assert {row["vertices"] for row in rows(config)} == {"162"}
 
 
-def test_missing_gpytoolbox_is_found_before_anything_is_written(config, tmp_path, monkeypatch):
+def test_missing_packages_are_found_before_anything_is_written(config, tmp_path, monkeypatch):
     def missing():
         raise ImportError('pip install "jaxdr[remesh]"')
 
     monkeypatch.setattr(loop, "require_gpytoolbox", missing)
     with pytest.raises(ImportError):
         optimize(with_optimizer(config, remesh=(Remesh(iteration=3, edge_length=0.15),)))
+    monkeypatch.setattr(loop, "require_pyinstantmeshes", missing)
+    with pytest.raises(ImportError):
+        optimize(with_optimizer(config, remesh=(Remesh(iteration=3, vertices=99, field_aligned=True),)))
     assert not (tmp_path / "run").exists()
 
 
