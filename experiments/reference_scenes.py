@@ -28,6 +28,13 @@ class Reference:
     direction: object
     image: np.ndarray  # [H, W, 3], float64
     noise: float  # root mean square of the image's own noise
+    motion: dict  # the parameter's entry in oracle.json
+
+    def velocity(self, vertices):
+        """Of vertices that move with it, [V, 3]."""
+        import jax.numpy as jnp
+
+        return jnp.asarray(_velocity(self.motion, np.asarray(vertices, float)), vertices.dtype)
 
     def derivative(self, integrator, spp: int):
         """A compiled function of a key: the derivative image."""
@@ -59,7 +66,7 @@ def load(folder: Path, parameter: str = "") -> Reference:
     direction = jnp.asarray(_velocity(chosen, np.asarray(vertices, float)), vertices.dtype)
     image = np.load(folder / chosen["file"]).astype(float)
     names = chosen["name"], chosen["shape"]
-    return Reference(scene, oracle["max_depth"], *names, vertices, direction, image, chosen["noise_rms"])
+    return Reference(scene, oracle["max_depth"], *names, vertices, direction, image, chosen["noise_rms"], chosen)
 
 
 def _velocity(parameter: dict, vertices: np.ndarray) -> np.ndarray:

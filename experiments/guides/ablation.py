@@ -1,10 +1,11 @@
 """Guides x strategies x sorting of `GuidedEdges` at equal time: the ablation of Yan et al. 2022 (figures 6 and 8).
 
-    python -m experiments.guides.ablation [--scene environment_penguin shadow_goathead]
+    python -m experiments.guides.ablation [--scene environment_penguin shadow_goathead] [--remeshed]
 
 The boundary term alone, as in the paper: a derivative image of the rotated penguin under a sky, and of a moved head's
 soft shadow. All settings take turns, call by call, with guides built once; the error at equal time is that of the mean
-of as many independent calls as fit in it, its variance being the calls' variance over their number.
+of as many independent calls as fit in it, its variance being the calls' variance over their number. With --remeshed the
+moving mesh is one of as many vertices whose edges go along a field of directions, in long chains (4.3 of the paper).
 """
 
 import statistics
@@ -33,9 +34,9 @@ COLUMNS = {
 }
 
 
-def settings():
+def settings(guides):
     """(guide, sampling, sorted): without a guide the order of edges means nothing."""
-    return [(g, s, order) for g in GUIDES for s in STRATEGIES for order in (False, True) if g != "none" or not order]
+    return [(g, s, order) for g in guides for s in STRATEGIES for order in (False, True) if g != "none" or not order]
 
 
 def line(case, guide, sampling, order, segments):
@@ -64,12 +65,26 @@ def line(case, guide, sampling, order, segments):
     return lambda key: derivative(scene, prepared, key), report
 
 
-def measure(folder, segments, keys):
+def remeshed(case):
+    """The same with edges in long chains."""
+    import dataclasses
+
+    import jaxdr as jd
+
+    mesh = case.scene.shapes[case.shape].mesh
+    mesh = jd.remesh_field_aligned(mesh, len(mesh.vertices))
+    shape = dataclasses.replace(case.scene.shapes[case.shape], mesh=mesh)
+    scene = dataclasses.replace(case.scene, shapes=case.scene.shapes | {case.shape: shape})
+    return dataclasses.replace(case, scene=scene, vertices=mesh.vertices, direction=case.velocity(mesh.vertices))
+
+
+def measure(folder, guides, segments, keys, with_field):
     """(rows, pictures: mean images by setting) of a scene."""
     import jax
 
     case = reference_scenes.load(folder)
-    lines = {setting: line(case, *setting, segments) for setting in tqdm(settings(), "compile")}
+    case = remeshed(case) if with_field else case
+    lines = {setting: line(case, *setting, segments) for setting in tqdm(settings(guides), "compile")}
     images, seconds = {s: [] for s in lines}, {s: [] for s in lines}
     for k in tqdm(range(keys), "calls"):
         for setting, (derivative, _) in lines.items():
@@ -108,7 +123,7 @@ def measure(folder, segments, keys):
     return rows, shown, truth
 
 
-def picture(rows, shown, truth, path):
+def picture(rows, guides, shown, truth, path):
     """Guides across, strategies down, unsorted; the mean of all lines in front."""
     import matplotlib
 
@@ -116,13 +131,15 @@ def picture(rows, shown, truth, path):
     import matplotlib.pyplot as plt
 
     errors = {(row["guide"], row["sampling"]): row["error"] for row in rows if row["sorted"] == "no"}
-    figure, panels = plt.subplots(len(STRATEGIES), len(GUIDES) + 1, figsize=(11, 7))
+    figure, panels = plt.subplots(
+        len(STRATEGIES), len(guides) + 1, squeeze=False, figsize=(1 + 2 * (len(guides) + 1), 7)
+    )
     limit = np.quantile(np.abs(truth.sum(-1)), 0.99)
     style = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "interpolation": "nearest"}
     for down, (sampling, name) in zip(panels, STRATEGIES.items(), strict=True):
         down[0].imshow(truth.sum(-1), **style)
         down[0].set(title="mean of all", ylabel=name)
-        for panel, guide in zip(down[1:], GUIDES, strict=True):
+        for panel, guide in zip(down[1:], guides, strict=True):
             image, calls = shown[guide, sampling, False]
             panel.imshow(image.sum(-1), **style)
             panel.set(title=f"{guide}, {calls} calls: {errors[guide, name]:.2f}")
@@ -138,15 +155,19 @@ def main():
     parser.add_argument("--segments", type=int, default=1 << 15)
     parser.add_argument("--keys", type=int, default=24)
     parser.add_argument("--scene", nargs="*", choices=SCENES, default=SCENES)
+    parser.add_argument("--guide", nargs="*", choices=GUIDES, default=GUIDES)
+    parser.add_argument("--remeshed", action="store_true", help="needs the extra field-aligned")
     options = parser.parse_args()
     segments, keys = (1 << 11, 2) if options.quick else (options.segments, options.keys)
     folder = common.results(STUDY, options.quick)
     for scene in options.scene:
-        rows, shown, truth = common.in_fresh_process(measure, options.oracle / scene, segments, keys)
-        common.write_json(folder / f"ablation_{scene}.json", {"segments": segments, "keys": keys, "rows": rows})
+        job = (measure, options.oracle / scene, options.guide, segments, keys, options.remeshed)
+        rows, shown, truth = common.in_fresh_process(*job)
+        name = f"ablation_{scene}_remeshed" if options.remeshed else f"ablation_{scene}"
+        common.write_json(folder / f"{name}.json", {"segments": segments, "keys": keys, "rows": rows})
         table = common.table(rows, COLUMNS)
-        (folder / f"ablation_{scene}.md").write_text(table + "\n")
-        picture(rows, shown, truth, folder / f"ablation_{scene}.png")
+        (folder / f"{name}.md").write_text(table + "\n")
+        picture(rows, options.guide, shown, truth, folder / f"{name}.png")
         print(f"{scene}\n\n{table}\n", flush=True)
 
 
