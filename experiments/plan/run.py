@@ -160,12 +160,19 @@ def depth(name, oracle, spp, keys, deepest):
     whole = images[deepest]
 
     def size(stack):  # of the mean, from products of independent calls
-        return (stack.sum(0) ** 2 - (stack**2).sum(0)).mean() / (keys * (keys - 1))
+        return (stack.sum(0) ** 2 - (stack**2).sum(0)).mean() / (len(stack) * (len(stack) - 1))
+
+    def share(d, calls):  # squared, that is left out at depth d as some of the calls see it: it may be negative
+        return size((whole - images[d])[calls]) / size(whole[calls])
 
     rows = []
     for d in range(1, deepest + 1):
         row = {"scene": name, "depth": d, "light": 1 - energy[d] / energy[deepest]}
-        row["derivative"] = float(np.sqrt(max(size(whole - images[d]), 0.0) / size(whole)))
+        every = np.arange(keys)
+        squared, without = share(d, every), [share(d, np.delete(every, k)) for k in every]
+        error = np.sqrt((keys - 1) * np.var(without))  # jackknife
+        row["derivative"] = float(np.sqrt(max(squared, 0.0)))
+        row["at most"] = float(np.sqrt(max(squared, 0.0) + 2 * error))
         row |= {"pilot_light": float(found.energy.rest[d - 1]), "chosen": found.max_depth}
         if found.gradient is not None:
             row["pilot_derivative"] = float(found.gradient.rest[d - 1])
@@ -202,6 +209,7 @@ COLUMNS = {
         "light left out": ("light", ".2%"),
         "pilot": ("pilot_light", ".2%"),
         "derivative left out": ("derivative", ".2%"),
+        "at most, two standard errors": ("at most", ".2%"),
         "pilot, interior": ("pilot_derivative", ".2%"),
         "chosen": ("chosen", "d"),
     },
@@ -222,7 +230,7 @@ def main():
             jobs = {n: (choices, n, options.oracle, options.budget, 1 if quick else 4) for n in names}
         elif part == "depth":
             names = options.scene or ("cornell_indirect", "soft_lamp")[: 1 if quick else None]
-            jobs = {n: (depth, n, options.oracle, *((4, 4, 3) if quick else (32, 16, 10))) for n in names}
+            jobs = {n: (depth, n, options.oracle, *((4, 4, 3) if quick else (64, 32, 10))) for n in names}
         elif part == "edges":
             jobs = {"room": (edges, *((4, 3, 3) if quick else (8, 5, 9)))}
         else:
