@@ -67,7 +67,7 @@ class _Run:
         options = config.optimizer
         self.remeshing = {i: remesh for remesh in options.remesh for i in remesh.steps(options.iterations)}
         self.stages = config.stages()
-        sizes = [*options.remesh, *(stage for stage in self.stages if stage.remeshes)]
+        sizes = [*self.remeshing.values(), *(stage for stage in self.stages if stage.remeshes)]
         if any(is_field_aligned(to) for to in sizes):
             require_pyinstantmeshes()  # now, not after an hour
         if not all(is_field_aligned(to) for to in sizes):

@@ -209,6 +209,16 @@ def test_missing_packages_are_found_before_anything_is_written(config, tmp_path,
     assert not (tmp_path / "run").exists()
 
 
+def test_a_remeshing_that_never_comes_needs_no_package(config, monkeypatch):
+    def missing():
+        raise ImportError('pip install "jaxdr[remesh]"')
+
+    monkeypatch.setattr(loop, "require_gpytoolbox", missing)
+    assert (
+        optimize(with_optimizer(config, remesh=(Remesh(iteration=10, edge_length=0.15, every=2),)))["iterations"] == 6
+    )
+
+
 @pytest.mark.parametrize("broken", ["loss", "gradient"])
 def test_nan_stops_the_run_and_is_named(config, monkeypatch, broken):
     @jax.custom_jvp
