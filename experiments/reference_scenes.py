@@ -30,12 +30,6 @@ class Reference:
     noise: float  # root mean square of the image's own noise
     motion: dict  # the parameter's entry in oracle.json
 
-    def velocity(self, vertices):
-        """Of vertices that move with it, [V, 3]."""
-        import jax.numpy as jnp
-
-        return jnp.asarray(_velocity(self.motion, np.asarray(vertices, float)), vertices.dtype)
-
     def derivative(self, integrator, spp: int):
         """A compiled function of a key: the derivative image."""
         import jax
@@ -54,8 +48,6 @@ class Reference:
 
 def load(folder: Path, parameter: str = "") -> Reference:
     """The scene in a folder and its `parameter`, by name (default: the first rigid motion)."""
-    import jax.numpy as jnp
-
     import jaxdr as jd
 
     scene = jd.load_mitsuba(str(folder / "scene.xml"))
@@ -63,14 +55,19 @@ def load(folder: Path, parameter: str = "") -> Reference:
     rigid = [p for p in oracle["parameters"] if p["kind"] in ("translate", "rotate")]
     chosen = next(p for p in rigid if parameter in ("", p["name"]))
     vertices = scene.parameters()[f"{chosen['shape']}.vertices"]
-    direction = jnp.asarray(_velocity(chosen, np.asarray(vertices, float)), vertices.dtype)
+    direction = velocity(chosen, vertices)
     image = np.load(folder / chosen["file"]).astype(float)
     names = chosen["name"], chosen["shape"]
     return Reference(scene, oracle["max_depth"], *names, vertices, direction, image, chosen["noise_rms"], chosen)
 
 
-def _velocity(parameter: dict, vertices: np.ndarray) -> np.ndarray:
-    """d vertices / d parameter of a rigid motion described in the scene's oracle.json."""
+def velocity(parameter: dict, vertices):
+    """d vertices / d parameter of a rigid motion described in the scene's oracle.json: of any vertices [V, 3]."""
+    import jax.numpy as jnp
+
+    points = np.asarray(vertices, float)
     if parameter["kind"] == "translate":
-        return np.broadcast_to(np.array(parameter["direction"], float), vertices.shape)
-    return np.cross(np.array(parameter["axis"], float), vertices - np.array(parameter["pivot"], float))
+        found = np.broadcast_to(np.array(parameter["direction"], float), points.shape)
+    else:
+        found = np.cross(np.array(parameter["axis"], float), points - np.array(parameter["pivot"], float))
+    return jnp.asarray(found, vertices.dtype)

@@ -8,6 +8,7 @@ of as many independent calls as fit in it, its variance being the calls' varianc
 moving mesh is one of as many vertices whose edges go along a field of directions, in long chains (4.3 of the paper).
 """
 
+import dataclasses
 import statistics
 
 import numpy as np
@@ -67,15 +68,14 @@ def line(case, guide, sampling, order, segments):
 
 def remeshed(case):
     """The same with edges in long chains."""
-    import dataclasses
-
     import jaxdr as jd
 
     mesh = case.scene.shapes[case.shape].mesh
     mesh = jd.remesh_field_aligned(mesh, len(mesh.vertices))
     shape = dataclasses.replace(case.scene.shapes[case.shape], mesh=mesh)
     scene = dataclasses.replace(case.scene, shapes=case.scene.shapes | {case.shape: shape})
-    return dataclasses.replace(case, scene=scene, vertices=mesh.vertices, direction=case.velocity(mesh.vertices))
+    direction = reference_scenes.velocity(case.motion, mesh.vertices)
+    return dataclasses.replace(case, scene=scene, vertices=mesh.vertices, direction=direction)
 
 
 def measure(folder, guides, segments, keys, with_field):

@@ -165,10 +165,9 @@ def depth(name, oracle, spp, keys, deepest):
     def share(d, calls):  # squared, that is left out at depth d as some of the calls see it: it may be negative
         return size((whole - images[d])[calls]) / size(whole[calls])
 
-    rows = []
+    rows, every = [], np.arange(keys)
     for d in range(1, deepest + 1):
         row = {"scene": name, "depth": d, "light": 1 - energy[d] / energy[deepest]}
-        every = np.arange(keys)
         squared, without = share(d, every), [share(d, np.delete(every, k)) for k in every]
         error = np.sqrt((keys - 1) * np.var(without))  # jackknife
         row["derivative"] = float(np.sqrt(max(squared, 0.0)))

@@ -106,8 +106,8 @@ class Pilot:
                 self.programs[id(integrator), spp] = integrator, program.result()
         finally:
             pool.shutdown(cancel_futures=True)
-        kept = {name: (id(integrator), spp) for name, (integrator, spp) in settings.items() if name not in refused}
-        return {name: self.programs[setting][1] for name, setting in kept.items()}, refused
+        kept = {name: setting for name, setting in settings.items() if name not in refused}
+        return {name: self.programs[id(integrator), spp][1] for name, (integrator, spp) in kept.items()}, refused
 
     def _lowered(self, integrator: Integrator, spp: int):
         def derivative(scene, along, t, key):
