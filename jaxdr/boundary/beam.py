@@ -100,7 +100,6 @@ def gathered_by_bounces(
 ) -> Float[Array, "B n 3"]:
     """Radiance that points scatter back against `direction` in at most 0, 1, ... `max_depth` - 2 bounces; detached."""
     bounces = settings.max_depth - 2
-    settings = settings._replace(attached=0.0)
 
     def step(state, bounce):
         point, wi, throughput = state

@@ -33,16 +33,14 @@ class RankedEdges(NamedTuple):
 class Prepared(NamedTuple):
     """What all chunks of an image share.
 
-    `edges` for silhouettes; `folds` for what is seen in attached lobes. `group` numbers the emitters' planes, `moving`
-    tells which shapes move; `count_layers` (static in effect) says whether all edges are looked at for segments that
-    only moving ones can bound.
+    `edges` for silhouettes. `group` numbers the emitters' planes, `moving` tells which shapes move; `count_layers`
+    (static in effect) says whether all edges are looked at for segments that only moving ones can bound.
     """
 
     edges: RankedEdges
     group: Int[Array, " F"]
     moving: Bool[Array, " S"]
     count_layers: Bool[Array, ""]
-    folds: RankedEdges | None
 
 
 class Chosen(NamedTuple):

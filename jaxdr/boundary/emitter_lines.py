@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxdr.boundary.chords import (
     EmitterChords,
@@ -15,7 +15,7 @@ from jaxdr.boundary.chords import (
     emitter_rate,
     lobe_rate,
 )
-from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, sample_densities, silhouette_crossings
+from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import dot, normalize
@@ -138,17 +138,8 @@ class EmitterLines:
         value = paths.table.throughput[found.vertex] * radiance
         value = value * drawn.weight()[found.chord][:, None]
         value = value * paths.transfer(found.vertex, ends, projection.point)
-        if paths.narrow is not None:
-            share = self._share(found.vertex, point)
-            value = value * jnp.where(paths.narrow[found.vertex], share, 1.0)[:, None]
         counts = found.valid & inside & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
         return projection, jnp.where(counts[:, None], value, 0.0), point
-
-    def _share(self, vertex: Int[Array, " C"], point: SurfacePoint) -> Float[Array, " C"]:
-        """Share of the light from points of emitters that emitter samples account for in narrow lobes."""
-        scatterer = self.paths.scatterer(vertex)
-        towards = normalize(point.position - scatterer.point.position)
-        return balance(*sample_densities(jax.tree.map(stop_gradient, self.packed), scatterer, point, towards))
 
 
 def _projected(lines: EmitterLines, found: Crossings, centre: SurfacePoint) -> Float[Array, "C 3"]:

@@ -90,7 +90,6 @@ def film_chain_term(
 
     Pilots, a share of them more, are spread evenly over the film and tell where they go.
     """
-    settings = settings._replace(attached=0.0)  # of values alone all forms are one
     detached = jax.tree.map(stop_gradient, packed)
     key_pilot, key_cells, key_chords, key_trials, key_path = jax.random.split(key, 5)
     _, _, width, height = packed.camera.film.window

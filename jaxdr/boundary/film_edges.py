@@ -198,8 +198,6 @@ def film_edge_terms(
     `form` of the first hits, see `primary_samples`. Of light in material form only what the surface behind a silhouette
     sends has a boundary there, and the edge's velocity counts relative to that surface.
     """
-    if form != "near":  # what is near is what narrow lobes change
-        settings = settings._replace(attached=0.0)
     key_silhouettes, key_creases = jax.random.split(key)
     silhouettes = _silhouettes(packed, distribution, count, key_silhouettes, settings, form)
     if form == "material":

@@ -10,7 +10,6 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
-from jaxdr.boundary.attached_lines import AttachedLines, folded_edges
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
@@ -52,9 +51,6 @@ class LineSampling(eqx.Module):
     - `backgrounds`: paths traced from what lies behind silhouettes, per path sample.
     - `capacity`: room for crossings, as a share of the number of chords. What exceeds it is thinned at random without
       bias, with a warning.
-    - `attached`: lobes narrower than this (radians, `BSDF.lobe_width`) hold their sampled directions fixed, as the
-      camera does its rays: less noise the narrower they are, and edges between faces have to be found in them, too.
-      0 for none. Which lobes are narrow should depend on the material alone.
     """
 
     chords: float = eqx.field(static=True, default=1.0)
@@ -63,15 +59,13 @@ class LineSampling(eqx.Module):
     reach: float = eqx.field(static=True, default=1.0)
     backgrounds: float = eqx.field(static=True, default=1.0)
     capacity: float = eqx.field(static=True, default=4.0)
-    attached: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"LineSampling: {name} must be positive, got {getattr(self, name)}")
-        for name in ("pilot", "attached"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"LineSampling: {name} must not be negative, got {getattr(self, name)}")
+        if not self.pilot >= 0:
+            raise ValueError(f"LineSampling: pilot must not be negative, got {self.pilot}")
 
     def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
         """Ranks of the edges and the tree over them, once for a whole image. `moving`: which shapes can move."""
@@ -86,9 +80,8 @@ class LineSampling(eqx.Module):
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)
         if packed.has_area_emitters:
             group = emitter_groups(packed)
-        folds = folded_edges(packed, flags, settings.rays) if self.attached > 0 else None
         count_layers = jnp.asarray(bool(still <= faces.sum() // 2))
-        return Prepared(RankedEdges(rank, tree), group, flags, count_layers, folds)
+        return Prepared(RankedEdges(rank, tree), group, flags, count_layers)
 
     def estimate(
         self,
@@ -107,31 +100,25 @@ class LineSampling(eqx.Module):
         paths = PathSegments(packed, primary, record.direct, record.vertices)
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
-        # In narrow lobes attached lines find all that emitter samples do not account for.
-        wide = throughput if paths.narrow is None else jnp.where(paths.narrow, 0.0, throughput)
-        emitters = lobes = skies = attached = None
+        emitters = lobes = skies = None
         emitter_lines = EmitterLines(packed, prepared, paths, settings)
         lobe_lines = LobeLines(packed, prepared, paths, settings, self.reach)
         if packed.has_area_emitters:
             emitters = self._spread(emitter_lines, throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
-            carries = wide
+            carries = throughput
             if packed.environment is None:  # nothing is gathered behind the last bounce
-                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, wide, 0.0)
+                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
             lobes = self._spread(lobe_lines, carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
             sky_lines = SkyLines(packed, prepared, paths, settings)
-            skies = self._spread(sky_lines, wide, jax.random.fold_in(key, 3))
+            skies = self._spread(sky_lines, throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             sky_lines.both = lobe_lines.skies = SkyShare(packed, paths, self.reach, *numbers)
-        if paths.narrow is not None:
-            lines = AttachedLines(packed, prepared, paths, settings, self.reach, luminance(record.radiance).mean())
-            narrow = jnp.where(paths.narrow, throughput, 0.0)
-            attached = self._spread(lines, narrow, jax.random.fold_in(key, 2))
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
             emitter_lines.both = lobe_lines.both = both
-        for spread in (emitters, lobes, skies, attached):
+        for spread in (emitters, lobes, skies):
             if spread is not None:
                 total = total + self._term(spread)
         return total

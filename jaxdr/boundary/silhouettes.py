@@ -71,11 +71,6 @@ class PathSegments:
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size()
 
-    @property
-    def narrow(self) -> Bool[Array, " s"] | None:
-        """Where sampled directions are held fixed in lobes of some width; None where they never are."""
-        return None if self.vertices is None else self.vertices.narrow
-
     def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
         """Which segments have two ends that do not move, from which shapes do; detached.
 
@@ -143,9 +138,8 @@ class PathSegments:
         if self.near is None:
             return None, None
         on_ray, path = index < self.paths, self.path(index)
-        if self.vertices is not None:  # sampled directions that stay in their lobes have one form
-            for stays in (self.vertices.narrow, self.vertices.delta):
-                on_ray = on_ray if stays is None else on_ray & ~stays[index]
+        if self.vertices is not None:  # directions in delta lobes have one form
+            on_ray = on_ray & ~self.vertices.delta[index]
         attached = jnp.where(on_ray[:, None], self.near.point.position[path], apex)
         seen = footprint(self.view.row(path), apex, self.first.normal[path])
         seen = jax.tree.map(stop_gradient, seen._replace(size2=jnp.where(on_ray, seen.size2, 0.0)))

@@ -6,7 +6,6 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
 from jaxdr.geometry.vector import dot, interpolate
-from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, textures_of, unwrap
@@ -69,20 +68,17 @@ def _uv(packed, point):
     return interpolate(packed.uvs[packed.uv_faces[point.face]], point.barycentric)
 
 
-def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool, attached: float) -> None:
-    """Raise ValueError where a texture's jumps inside faces move in the image, or in the image in an attached lobe.
+def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool) -> None:
+    """Raise ValueError where a texture's jumps inside faces move in the image.
 
-    With `fixed_rays` first hits slide over the shapes that move relative to the camera, in lobes narrower than
-    `attached`, and over mirrors and smooth glass that move, later ones over any shape. Points in material form take the
-    jumps along.
+    With `fixed_rays` first hits slide over the shapes that move relative to the camera, and over mirrors and smooth
+    glass that move, later ones over any shape. Points in material form take the jumps along.
     """
-    lobes = any(type(unwrap(shape.bsdf)).lobe_width is not BSDF.lobe_width for shape in scene.shapes.values())
-    in_lobes = ["attached=0"] if lobes and attached > 0 else []
     pairs = zip(scene.shapes.values(), moving, strict=True)
-    if any(moves and unwrap(shape.bsdf).delta for shape, moves in pairs):
-        in_lobes.append("mirrors and smooth glass that stay")
+    delta = any(moves and unwrap(shape.bsdf).delta for shape, moves in pairs)
+    in_mirrors = ["mirrors and smooth glass that stay"] if delta else []
     for (name, shape), moves in zip(scene.shapes.items(), moving, strict=True):
-        remedies = (['primary="material"'] if fixed_rays and moves else []) + in_lobes
+        remedies = (['primary="material"'] if fixed_rays and moves else []) + in_mirrors
         for field, texture in textures_of(shape):
             if remedies and not texture.continuous:
                 raise ValueError(

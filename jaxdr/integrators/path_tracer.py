@@ -110,11 +110,6 @@ class PathTracer(eqx.Module):
             )
         if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
-        if self.settings.attached > 0 and self.sampling == "emitter":
-            raise ValueError(
-                'PathTracer: attached lobes need sampling="mis": emitters seen in a narrow lobe are found by '
-                "its own samples; or set attached=0"
-            )
 
     def paths_at_once(self, differentiated: bool) -> int:
         """Paths in a chunk: more in an image that nobody differentiates, which keeps nothing of them.
@@ -126,8 +121,7 @@ class PathTracer(eqx.Module):
     @property
     def settings(self) -> PathSettings:
         """What the path tracer itself needs."""
-        attached = getattr(self.boundary, "attached", 0.0)
-        return PathSettings(self.max_depth, self.sampling == "mis", self.rays, attached)
+        return PathSettings(self.max_depth, self.sampling == "mis", self.rays)
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError for a pixel filter that can't be differentiated."""
@@ -144,7 +138,7 @@ class PathTracer(eqx.Module):
             return None
         check_rough_glass(scene)
         _check_transmission(packed, self)
-        check_still_jumps(scene, moving.seen, self.primary == "fixed_ray", self.settings.attached)
+        check_still_jumps(scene, moving.seen, self.primary == "fixed_ray")
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
         edges = boundary = shadows = chains = warp = None
         if any(moving.seen):
@@ -162,11 +156,6 @@ class PathTracer(eqx.Module):
                 raise ValueError(
                     f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; "
                     "take a Perspective, or boundary=None for the interior term alone"
-                )
-            if self.max_depth > 2 and self.settings.attached > 0:
-                raise ValueError(
-                    "render: hard shadows seen in attached lobes have no derivative yet; set attached=0, max_depth=2, "
-                    "or boundary=None for the interior term alone"
                 )
             lights = moving.lights or (False,) * packed.light_count
             shadows = shadow_distribution(packed, moving.seen, lights, self.settings)
@@ -192,8 +181,6 @@ class PathTracer(eqx.Module):
         key_path, key_boundary, key_edges = jax.random.split(key, 3)
         moves = prepared is not None and (prepared.edges is not None or prepared.warp is not None)
         settings, form = self.settings, self._form(packed, moves)
-        if prepared is None:
-            settings = settings._replace(attached=0.0)  # where nothing moves all forms are one
         primary = primary_samples(packed, samples, key_film, settings.rays, form, self.antithetic)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]

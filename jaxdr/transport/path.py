@@ -1,9 +1,8 @@
 """Unidirectional path tracing: measurement contributions and the segments they came through.
 
 A path starts at a first hit that the caller provides; every later vertex is a material point (DESIGN 1), except behind
-narrow lobes: there it slides along a ray that is fixed in the lobe (DESIGN 2b). Contributions are differentiable
-functions of the scene (the interior term is their derivative); choices and densities are detached. Behind delta lobes
-the next vertex slides as well: mirrors and smooth glass continue a ray as it moves.
+delta lobes: there it slides, as mirrors and smooth glass continue a ray as it moves. Contributions are differentiable
+functions of the scene (the interior term is their derivative); choices and densities are detached.
 """
 
 from typing import NamedTuple
@@ -58,16 +57,11 @@ class Segments(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Path vertices as they move, differentiable, in scenes where some slide.
-
-    `narrow`: the BSDF-sampled direction is held fixed in the lobe. `delta`: the path goes on in a delta lobe. None if
-    there are no such lobes.
-    """
+    """Path vertices as they move, differentiable, where there are delta lobes. `delta`: the path goes on in one."""
 
     position: Float[Array, "B N 3"]
     shading_normal: Float[Array, "B N 3"]
-    narrow: Bool[Array, "B N"] | None
-    delta: Bool[Array, "B N"] | None = None
+    delta: Bool[Array, "B N"]
 
 
 class PathRecord(NamedTuple):
@@ -86,15 +80,11 @@ class PathRecord(NamedTuple):
 
 
 class PathSettings(NamedTuple):
-    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation.
-
-    Lobes narrower than `attached` (radians) hold their direction fixed; 0 for none.
-    """
+    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation."""
 
     max_depth: int
     mis: bool
     rays: str
-    attached: float = 0.0
 
 
 class _Bounce(NamedTuple):
@@ -254,17 +244,11 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     end = jnp.where(infinite, start + 2.0 * packed.size() * towards, leave(sample.point, -towards))
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
     seen = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
-    # Narrow lobes have one form: it has no geometric term that grows, and MIS bounds that of the emitter samples.
-    narrow = _narrow(scatterer, settings)
-    far = sample.infinite if narrow is None else sample.infinite | narrow
-    far = far if delta is None else far | delta
+    far = sample.infinite if delta is None else sample.infinite | delta
     value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction, far)
     arriving = throughput * radiance_towards(packed, sample, towards) / sample.pdf[:, None]
     light = arriving * value
-    if narrow is not None:
-        solid_angle_pdf = sample.pdf * fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0)
-        light *= _share(_balance(solid_angle_pdf, scatterer.density(towards), narrow), delta)
-    elif settings.mis:
+    if settings.mis:
         solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
         light *= _share(solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)), delta)
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
@@ -286,20 +270,6 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
         unlit=unlit,
     )
     return jnp.where(seen[:, None], light, 0.0), share, segment
-
-
-def _narrow(scatterer, settings: PathSettings) -> Bool[Array, " N"] | None:
-    """Where the sampled direction is held fixed in the lobe; None for nowhere."""
-    return scatterer.lobe_width() < settings.attached if settings.attached > 0 else None
-
-
-def _balance(density, other, narrow):
-    """Balance heuristic (Veach 1997), differentiated where lobes are narrow.
-
-    There the two techniques have different forms: their shares must add up to one as functions of the scene.
-    """
-    weight = density / (density + other)
-    return jnp.where(narrow, weight, stop_gradient(weight))
 
 
 def _share(weight, delta):
@@ -337,18 +307,11 @@ def scatter(packed, scatterer, throughput, u, settings, near=None):
     face = jnp.where(hit, face, 0)
     barycentric = detached_barycentric(packed, origin, sampled, face)
     following = material_point(packed, face, barycentric, hit)
-    narrow, vertices, direction = _narrow(scatterer, settings), None, sampled
+    vertices, direction = None, sampled
     if packed.environment_turns:
         direction = jnp.where(hit[:, None], sampled, packed.turned(sampled))
-    if narrow is not None or delta is not None:
-        apart = None if narrow is None else narrow & point.valid
-        vertices = Vertices(point.position, point.shading_normal, apart, chosen)
-    if narrow is not None:
-        # The direction turns with the lobe, in solid angle: no G, no J (that of a rotation is one).
-        direction = jnp.where(narrow[:, None], scatterer.turn(sampled), direction)
-        sliding = on_fixed_ray(packed, point.position, direction, jnp.where(narrow & hit, face, -1))
-        following = either(narrow & hit, sliding._replace(barycentric=barycentric), following)
     if delta is not None:
+        vertices = Vertices(point.position, point.shading_normal, chosen)
         direction = jnp.where(chosen[:, None], delta.wo, direction)
         sliding = on_fixed_ray(packed, point.position, direction, jnp.where(chosen & hit, face, -1))
         following = either(chosen & hit, sliding._replace(barycentric=barycentric), following)
@@ -356,11 +319,9 @@ def scatter(packed, scatterer, throughput, u, settings, near=None):
     # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
     transfer = _transfer(scatterer, following, ~hit, direction)
     fixed, in_angle = transfer, ~hit
-    if narrow is not None or delta is not None:
-        for fixed_in_angle in (narrow, chosen):
-            in_angle = in_angle if fixed_in_angle is None else in_angle | fixed_in_angle
-        fixed = _transfer(scatterer, following, in_angle, direction)
     if delta is not None:
+        in_angle = in_angle | chosen
+        fixed = _transfer(scatterer, following, in_angle, direction)
         fixed = fixed._replace(value=jnp.where(chosen[:, None], delta.weight, fixed.value))
     forms = _both_forms(packed, near, fixed, scatterer, following, in_angle, direction, in_angle)
     value, towards, near_beyond = forms
@@ -375,10 +336,7 @@ def scatter(packed, scatterer, throughput, u, settings, near=None):
         weight = jnp.zeros_like(pdf)
         if settings.mis:
             found = emitter_pdf(packed, following, transfer.towards, transfer.distance2, jnp.abs(transfer.cosine))
-            if narrow is None:
-                weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
-            else:
-                weight = _balance(jnp.where(active, scatterer.density(direction), 1.0), found, narrow)
+            weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
         if chosen is not None:
             weight = jnp.where(chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
         emission = throughput * emitted(packed, following, -towards) * weight[:, None]

@@ -95,7 +95,7 @@ def first_bounce_of_jump(
     packed, one, two, direction, near = stop_gradient((packed, one, two, direction, near))
     emission = emitted(packed, one, -direction) - emitted(packed, two, -direction)
     first, second = Scatterer(packed, one, -direction), Scatterer(packed, two, -direction)
-    jump = ScatteringJump(first, second, near, settings.attached)
+    jump = ScatteringJump(first, second, near)
     return _first_bounce(packed, emission, jump, -direction, u, settings, None)
 
 
@@ -168,7 +168,6 @@ def _followed(
 
     `start`: their points there, directions back and throughputs.
     """
-    settings = settings._replace(attached=0.0)  # of values alone all forms are one
     count = u.shape[0]
     size = min(BLOCK, count)
     room = -(-count // size) * size

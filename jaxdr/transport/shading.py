@@ -103,12 +103,8 @@ class Scatterer:
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
-        return stop_gradient(self.density(wo))
-
-    def density(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
-        """Density of `sample` (solid angle), differentiable."""
         local = self.to_local(wo)
-        return self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups])
+        return stop_gradient(self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups]))
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions drawn from `pdf`, detached."""
@@ -155,13 +151,6 @@ class Scatterer:
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""
         return stop_gradient(self._combine([bsdf.lobe_width(self.wi) for bsdf, _ in self.groups]))
-
-    def turn(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """World directions `wo`, in value, as they turn with the lobes: differentiable in the geometry alone."""
-        local = stop_gradient(self.to_local(wo))
-        fixed = stop_gradient([bsdf for bsdf, _ in self.groups])
-        turned = self.to_world(self._combine([bsdf.turn(self.wi, local) for bsdf in fixed]))
-        return stop_gradient(wo) + (turned - stop_gradient(turned))
 
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""
@@ -221,14 +210,11 @@ class ScatteringJump:
     Both sides receive the same light but for what their own faces block, so one direction serves both: the noise is
     that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'. Under
     interpolated normals a face blocks directions that its shading normal would let through: those do not count for it.
-    With `near`, first hits in material form on the two sides, the share of light in that form does not count either;
-    lobes narrower than `attached` have none.
+    With `near`, first hits in material form on the two sides, the share of light in that form does not count either.
     """
 
-    def __init__(
-        self, one: Scatterer, two: Scatterer, near: tuple[NearField, NearField] | None = None, attached: float = 0.0
-    ):
-        self.one, self.two, self.near, self.attached = one, two, near, attached
+    def __init__(self, one: Scatterer, two: Scatterer, near: tuple[NearField, NearField] | None = None):
+        self.one, self.two, self.near = one, two, near
         self.point = one.point
 
     def eval_towards(
@@ -242,26 +228,12 @@ class ScatteringJump:
 
     def _far(self, side: int, target, infinite) -> Float[Array, "N 1"]:
         """Share of the light that is not in material form."""
-        near, scatterer = self.near[side], (self.one, self.two)[side]
-        if self.attached > 0:
-            infinite = infinite | (scatterer.lobe_width() < self.attached)
+        near = self.near[side]
         return 1.0 - near.share(near.point, target, infinite)[:, None]
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
         return 0.5 * (self.one.pdf(wo) + self.two.pdf(wo))
-
-    def density(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
-        """Density of `sample` (solid angle), differentiable."""
-        return 0.5 * (self.one.density(wo) + self.two.density(wo))
-
-    def lobe_width(self) -> Float[Array, " N"]:
-        """The narrower lobe's, detached."""
-        return jnp.minimum(self.one.lobe_width(), self.two.lobe_width())
-
-    def turn(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """Two lobes don't turn together: the directions stay. A jump is used in value alone."""
-        return wo
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions from either side, detached."""
