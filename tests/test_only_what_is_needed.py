@@ -93,7 +93,7 @@ def test_a_diffuse_scene_pays_for_nothing_else(monkeypatch):
     others = {kind for kind in _subclasses(BSDF) if kind is not jd.Diffuse}
     assert {Chalk, jd.RoughConductor, jd.Principled, jd.RoughDielectric} <= others
     for kind in others:
-        for name in ("eval", "pdf", "sample", "sample_delta", "lobe_width", "turn"):
+        for name in ("eval", "pdf", "sample", "sample_delta", "lobe_width"):
             if name in vars(kind):
                 monkeypatch.setattr(kind, name, refuse)
     for texture in (jd.Bitmap, jd.Checkerboard, jd.VertexColors):  # of BSDFs, and of the light

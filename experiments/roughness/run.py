@@ -16,7 +16,7 @@ STUDY = "roughness"
 ALPHAS = {"ball": (0.02, 0.05, 0.1, 0.3, 0.6), "mirror_spot": (0.05, 0.3)}
 LADDERS = (0.05, 0.3)  # roughnesses for which error is charted against time
 POSITIONS = 4
-LINES, ATTACHED, KERNEL = "LineSampling", "LineSampling, attached", "KernelDensity"
+LINES, KERNEL = "LineSampling", "KernelDensity"
 CHORDS = "LineSampling, 8 chords"  # a path sample
 METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none"),
@@ -24,8 +24,6 @@ METHODS = {
     KERNEL: (jaxdr_side.estimates, "KernelDensity"),
     LINES: (jaxdr_side.estimates, "LineSampling"),
     CHORDS: (jaxdr_side.estimates, ("LineSampling", {"chords": 8.0, "backgrounds": 8.0}, {})),
-    ATTACHED: (jaxdr_side.estimates, ("LineSampling", {"attached": 10.0}, {})),
-    "LineSampling, antithetic": (jaxdr_side.estimates, ("LineSampling", {}, {"antithetic": True})),
 }
 FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS} | {CHORDS: 4}  # samples per pixel
 MANY = {name: (4, 64) for name in METHODS} | {
@@ -52,8 +50,6 @@ def measure(name, alpha, methods, options):
     truth = run.reference(path, case, options.quick)
     for method in methods:
         estimates, setting = METHODS[method]
-        if name == "ball" and method == "LineSampling, antithetic":
-            continue  # there is no interior term
         if name == "mirror_spot" and method == "Mitsuba, octree" and not options.octree:
             continue  # a minute a call
         more = MANY[method] if alpha in LADDERS and name == "ball" and not options.quick else ()

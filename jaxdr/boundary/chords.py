@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.emitter_planes import chord_inside
 from jaxdr.boundary.sampled_arcs import on_same_side, place, sampled_arc
-from jaxdr.geometry.queries import UNBOUNDED, UNBOUNDED_FOLDS
+from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitting_surface
@@ -181,18 +181,15 @@ class LobeChords(NamedTuple):
     plane: Float[Array, "M 3"]
     reach: Float[Array, " M"]
 
-    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""], folds: bool = False) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene.
-
-        With `folds`, edges between faces are looked for as well as silhouettes.
-        """
+    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
+        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
         across = jnp.cross(self.plane, self.centre)
         cosine, sine = jnp.cos(self.reach)[:, None], jnp.sin(self.reach)[:, None]
         return Chords(
             first=apex + far * (cosine * self.centre - sine * across),
             last=apex + far * (cosine * self.centre + sine * across),
             centre=jnp.full_like(self.pdf, 0.5),
-            group=jnp.full(self.pdf.shape, UNBOUNDED_FOLDS if folds else UNBOUNDED),
+            group=jnp.full(self.pdf.shape, UNBOUNDED),
             useful=self.pdf > 0,
         )
 
@@ -203,23 +200,19 @@ def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array,
     return LobeChords(centre, scatterer.sampled_pdf(centre, u[:, :2]), random_across(centre, u[:, 2]), width)
 
 
-def lobe_weight(
-    scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"], uniform: bool = False
-) -> Float[Array, " M"]:
+def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]) -> Float[Array, " M"]:
     """(pi / 2) k / p for boundary points in unit directions `boundary`, crossed by the chords.
 
     k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
-    below which nothing is sampled. Or `uniform` for narrow lobes, whose f / p has no such factor. Its integral is over
-    the arc of centres whose chords reach the boundary point. From surfaces that scatter to both sides it is more
-    generally proportional to what vanishes with p, see `sampled_arc`.
+    below which nothing is sampled. Its integral is over the arc of centres whose chords reach the boundary point. From
+    surfaces that scatter to both sides it is more generally proportional to what vanishes with p, see `sampled_arc`.
     """
     if scatterer.spreads_through() is not None:
-        return _two_sided_weight(scatterer, chords, boundary, uniform)
-    length, mass = _arc(scatterer, chords.reach, chords.plane, boundary)
+        return _two_sided_weight(scatterer, chords, boundary)
+    mass = _arc(scatterer, chords.reach, chords.plane, boundary)
     height = scatterer.cosine(chords.centre)
-    kernel, mass = (jnp.ones_like(height), length) if uniform else (jnp.abs(height), mass)
     counts = (mass > 0) & (chords.pdf > 0) & (height * scatterer.cosine(boundary) > 0)
-    return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+    return jnp.where(counts, 0.5 * math.pi * jnp.abs(height) / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
 
 
 def lobe_rate(
@@ -235,12 +228,12 @@ def lobe_rate(
         height, mass = arc.at(jnp.zeros_like(reach)), arc.integral()
     else:
         height = jnp.abs(scatterer.cosine(boundary))
-        _, mass = _arc(scatterer, reach, plane, boundary)
+        mass = _arc(scatterer, reach, plane, boundary)
     usable = (height > 0) & (mass > 0)
     return jnp.where(usable, scatterer.pdf(boundary) * mass / (math.pi * jnp.where(usable, height, 1.0)), 0.0)
 
 
-def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"], uniform: bool):
+def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]):
     """`lobe_weight` for surfaces of which some scatter to both sides."""
     along = normalize(jnp.cross(chords.plane, boundary))
     arc = sampled_arc(scatterer, boundary, along, chords.reach)
@@ -248,13 +241,13 @@ def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[
         low, high = on_same_side(scatterer, boundary, along, chords.centre, arc.low, arc.high)
         arc = arc._replace(low=low, high=high)
     t = place(boundary, along, chords.centre)
-    kernel, mass = (jnp.ones_like(t), arc.high - arc.low) if uniform else (arc.at(t), arc.integral())
+    kernel, mass = arc.at(t), arc.integral()
     counts = (mass > 0) & (kernel > 0) & (chords.pdf > 0) & arc.contains(t)
     return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
 
 
-def _arc(scatterer: Scatterer, reach, plane, boundary) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
-    """(length, integral of the cosine) of the arc of centres whose chords reach `boundary`, on its side of the horizon.
+def _arc(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:
+    """Integral of the cosine over the arc of centres whose chords reach `boundary`, on its side of the horizon.
 
     `plane` contains `boundary`.
     """
@@ -266,4 +259,4 @@ def _arc(scatterer: Scatterer, reach, plane, boundary) -> tuple[Float[Array, " M
     low, high = jnp.maximum(-reach, horizon - 0.5 * jnp.pi), jnp.minimum(reach, horizon + 0.5 * jnp.pi)
     there = (a > 0) & (high > low)
     mass = a * (jnp.sin(high) - jnp.sin(low)) - b * (jnp.cos(high) - jnp.cos(low))
-    return jnp.where(there, high - low, 0.0), jnp.where(there, mass, 0.0)
+    return jnp.where(there, mass, 0.0)

@@ -10,10 +10,7 @@ from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import emitter_pdf
-from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
@@ -101,19 +98,6 @@ def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
-def sample_densities(
-    packed: PackedScene, scatterer: Scatterer, point: SurfacePoint, towards: Float[Array, "C 3"]
-) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
-    """Densities (solid angle) of emitter samples and of BSDF samples at `point`, seen in unit directions `towards`.
-
-    An invalid point is the environment. All arguments detached.
-    """
-    offset = point.position - scatterer.point.position
-    distance2 = jnp.where(point.valid, dot(offset, offset), 1.0)
-    cosine = jnp.abs(dot(point.normal, towards))
-    return emitter_pdf(packed, point, towards, distance2, cosine), scatterer.pdf(towards)
-
-
 def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
     """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
     paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
@@ -121,31 +105,6 @@ def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
         return moving[shape[paths.table.apex_face[vertex]]]
     moves = moving[shape[paths.table.apex_face]].reshape(-1, paths.paths)
     return jax.lax.cummax(moves.astype(jnp.int32)).reshape(-1)[vertex] > 0
-
-
-def find_crossings(
-    lines: Lines,
-    edges: RankedEdges,
-    chosen: Chosen,
-    needed: Int[Array, " M"],
-    apex: Float[Array, "M 3"],
-    chords: Chords,
-    key,
-    room: int,
-) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
-    """(crossings of chords with visible edges of the rank `needed`, weight of the thinning, their number)."""
-    packed, group = lines.packed, lines.prepared.group
-    vertex, table = jnp.maximum(chosen.vertex, 0), packed.edges
-    needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
-    found = queries.sector_crossings(
-        edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, group,
-        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
-    )  # fmt: skip
-    valid = found.chord >= 0
-    chord = jnp.where(valid, found.chord, 0)
-    crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
-    return crossings, found.weight.astype(apex.dtype), valid.sum()
 
 
 def silhouette_crossings(
@@ -164,9 +123,18 @@ def silhouette_crossings(
     end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
-    found, thinned, used = find_crossings(lines, prepared.edges, chosen, needed, apex, chords, key, room)
-    if packed.edges.share is not None:
+    needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
+    edges, table = prepared.edges, packed.edges
+    found = queries.sector_crossings(
+        edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, prepared.group,
+        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
+        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
+    )  # fmt: skip
+    valid = found.chord >= 0
+    chord = jnp.where(valid, found.chord, 0)
+    crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
+    if table.share is not None:
         # Layers change between none and some at one of the edges that lie on one another. Rays see past each of them.
         by_rays = ~bounded | (needed > HIDES) | (lines.settings.rays == "jax")
-        found = found._replace(share=jnp.where(by_rays[found.chord], packed.edges.share[found.edge], 1.0))
-    return found, thinned, used
+        crossings = crossings._replace(share=jnp.where(by_rays[chord], table.share[found.edge], 1.0))
+    return crossings, found.weight.astype(apex.dtype), valid.sum()

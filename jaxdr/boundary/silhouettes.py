@@ -183,14 +183,6 @@ class PathSegments:
         wi = jnp.where(on_ray, stop_gradient(self.first_wi)[self.path(index)], normalize(previous - apex.position))
         return Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi)
 
-    def moving_scatterer(self, index: Int[Array, " C"]) -> Scatterer:
-        """The BSDF at the near ends, as it moves with them and with the vertices before them."""
-        apex = self.apex(index)
-        previous = self.apex_towards(jnp.maximum(index - self.paths, 0), stop_gradient(apex.position))
-        on_ray = (index < self.paths)[:, None]
-        wi = jnp.where(on_ray, self.first_wi[self.path(index)], normalize(previous - apex.position))
-        return Scatterer(self.packed, apex, wi)
-
     def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""
         scatterer = self.scatterer(index)

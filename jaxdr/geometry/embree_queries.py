@@ -11,7 +11,6 @@ from jaxdr.geometry.bvh_cache import BVHCache
 from jaxdr.geometry.embree_scene import EmbreeScene, library
 from jaxdr.geometry.warp_launch import SLICE, launch, on_host
 from jaxdr.geometry.warp_queries import (  # noqa: F401
-    all_hits,
     edge_candidates,
     edge_tree,
     point_candidates,

@@ -86,16 +86,6 @@ def occluded(vertices, faces, origin, direction, t_max):
     return jax.lax.scan(visit, jnp.zeros(origin.shape[0], bool), _blocks(faces))[0]
 
 
-def all_hits(vertices, faces, origin, direction, t_max, capacity):
-    """(face [N, C], t [N, C], count [N]): the nearest `capacity` crossings, sorted."""
-
-    def crossings(block):
-        (face,) = block
-        return _crossings(vertices, face, origin, direction, t_max)
-
-    return _nearest(crossings, _blocks(faces), origin.shape[0], capacity)
-
-
 def projections(vertices, faces, face_shape, point, normal, depth, shape, capacity):
     """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
     begin = point - depth[:, None] * normal

@@ -29,14 +29,6 @@ class Hit(NamedTuple):
     t: Float[Array, " N"]
 
 
-class AllHits(NamedTuple):
-    """Nearest crossings of every ray, sorted by `t`; `count` counts all of them, also those beyond the capacity."""
-
-    face: Int[Array, "N C"]
-    t: Float[Array, "N C"]
-    count: Int[Array, " N"]
-
-
 class Projections(NamedTuple):
     """Where lines through points cross a shape: `face`, -1 for none, and signed `height` over the point.
 
@@ -174,21 +166,6 @@ def occluded(
     return query(*_discrete(vertices, faces, origin, direction, t_max))
 
 
-def all_hits(
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    origin: Float[Array, "N 3"],
-    direction: Float[Array, "N 3"],
-    t_max: Float[Array, " N"],
-    capacity: int = 16,
-    implementation: str = "auto",
-) -> AllHits:
-    """Every face on each ray before `t_max`: the nearest `capacity` of them, sorted, and how many there are."""
-    module = _module(implementation)
-    query = _over_rays(lambda *args: tuple(module.all_hits(*args, capacity)), 2)
-    return AllHits(*query(*_discrete(vertices, faces, origin, direction, t_max)))
-
-
 def projections(
     vertices: Float[Array, "V 3"],
     faces: Int[Array, "F 3"],
@@ -299,7 +276,7 @@ def point_candidates(
 
 
 # Groups of faces that a chord looks past, beside those of `face_group` (0, 1, ...).
-NO_GROUP, UNBOUNDED, UNBOUNDED_FOLDS = -1, -2, -3
+NO_GROUP, UNBOUNDED = -1, -2
 
 
 def sector_crossings(
@@ -335,10 +312,10 @@ def sector_crossings(
       `needed` is larger than `least_layer` lower edges are not even looked at, and a ray past each edge decides.
     - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
       for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
-      ones being told by rays that stop short of the edge. With `UNBOUNDED_FOLDS` edges between faces count as well.
+      ones being told by rays that stop short of the edge.
 
-    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii (for folds no edge `interior`, so
-    that none is skipped). Inconsistent counts, which rounding may cause, are resolved by rays past each edge.
+    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which rounding
+    may cause, are resolved by rays past each edge.
     """
     query = _sequential(lambda *args: _sector_query(implementation, args, least_layer, capacity))
     arrays = (*tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group)

@@ -90,34 +90,6 @@ def keep_nearest(face: wp.array2d(dtype=int), at: wp.array2d(dtype=float), i: in
         face[i, slot] = f
 
 
-@wp.kernel
-def all_hits(
-    bvh: wp.uint64,
-    start: int,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
-    face: wp.array2d(dtype=int),
-    t: wp.array2d(dtype=float),
-    count: wp.array(dtype=int),
-):
-    """All faces a ray crosses; the nearest of them are kept, sorted by distance."""
-    i = start + wp.tid()
-    o = wp.vec3d(origin[i])
-    d = wp.vec3d(direction[i])
-    found = int(0)
-    f = int(0)
-    query = wp.bvh_query_ray(bvh, origin[i], direction[i])
-    while wp.bvh_query_next(query, f, t_max[i]):
-        distance = crossing(vertices, faces, f, o, d)
-        if distance > 0.0 and distance < t_max[i]:
-            keep_nearest(face, t, i, found, f, distance)
-            found += 1
-    count[i] = found
-
-
 @wp.func
 def all_on_one_side(
     vertices: wp.array(dtype=wp.vec3),

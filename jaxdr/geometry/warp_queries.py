@@ -69,25 +69,6 @@ def trace(kernel: str, vertices: wp.array, faces: wp.array, arrays: list) -> Non
 closest_hit, occluded = hit_queries(trace, kernels)
 
 
-def _all_hits(
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
-    face: wp.array2d(dtype=int),
-    t: wp.array2d(dtype=float),
-    count: wp.array(dtype=int),
-):
-    face.fill_(-1)
-    t.fill_(kernels.MISS)
-    cache = structure_cache("faces", vertices.device)
-    with cache.lock:
-        bvh = cache.find([on_host(vertices)], [on_host(faces)])
-        arrays = [vertices, faces, origin, direction, t_max, face, t, count]
-        launch(kernels.all_hits, origin.shape[0], [bvh.id], arrays, vertices.device)
-
-
 def _edge_candidates(
     leaf_edge: wp.array(dtype=int),
     table: wp.array2d(dtype=wp.vec4),
@@ -206,18 +187,10 @@ def _edge_tree(
         launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
 
 
-_all_hits_call = Call(_all_hits, 3, kernels)
 _edge_candidates_call = Call(_edge_candidates, 4, kernels)
 _point_candidates_call = Call(_point_candidates, 4, kernels)
 _sector_crossings_call = Call(_sector_crossings, 5, sector_kernels)
 _edge_tree_call = Call(_edge_tree, 1, tree_kernels)
-
-
-def all_hits(vertices, faces, origin, direction, t_max, capacity):
-    """(face [N, C], t [N, C], count [N]): the nearest `capacity` crossings, sorted; `count` counts all of them."""
-    n = origin.shape[0]
-    dims = {"face": (n, capacity), "t": (n, capacity), "count": n}
-    return _all_hits_call(vertices, faces, origin, direction, t_max, output_dims=dims)
 
 
 def edge_tree(vertices, edges, opposite, interior, radius, slots):

@@ -169,7 +169,6 @@ def sector_crossings(
     far = wp.normalize(wp.cross(u1 - u0, plane))
     reach = wp.dot(far, u0)
     bounded = bool(True)
-    folds = bool(group[i] < -2)
     if group[i] < -1:
         bounded = bool(False)
         reach = 3.0e38
@@ -253,19 +252,18 @@ def sector_crossings(
                                                         own = bool(True)
                                         place = beta / (alpha + beta)
                                         ahead = place > done_place or (place == done_place and e > done_edge)
-                                        if (sides[0] != sides[1] or folds) and not own and ahead:
+                                        if sides[0] != sides[1] and not own and ahead:
                                             if by_rays:
                                                 # Only where all faces are on one side can the other be seen past the
-                                                # edge; between faces the ray goes to the edge itself.
+                                                # edge.
                                                 past_it = bool(sides[0] == 0 or sides[1] == 0)
-                                                if (past_it or folds) and rank[e] >= needed[i]:
+                                                if past_it and rank[e] >= needed[i]:
                                                     edge_normal = wp.normalize(wp.vec3(wp.cross(p0, p1)))
                                                     if sides[0] > 0:
                                                         edge_normal = -edge_normal
                                                     past = wp.vec3(x)
                                                     step = BESIDE * wp.max(magnitude, wp.max(wp.abs(past)))
-                                                    if past_it:
-                                                        past = past + step * edge_normal
+                                                    past = past + step * edge_normal
                                                     ray_end = float(0.999)
                                                     if bounded:
                                                         past = past / float(alpha + beta)

@@ -69,9 +69,6 @@ class PathTracer(eqx.Module):
       "material" with warped areas in place of the silhouettes in the image, for a boundary of `WarpedArea`.
     - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
       faster where emitters are small and always noisier where they are large or near.
-    - `antithetic`: pairs of BSDF samples on opposite sides of the lobe's axis at the first hit (Zhang et al. 2021,
-      "Antithetic sampling for Monte Carlo differentiable rendering"): most of the noise of a lobe that is narrow and
-      not attached cancels. Give `spp` as an even number.
     - `edge_samples`: points on silhouettes, and as many on creases, in the image per path sample. None: 1/8 for direct
       light, 1 with indirect light, whose noise does not cancel between the two sides of a silhouette.
     - `chunk_size`: paths traced at once, four times as many in images that nobody differentiates; memory is
@@ -84,7 +81,6 @@ class PathTracer(eqx.Module):
     boundary: BoundaryEstimator | FilmEstimator | None = KernelDensity()
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
-    antithetic: bool = eqx.field(static=True, default=False)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 16)
     rays: str = eqx.field(static=True, default="auto")
@@ -99,10 +95,6 @@ class PathTracer(eqx.Module):
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
-        if self.antithetic and self.primary != "fixed_ray":
-            raise ValueError(
-                f'PathTracer: antithetic pairs need primary="fixed_ray": "{self.primary}" pairs film offsets'
-            )
         if self.primary == "warp" and not isinstance(self.boundary, WarpedArea | None):
             raise ValueError(
                 'PathTracer: primary="warp" needs boundary=WarpedArea(...) (or None), got '
@@ -181,7 +173,7 @@ class PathTracer(eqx.Module):
         key_path, key_boundary, key_edges = jax.random.split(key, 3)
         moves = prepared is not None and (prepared.edges is not None or prepared.warp is not None)
         settings, form = self.settings, self._form(packed, moves)
-        primary = primary_samples(packed, samples, key_film, settings.rays, form, self.antithetic)
+        primary = primary_samples(packed, samples, key_film, settings.rays, form)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
         weight = sample_weights(samples, spp, radiance.dtype)
@@ -230,7 +222,7 @@ class PathTracer(eqx.Module):
     def _image(self, packed: PackedScene, samples, key_film, key, spp: int) -> dict:
         """The same in value, for images that nobody differentiates."""
         settings = self.settings
-        primary = primary_samples(packed, samples, key_film, settings.rays, "fixed", self.antithetic)
+        primary = primary_samples(packed, samples, key_film, settings.rays, "fixed")
         radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, key, settings)
         return {"interior": pixel_sums(packed, radiance, sample_weights(samples, spp, radiance.dtype))}
 

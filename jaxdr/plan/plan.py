@@ -9,11 +9,10 @@ from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
 from jaxdr.integrators import Integrator, PathTracer
-from jaxdr.plan.candidates import candidates, replaced, splits
+from jaxdr.plan.candidates import candidates, splits
 from jaxdr.plan.depth import DepthChoice, choose_depth
 from jaxdr.plan.directions import direction, moving_along
 from jaxdr.plan.pilot import Choice, Measured, Pilot, choose
-from jaxdr.plan.ray_queries import RayChoice, time_rays
 from jaxdr.plan.report import Plan
 from jaxdr.plan.static_look import StaticLook, static_look
 from jaxdr.scene.film import Film
@@ -62,8 +61,6 @@ def plan(
         depth = choose_depth(small, along, depth_tolerance, key_depth)
         max_depth = depth.max_depth
     lines.append(depth.line() if depth else f"depth: {max_depth} segments, as asked for")
-    rays = time_rays(scene) if look.may_try_all and integrator is None else RayChoice({})
-    lines.append(rays.line(look.faces) if integrator is None else f"rays: {getattr(integrator, 'rays', 'its own')}")
 
     tried, left_out = {}, {}
     if integrator is not None:
@@ -78,13 +75,10 @@ def plan(
     lines += [f"not tried: {name} ({reason})" for name, reason in left_out.items()]
 
     def changes(best: Any, shares: dict[str, float]) -> dict[str, Any]:
-        if integrator is not None:
-            return {}
-        brute = {"every face tried": replaced(best, rays="jax")} if rays.brute_force else {}
-        return splits(best, shares) | brute
+        return splits(best, shares) if integrator is None else {}
 
     chosen = choose(tried, Pilot(small, along, moving, key_pilot), changes, budget, spp, ratio)
-    figures |= _figures(look, depth, rays, chosen)
+    figures |= _figures(look, depth, chosen)
     return Plan(chosen.integrator, chosen.spp, tuple(lines + chosen.lines), figures)
 
 
@@ -135,12 +129,12 @@ def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
         raise ValueError("plan: an integrator that is given has its own max_depth and boundary; leave those out")
 
 
-def _figures(look: StaticLook, depth: DepthChoice | None, rays: RayChoice, chosen: Choice) -> dict[str, Any]:
+def _figures(look: StaticLook, depth: DepthChoice | None, chosen: Choice) -> dict[str, Any]:
     """Numbers for JSON."""
     static = {name: value for name, value in look._asdict().items() if name != "moving"}
     static["textures"] = list(look.textures)
     static["traits"] = look.traits._asdict()
-    figures: dict[str, Any] = {"static": static, "moving": _plain(look.moving._asdict()), "rays": rays.seconds}
+    figures: dict[str, Any] = {"static": static, "moving": _plain(look.moving._asdict())}
     if depth is not None:
         shares = {"energy": depth.energy} | ({"gradient": depth.gradient} if depth.gradient is not None else {})
         figures["depth"] = {n: {"rest": s.rest.tolist(), "error": s.error.tolist()} for n, s in shares.items()}

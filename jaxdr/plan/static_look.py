@@ -7,8 +7,6 @@ from jaxdr.integrators.known_failures import Traits, traits
 from jaxdr.moving import Moving
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 
-BRUTE_FORCE = 256  # faces up to which every face may be tried for every ray
-
 
 class StaticLook(NamedTuple):
     """Models by name with how often they occur, textures by parameter, faces and edges.
@@ -28,11 +26,6 @@ class StaticLook(NamedTuple):
     still_edges: int
     traits: Traits
     moving: Moving
-
-    @property
-    def may_try_all(self) -> bool:
-        """Whether there are so few faces that brute force is worth a measurement."""
-        return self.faces <= BRUTE_FORCE
 
     def lines(self) -> list[str]:
         """One line each: what is in the program, and which edges."""

@@ -9,7 +9,7 @@ from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import NearField, film_importance
-from jaxdr.transport.sampler import BSDF_AZIMUTH, FIRST_DIMENSIONS, LENS_DIMENSIONS, lattice
+from jaxdr.transport.sampler import FIRST_DIMENSIONS, LENS_DIMENSIONS, lattice
 
 # How first hits move: with the camera ray fixed, so but for the near field, or as material points.
 FORMS = ("fixed", "near", "material")
@@ -33,24 +33,20 @@ class PrimarySamples(NamedTuple):
 
 
 def primary_samples(
-    packed: PackedScene, samples: Int[Array, " n"], key: PRNGKeyArray, rays: str, form: str, antithetic: bool = False
+    packed: PackedScene, samples: Int[Array, " n"], key: PRNGKeyArray, rays: str, form: str
 ) -> PrimarySamples:
     """Camera samples number `samples` of every pixel; `form` is one of `FORMS`.
 
     With fixed rays first hits slide over the surfaces. As "material" points they stay on them, and pairs of samples
     have opposite film offsets and the same random numbers otherwise: the filter's derivative is odd, so most of its
-    noise cancels. What no surface covers stays fixed on the film in all forms. `antithetic`: pairs of samples have the
-    same first hit and numbers, but for BSDF samples on opposite sides of the lobe's axis, which half a turn more makes.
+    noise cancels. What no surface covers stays fixed on the film in all forms.
     """
     camera, film = packed.camera, packed.camera.film
     x0, y0, width, height = film.window
     pixels, count, dtype = width * height, samples.shape[0], packed.vertices.dtype
-    number = samples // 2 if form == "material" or antithetic else samples
+    number = samples // 2 if form == "material" else samples
     dimensions = FIRST_DIMENSIONS + (LENS_DIMENSIONS if camera.aperture else 0)
     u = lattice(key, pixels, number, dimensions, dtype).reshape(pixels * count, dimensions)
-    if antithetic:
-        half_turn = jnp.where(jnp.tile(samples, pixels) % 2 == 1, 0.5, 0.0).astype(dtype)
-        u = u.at[:, BSDF_AZIMUTH].set(jnp.mod(u[:, BSDF_AZIMUTH] + half_turn, 1.0))
     offset = film.filter.sample(u[:, :2])
     if form == "material":
         offset = jnp.where((jnp.tile(samples, pixels) % 2 == 1)[:, None], -offset, offset)

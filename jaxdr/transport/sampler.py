@@ -5,7 +5,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 FIRST_DIMENSIONS = 6  # film point, then emitter and BSDF at the first hit
-BSDF_AZIMUTH = 5  # the one of those that turns BSDF samples around the lobe's axis
 LENS_DIMENSIONS = 2  # after those, with an aperture
 
 

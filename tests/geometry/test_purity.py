@@ -129,14 +129,16 @@ def test_vmap_over_vertices(implementation):
 def test_other_queries_follow_their_vertices(implementation):
     @jax.jit
     def ask(h):
-        rays = (square(h), FACES, ORIGIN, UP, jnp.full(RAYS, 101.5))
-        hits = queries.all_hits(*rays, capacity=2, implementation=implementation)
-        return queries.occluded(*rays, implementation), hits.t[:, 0], hits.count
+        reach, none = jnp.full(RAYS, 101.5), jnp.zeros(RAYS, jnp.int32)
+        shape = none[: FACES.shape[0]]
+        lines = queries.projections(square(h), FACES, shape, ORIGIN, UP, reach, none, 2, implementation)
+        blocked = queries.occluded(square(h), FACES, ORIGIN, UP, reach, implementation)
+        return blocked, lines.height[:, 0], lines.count
 
     for h in (1.0, 2.0, 0.5, 1.0, 3.0):
-        blocked, t, count = ask(h)
+        blocked, height, count = ask(h)
         assert np.all(np.asarray(blocked) == (h < 1.5)) and np.all(np.asarray(count) == (h < 1.5))
-        assert h > 1.5 or np.allclose(t, 100 + h, atol=1e-4)
+        assert h > 1.5 or np.allclose(height, 100 + h, atol=1e-4)
 
 
 def test_more_geometries_than_the_cache_holds():

@@ -1,4 +1,4 @@
-"""Closest hit, occlusion and all hits: `warp` and `jax` against each other, Embree and float64 arithmetic."""
+"""Closest hit and occlusion: `warp` and `jax` against each other, Embree and float64 arithmetic."""
 
 import sys
 
@@ -18,7 +18,6 @@ from tests.geometry.query_meshes import (
     affine,
     arrays,
     ask,
-    every_crossing,
     make,
     random_rays,
 )
@@ -101,51 +100,6 @@ def test_rays_of_no_length_meet_nothing(implementation):
         assert np.all(closest(vertices, faces, origin, direction, implementation, reach)[0] == -1)
         rays = vertices, faces, origin, direction, np.full(64, reach, np.float32)
         assert not np.any(ask(queries.occluded, *rays, implementation=implementation))
-        assert np.all(ask(queries.all_hits, *rays, capacity=4, implementation=implementation).count == 0)
-
-
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-@pytest.mark.parametrize("name", ["trefoil", "bumps, tiny", "torus, far away", "box, rotated", "plane"])
-def test_all_hits(name, implementation):
-    """Faces, order, distances and counts against every ray-face pair in float64."""
-    vertices, faces = arrays(make(name))
-    origin, direction = random_rays(vertices, 150, seed=15)
-    rays = origin, direction, np.full(150, FAR)
-    face, t, count = ask(queries.all_hits, vertices, faces, *rays, capacity=16, implementation=implementation)
-    crossing = every_crossing(vertices, faces, origin, direction)
-    near = (crossing.t > -crossing.t_error) & (crossing.inside > -4)
-    sure = (crossing.t > crossing.t_error) & (crossing.inside > 4)
-    checked = 0
-    for i in range(150):
-        kept = face[i][: count[i]]
-        assert np.all(np.diff(t[i, : count[i]]) >= 0), "not sorted by distance"
-        assert set(np.flatnonzero(sure[i])) <= set(kept) <= set(np.flatnonzero(near[i]))
-        assert len(set(kept)) == count[i] and np.all(face[i, count[i] :] == -1)
-        assert np.all(np.abs(t[i, : count[i]] - crossing.t[i, kept]) <= 2 * crossing.t_error[i, kept])
-        checked += count[i]
-    assert checked > 40
-    mesh_is_closed = name != "plane"
-    # From outside the bounding sphere a closed mesh is entered as often as left; ties at edges count twice.
-    outside = np.linalg.norm(origin - vertices.mean(0), axis=1) > np.linalg.norm(np.ptp(vertices, axis=0))
-    untied = np.all(near == sure, axis=1)
-    assert outside.sum() > 5 and (not mesh_is_closed or np.all(count[outside & untied] % 2 == 0))
-
-
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-def test_all_hits_beyond_the_capacity_are_counted(implementation):
-    """Eight parallel planes, room for three: the nearest three are kept, all eight counted."""
-    sheet = np.array([[-1, -1, 0], [3, -1, 0], [-1, 3, 0]], np.float32)
-    order = np.array([5, 2, 7, 0, 3, 6, 1, 4])  # heights, shuffled against the face numbers
-    vertices = np.concatenate([sheet + np.float32([0, 0, h]) for h in order])
-    faces = np.arange(24).reshape(8, 3)
-    rays = np.float32([[0, 0, -1]]), np.float32([[0, 0, 1]]), np.float32([1e30])
-    result = ask(queries.all_hits, vertices, faces, *rays, capacity=3, implementation=implementation)
-    assert result.count[0] == 8
-    np.testing.assert_array_equal(order[result.face[0]], [0, 1, 2])
-    np.testing.assert_allclose(result.t[0], [1, 2, 3], rtol=1e-6)
-    rays = (*rays[:2], np.float32([2.5]))
-    short = ask(queries.all_hits, vertices, faces, *rays, capacity=3, implementation=implementation)
-    assert short.count[0] == 2 and short.face[0, 2] == -1
 
 
 @pytest.mark.parametrize("matrix", SCALES.values(), ids=SCALES)
@@ -181,8 +135,6 @@ def test_watertight(shape, matrix):
         assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
         blocked = ask(queries.occluded, *rays, implementation=implementation)
         assert np.sum(~blocked) <= most, f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
-        count = ask(queries.all_hits, *rays, capacity=4, implementation=implementation).count
-        assert np.all(count >= 1), f"{implementation}: all_hits leaks {np.sum(count == 0)} of {n}"
 
 
 @pytest.mark.parametrize("matrix", [*SCALES.values(), affine(1e-3, (5.0, 0.0, 0.0))], ids=[*SCALES, "tiny and away"])

@@ -12,7 +12,7 @@ import jaxdr as jd
 from jaxdr.geometry import queries, shapes
 from jaxdr.geometry.edge_tree import build_edge_tree
 from jaxdr.geometry.edges import INTERIOR
-from jaxdr.geometry.queries import NO_GROUP, UNBOUNDED, UNBOUNDED_FOLDS
+from jaxdr.geometry.queries import NO_GROUP, UNBOUNDED
 from tests.geometry.query_meshes import MESHES, affine, make
 
 COUNT = 400
@@ -60,13 +60,11 @@ def random_chords(mesh, count=COUNT, seed=0):
     return tuple((middle + size * x).astype(np.float32) for x in (apex, target - across[1], target + across[1]))
 
 
-@partial(jax.jit, static_argnames=("implementation", "capacity", "folds", "least"))
-def crossings(
-    mesh, rank, apex, first, last, centre, needed, group, face_group, implementation, capacity, folds, least=1
-):
+@partial(jax.jit, static_argnames=("implementation", "capacity", "least"))
+def crossings(mesh, rank, apex, first, last, centre, needed, group, face_group, implementation, capacity, least=1):
     """The query with a tree of its own."""
     edges = mesh.edges
-    interior = (edges.kind == INTERIOR) & (not folds)
+    interior = edges.kind == INTERIOR
     tree = build_edge_tree(mesh.vertices, edges.vertices, edges.opposite, interior, rank)
     return queries.sector_crossings(
         tree, mesh.vertices, mesh.faces, edges.vertices, edges.faces, rank, face_group, apex, first, last,
@@ -82,7 +80,7 @@ def ask(mesh, apex, first, last, implementation="warp", group=NO_GROUP, rank=1.0
     ranks = jnp.full(mesh.edges.vertices.shape[0], rank)
     chords = (jnp.asarray(x) for x in (apex, first, last, centre, np.full(count, rank, np.float32)))
     groups = jnp.full(count, group), face_group
-    options = {"implementation": implementation, "capacity": capacity or 40 * count, "folds": group == UNBOUNDED_FOLDS}
+    options = {"implementation": implementation, "capacity": capacity or 40 * count}
     found = crossings(mesh, ranks, *chords, *groups, **options)
     chord, edge = np.asarray(found.chord), np.asarray(found.edge)
     used = chord >= 0
@@ -185,34 +183,6 @@ def test_sectors_without_an_end(implementation):
         h0, h1 = (ends - a) @ normal
         point = ends[0] + h0 / (h0 - h1) * (ends[1] - ends[0])
         assert layers(corners, a, 0.998 * (point - a)[None])[0] == 0, "a hidden edge"
-
-
-@pytest.mark.parametrize("implementation", ["warp", "jax"])
-def test_folds_count_as_well(implementation):
-    """Every edge of sectors without an end that nothing hides: silhouettes as before, and what is between faces."""
-    mesh = SHAPES["bumps"]()
-    apex, first, last = random_chords(mesh, count=60)
-    # Chords that cross few edges: the plain implementation keeps a fixed number of them.
-    last = first + 0.3 * (last - first)
-    silhouettes, _ = ask(mesh, apex, first, last, implementation, group=UNBOUNDED)
-    found, answer = ask(mesh, apex, first, last, implementation, group=UNBOUNDED_FOLDS)
-    assert silhouettes <= found and len(found) > 5 * len(silhouettes)
-    assert np.asarray(answer.counts)[2] == 0, "chords of too many crossings"
-    vertices, edges = np.asarray(mesh.vertices, float), np.asarray(mesh.edges.vertices)
-    corners, visible = vertices[np.asarray(mesh.faces)], set()
-    for i in range(len(apex)):
-        a = apex[i].astype(float)
-        u0, u1 = first[i] - a, last[i] - a
-        normal = np.cross(u0, u1)
-        p0, p1 = vertices[edges[:, 0]] - a, vertices[edges[:, 1]] - a
-        h0, h1 = p0 @ normal, p1 @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = p0 + (h0 / (h0 - h1))[:, None] * (p1 - p0)
-            alpha, beta = np.cross(x, u1) @ normal, np.cross(u0, x) @ normal
-        cuts = np.flatnonzero((h0 * h1 < 0) & (alpha > 0) & (beta > 0))
-        free = layers(corners, a, 0.999 * x[cuts]) == 0
-        visible |= {(i, int(e)) for e in cuts[free]}
-    assert len((found - silhouettes) ^ (visible - silhouettes)) <= 0.01 * len(visible)
 
 
 def test_faces_of_the_group_hide_nothing():

@@ -29,7 +29,6 @@ ROOF = np.array(
     ]
 )
 ROOF_FACES = ((0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2))
-APART_FACES = ((0, 2, 3), (0, 3, 1), (4, 6, 7), (4, 7, 5))  # the two sides as sheets of four corners each
 ASIDE = ROOF + 4.0 * SIDE  # out of the lobe
 # Far from the lobe, and lights the two sides differently; near, in the middle of the lobe.
 FAR_LAMP = np.array([14.0, -36.0, 8.0]) + 5 * np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
@@ -80,24 +79,19 @@ def scene(
     lamp_radiance=0.0,
     sky=0.0,
     reflectance=0.0,
-    roof_faces=ROOF_FACES,
-    bsdf=Phong,
-    alone=False,
 ) -> jd.Scene:
-    """The scene; `alone` leaves out the sky or the emitter where they are dark, for a smaller program."""
-    glow = jd.AreaEmitter(lamp_radiance) if lamp_radiance or not alone else None
     return jd.Scene(
         shapes={
-            "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), bsdf(width, REFLECTANCE)),
-            "roof": jd.Shape(jd.Mesh(roof, roof_faces), jd.TwoSided(jd.Diffuse(reflectance))),
-            "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), glow),
+            "mirror": jd.Shape(jd.Mesh(MIRROR, QUAD), Phong(width, REFLECTANCE)),
+            "roof": jd.Shape(jd.Mesh(roof, ROOF_FACES), jd.TwoSided(jd.Diffuse(reflectance))),
+            "lamp": jd.Shape(jd.Mesh(lamp, QUAD), jd.Diffuse(0.0), jd.AreaEmitter(lamp_radiance)),
         },
         camera=jd.Perspective(jd.look_at(CAMERA, np.zeros(3), [0, 0, 1]), 0.01, jd.Film(16, 16, jd.Box())),
-        environment=jd.ConstantEnvironment(sky) if sky or not alone else None,
+        environment=jd.ConstantEnvironment(sky),
     )
 
 
-def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float, faces) -> float:
+def radiance(values: dict, width: float, lamp_radiance: float, sky: float, reflectance: float) -> float:
     """Radiance of the point; `values`: vertices of the shapes, motion of the camera."""
     mirror = values["mirror.vertices"]
     normal = _unit(np.cross(mirror[1] - mirror[0], mirror[2] - mirror[0]))
@@ -110,7 +104,7 @@ def radiance(values: dict, width: float, lamp_radiance: float, sky: float, refle
     distance = np.linalg.norm(lamp.mean(0))
     # The lamp is out of the lobe, all alone in it, or larger than the roof and behind it.
     behind = lamp_radiance if 3 < distance < 10 else sky
-    for face in faces:
+    for face in ROOF_FACES:
         corners = values["roof.vertices"][list(face)]
         total += _seen(corners, point, lobe, width, lambda x, n: _lit(x, n, lamp, lamp_radiance, reflectance) - behind)
     for face in QUAD:
@@ -154,9 +148,9 @@ def _lit(x, normal, lamp, lamp_radiance, reflectance):
     return reflectance / np.pi * lamp_radiance * (transfer @ weights)
 
 
-def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, roof_faces=ROOF_FACES, **light) -> tuple[float, dict[str, float]]:
+def exact(roof=ROOF, lamp=FAR_LAMP, width=0.15, **light) -> tuple[float, dict[str, float]]:
     """Radiance and its derivatives by motion: central differences of the integral, in double precision."""
-    light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0, "faces": roof_faces} | light
+    light = {"lamp_radiance": 0.0, "sky": 0.0, "reflectance": 0.0} | light
     values = {
         "mirror.vertices": MIRROR,
         "roof.vertices": roof,
@@ -195,52 +189,10 @@ def estimates(of: jd.Scene, boundary, keys: int = 8, spp: int = 16, depth: int =
     return np.array(radiance, float), {name: np.array(rows) for name, rows in derivatives.items()}
 
 
-@partial(jax.jit, static_argnames=("boundary", "spp", "depth"))
-def _forward(of: jd.Scene, tangent, key, boundary, spp: int, depth: int):
-    def mean(values):
-        terms = jd.derivative_terms(of.replace(values), key, spp, jd.PathTracer(depth, boundary))
-        return (terms["interior"] + terms["boundary"]).mean()
-
-    return jax.jvp(mean, ({name: of.parameters()[name] for name in NAMES},), (tangent,))
-
-
-def quick_estimates(of: jd.Scene, boundary, motions, keys: int = 8, spp: int = 16, depth: int = 2):
-    """The same for some motions, in forward mode and without what the film's edges add: a smaller program."""
-    values = {name: np.asarray(of.parameters()[name]) for name in NAMES}
-    radiance, derivatives = [], {name: [] for name in motions}
-    for key in jax.random.split(jax.random.key(0), keys):
-        for name in motions:
-            parameter, velocity = MOTIONS[name]
-            tangent = {other: np.zeros_like(value) for other, value in values.items()}
-            tangent[parameter] = velocity(values[parameter]).astype(values[parameter].dtype)
-            value, derivative = jax.device_get(_forward(of, tangent, key, boundary, spp, depth))
-            derivatives[name].append(derivative)
-        radiance.append(value)
-    return np.array(radiance, float), {name: np.array(rows, float) for name, rows in derivatives.items()}
-
-
-def check(
-    case: str,
-    boundary,
-    alone: bool = False,
-    tolerance: float = 0.005,
-    bsdf=Phong,
-    change: dict | None = None,
-    quick: bool = False,
-    **settings,
-):
-    """Assert that the radiance and every derivative are the closed form; errors relative to the largest derivative.
-
-    The `quick` check is in forward mode, of what is not zero.
-    """
-    options = CASES[case] | (change or {})
-    value, truth = exact(**options)
-    of = scene(**options, bsdf=bsdf, alone=alone)
-    if quick:
-        truth = {name: derivative for name, derivative in truth.items() if derivative != 0}
-        found, rows = quick_estimates(of, boundary, list(truth), **settings)
-    else:
-        found, rows = estimates(of, boundary, **settings)
+def check(case: str, boundary, tolerance: float = 0.005, **settings):
+    """Assert that the radiance and every derivative are the closed form; errors relative to the largest derivative."""
+    value, truth = exact(**CASES[case])
+    found, rows = estimates(scene(**CASES[case]), boundary, **settings)
     mean, deviation = mean_and_error(found)
     assert abs(mean - value) < 0.002 * value + 4 * deviation, f"radiance is off: {mean} ± {deviation}, exactly {value}"
     scale = max(abs(d) for d in truth.values())

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 import jaxdr as jd
 from jaxdr.geometry.vector import dot, orthonormal_basis
-from jaxdr.scene.bsdf import BSDF, turn_with_reflection
+from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.bsdf.base import both_above
 
 
@@ -44,6 +44,3 @@ class Phong(BSDF):
 
     def lobe_width(self, wi):
         return jnp.broadcast_to(jnp.minimum(1.5 * self.width, 1.0), wi[..., 0].shape)
-
-    def turn(self, wi, wo):
-        return turn_with_reflection(wi, wo)

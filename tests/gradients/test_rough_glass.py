@@ -20,8 +20,8 @@ from tests.gradients import glass_point
 from tests.gradients.floor_point import mean_and_error, prism
 from tests.gradients.test_delta_visibility import quad, tetrahedron
 
-LINES, KERNEL, ATTACHED = jd.LineSampling(), jd.KernelDensity(0.05), jd.LineSampling(attached=0.5)
-BOUNDARIES = {"lines": LINES, "kernel": KERNEL, "attached": ATTACHED}
+LINES, KERNEL = jd.LineSampling(), jd.KernelDensity(0.05)
+BOUNDARIES = {"lines": LINES, "kernel": KERNEL}
 
 
 def check_point(case: str, boundary, motions=tuple(glass_point.MOTIONS), tolerance=0.005, within=0.02, **settings):

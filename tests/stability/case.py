@@ -23,7 +23,6 @@ ESTIMATORS = {
     "GuidedEdges": (jd.GuidedEdges(), "mis"),
     # Options that some cases are about.
     "KernelDensity, radius 0.2": (jd.KernelDensity(0.2), "mis"),
-    "LineSampling, attached": (jd.LineSampling(attached=0.3), "mis"),
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),
 }

@@ -3,7 +3,6 @@
 from jaxdr.scene.bsdf.base import BSDF as BSDF
 from jaxdr.scene.bsdf.base import DeltaSample as DeltaSample
 from jaxdr.scene.bsdf.base import TwoSided as TwoSided
-from jaxdr.scene.bsdf.base import turn_with_reflection as turn_with_reflection
 from jaxdr.scene.bsdf.conductor import Conductor as Conductor
 from jaxdr.scene.bsdf.dielectric import Dielectric as Dielectric
 from jaxdr.scene.bsdf.diffuse import Diffuse as Diffuse

@@ -10,10 +10,7 @@ from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
-
-from jaxdr.geometry.vector import normalize
 
 
 class DeltaSample(NamedTuple):
@@ -104,15 +101,6 @@ class BSDF(eqx.Module):
         far = -jnp.sign(wi[..., 2:]) * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
         return Rim(far, jnp.zeros_like(wi[..., 0])), Rim(jnp.zeros_like(wi), -jnp.ones_like(wi[..., 0]))
 
-    def turn(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """`wo` (detached) as it turns with the lobe when `wi` moves: `wo` in value, its derivative a rotation.
-
-        By default the lobe stays where it is in the surface's frame. A rotation has the Jacobian one; whichever it is,
-        a narrow lobe that is held fixed by it (`LineSampling.attached`) has the same derivative, with more noise where
-        it does not follow. Of the BSDF's own parameters it is a constant.
-        """
-        return wo
-
 
 class DeltaBSDF(BSDF):
     """A BSDF of delta lobes alone."""
@@ -169,14 +157,3 @@ def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
     """No delta lobe chosen."""
     return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros_like(wi[..., 0]))
-
-
-def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """`BSDF.turn` of lobes around the mirror direction: the least rotation that takes that along, to first order."""
-    return turn_with(mirror(wi), wo)
-
-
-def turn_with(centre: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """The same of lobes around unit directions `centre`."""
-    axis = jnp.cross(stop_gradient(centre), centre)
-    return normalize(wo + jnp.cross(axis, wo))

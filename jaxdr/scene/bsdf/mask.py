@@ -69,8 +69,5 @@ class Mask(BSDF):
     def rims(self, wi):
         return self.bsdf.rims(wi)
 
-    def turn(self, wi, wo):
-        return self.bsdf.turn(wi, wo)
-
     def lobe_width(self, wi):
         return self.bsdf.lobe_width(wi)

@@ -78,10 +78,6 @@ class NormalMap(BSDF):
         one, two = _Frame(self.normal, wi), _Frame(self.normal, wo)
         return one.turned == two.turned
 
-    def turn(self, wi, wo):
-        frame = _Frame(self.normal, wi)
-        return frame.to_surface(self.bsdf.turn(frame.to_local(wi), frame.to_local(wo)))
-
     def lobe_width(self, wi):
         return self.bsdf.lobe_width(_Frame(self.normal, wi).to_local(wi))
 

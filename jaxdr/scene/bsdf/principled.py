@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
+from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
@@ -61,9 +61,6 @@ class Principled(BSDF):
         facets, left = choose(u, jnp.broadcast_to(self._facet_probability(), wi[..., 2].shape))
         mirrored = reflect(wi, DISTRIBUTIONS["ggx"].sample(wi, self._alpha(), left))
         return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
-
-    def turn(self, wi, wo):
-        return turn_with_reflection(wi, wo)
 
     def lobe_width(self, wi):
         """Of the facets, whatever share of the light they reflect."""

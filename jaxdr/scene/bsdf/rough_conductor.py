@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
+from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, complex_index, distribution_name, rgb, roughness
@@ -47,9 +47,6 @@ class RoughConductor(BSDF):
 
     def sample(self, wi, u):
         return reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, u))
-
-    def turn(self, wi, wo):
-        return turn_with_reflection(wi, wo)
 
     def lobe_width(self, wi):
         return jnp.broadcast_to(mirrored_width(self.alpha), wi[..., 2].shape)

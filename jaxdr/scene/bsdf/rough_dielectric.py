@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import dot, normalize
-from jaxdr.scene.bsdf.base import BSDF, Rim, mirror, turn_with
+from jaxdr.scene.bsdf.base import BSDF, Rim
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection, refract
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, distribution_name, relative_index, rgb, roughness
@@ -18,7 +18,6 @@ from jaxdr.scene.sampling import choose
 
 # Uniform numbers of the facets that decide how often reflection is chosen; half of them, by symmetry.
 PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
-GRAZING = 0.1  # cosine of refracted directions that turn no more than some ten times as fast as what they come from
 LEAST = 0.05  # probability of either lobe: the pilots may all see total internal reflection where other facets don't
 
 
@@ -84,14 +83,6 @@ class RoughDielectric(BSDF):
         """Of the narrower lobe: a facet turned by an angle turns refracted light by |1 - eta_i / eta_t| times that."""
         relative = jnp.where(wi[..., 2] > 0, 1.0 / self.eta, self.eta)
         return jnp.minimum(mirrored_width(self.alpha), self.alpha * jnp.abs(1.0 - relative))
-
-    def turn(self, wi, wo):
-        """With the mirrored or the refracted direction; where the latter would be close to grazing, directions stay."""
-        up = jnp.where(wi[..., 2:] < 0, -1.0, 1.0).astype(wi.dtype) * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        refracted, _ = refract(wi, up, jnp.where(wi[..., 2] < 0, 1.0 / self.eta, self.eta))
-        through, steep = wi[..., 2] * wo[..., 2] < 0, -dot(refracted, up) > GRAZING
-        centre = jnp.where((through & steep)[..., None], refracted, mirror(wi))
-        return jnp.where((through & ~steep)[..., None], wo, turn_with(centre, wo))
 
     def rims(self, wi):
         """A cone around -wi, where facets are seen edge-on from one side; and where facets would have to face down."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.scene.bsdf.base import BSDF, both_above, turn_with_reflection
+from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
@@ -67,9 +67,6 @@ class RoughPlastic(BSDF):
         facets, left = choose(u, self._coat_probability(wi))
         mirrored = reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, left))
         return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
-
-    def turn(self, wi, wo):
-        return turn_with_reflection(wi, wo)
 
     def lobe_width(self, wi):
         """Of the coat, whatever share of the light it reflects."""
