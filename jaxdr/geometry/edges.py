@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.arrays import as_array
+from jaxdr.geometry.edge_tree import spatial_order
 from jaxdr.geometry.vector import dot, normalize
 
 INTERIOR = 0
@@ -39,8 +41,8 @@ class Edges(eqx.Module):
     first: Int[Array, " E"] | None = None
 
 
-def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
-    """Find the edges of a triangle list, on the host, in O(F log F).
+def build_edges(faces: Int[np.ndarray, "F 3"], points: Float[np.ndarray, "V 3"] | None = None) -> Edges:
+    """Find the edges of a triangle list, on the host, in O(F log F). With `points` they are in spatial order.
 
     Raises `ValueError` if a face names the same vertex twice: such a face has no well-defined edges.
     """
@@ -76,7 +78,8 @@ def build_edges(faces: Int[np.ndarray, "F 3"]) -> Edges:
     kind[count == 2] = np.where(upward[order[pair]] != upward[order[pair + 1]], INTERIOR, NON_MANIFOLD)
 
     ends = np.stack([start[order[first]], end[order[first]]], axis=1).astype(np.int32)
-    return Edges(jnp.asarray(ends), jnp.asarray(edge_faces), jnp.asarray(opposite), jnp.asarray(kind))
+    order = slice(None) if points is None else spatial_order(points[ends].mean(1))
+    return Edges(*(as_array(table[order], np.int32) for table in (ends, edge_faces, opposite, kind)))
 
 
 @jax.jit

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
-from trimesh.visual import TextureVisuals
 
 from jaxdr.geometry.mesh import Mesh, weld
 
@@ -47,6 +45,8 @@ def read_parts(path: str | PathLike) -> list["Part"]:
     _check_extension("load_mesh", path)
     if not path.is_file():
         raise ValueError(f"load_mesh: there is no file {path}")
+    import trimesh  # on use: importing it takes longer than reading most files
+
     try:
         scene = trimesh.load_scene(path, process=False, **_parser_options(path))
     except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
@@ -114,6 +114,8 @@ def _parser_options(path: Path) -> dict[str, Any]:
 
 def is_triangles(geometry: Any) -> bool:
     """Whether trimesh read triangles here, rather than points or lines."""
+    import trimesh
+
     return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
 
 
@@ -123,7 +125,7 @@ class Part:
     `colors` are the numbers that a PLY file stores as r, g, b or red, green, blue.
     """
 
-    def __init__(self, geometry: trimesh.Trimesh, to_world: Float[np.ndarray, "4 4"]):
+    def __init__(self, geometry: Any, to_world: Float[np.ndarray, "4 4"]):
         linear = to_world[:3, :3]
         self.vertices = geometry.vertices @ linear.T + to_world[:3, 3]
         self.faces = geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces
@@ -142,7 +144,7 @@ class Part:
         return np.repeat(_unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
 
 
-def _ply_colors(geometry: trimesh.Trimesh) -> Float[np.ndarray, "v 3"] | None:
+def _ply_colors(geometry: Any) -> Float[np.ndarray, "v 3"] | None:
     """Vertex colours in the precision of the file: those that trimesh makes of them have eight bits."""
     data = geometry.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", {})
     names = data.keys() if isinstance(data, dict) else data.dtype.names or ()
@@ -175,8 +177,11 @@ def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return triples, rows.reshape(-1, 3)
 
 
-def _trimesh(mesh: Mesh) -> trimesh.Trimesh:
-    """The mesh with one index for everything, as GLB and PLY want it."""
+def _trimesh(mesh: Mesh) -> Any:
+    """trimesh's Trimesh with one index for everything, as GLB and PLY want it."""
+    import trimesh
+    from trimesh.visual import TextureVisuals
+
     if mesh.uvs is None and mesh.normal_faces is None:  # nothing to split: keep the vertices in their order
         return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
     triples, faces = _split(mesh)

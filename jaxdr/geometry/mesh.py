@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array
 from jaxdr.callers_line import warn
-from jaxdr.geometry.edge_tree import spatial_order
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import dot, normalize
 
@@ -77,26 +77,24 @@ class Mesh(eqx.Module):
             checked = _checked_indices(name, indices, count, target)
             if len(checked) != len(kept):
                 raise ValueError(f"Mesh: {name} has {len(checked)} rows for {len(kept)} faces; give one per face")
-            return jnp.asarray(checked[kept], jnp.int32)
+            return as_array(checked[kept], np.int32)
 
-        self.vertices = jnp.asarray(points)
-        self.faces = jnp.asarray(corners[kept], jnp.int32)
+        self.vertices = as_array(points)
+        self.faces = as_array(corners[kept], np.int32)
         self.uvs = self.uv_faces = self.normal_faces = None
         self.normal_group_count = 0
         if uvs is not None:
             texture_points = _checked_floats("uvs", uvs, 2)
-            self.uvs = jnp.asarray(texture_points)
+            self.uvs = as_array(texture_points)
             self.uv_faces = kept_corners("uv_faces", uv_faces, len(texture_points), "uvs")
         if normal_faces is not None:
             self.normal_faces = kept_corners("normal_faces", normal_faces, None, "smoothing groups")
-            self.normal_group_count = int(self.normal_faces.max()) + 1
-        edges = build_edges(corners[kept])
-        order = spatial_order(points[np.asarray(edges.vertices)].mean(1))
-        self.edges = jax.tree.map(lambda table: table[order], edges)
+            self.normal_group_count = int(np.asarray(self.normal_faces).max()) + 1
+        self.edges = build_edges(corners[kept], points)
         first = _first_on_one_another(points, np.asarray(self.edges.vertices))
         doubled = np.sum(first != np.arange(len(first)))
         if doubled:
-            self.edges = dataclasses.replace(self.edges, first=jnp.asarray(first, jnp.int32))
+            self.edges = dataclasses.replace(self.edges, first=as_array(first, np.int32))
             warn(
                 f"Mesh: {doubled} edges lie on others without sharing vertices, as of split vertices and of faces that "
                 "are there twice. Gradients pull them apart, and derivatives are right only while they move together; "
@@ -109,7 +107,7 @@ class Mesh(eqx.Module):
 
         Raises `ValueError` if the number of vertices changes.
         """
-        vertices = jnp.asarray(vertices, self.vertices.dtype)
+        vertices = as_array(vertices, self.vertices.dtype)
         if vertices.shape != self.vertices.shape:
             raise ValueError(f"Mesh.with_vertices: this mesh needs shape {self.vertices.shape}, got {vertices.shape}")
         return eqx.tree_at(lambda mesh: mesh.vertices, self, vertices)

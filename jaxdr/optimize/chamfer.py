@@ -1,9 +1,6 @@
 """Chamfer distance between surfaces."""
 
-from typing import no_type_check
-
 import numpy as np
-import warp as wp
 from jaxtyping import Float, Int
 
 from jaxdr.geometry.mesh import Mesh
@@ -24,6 +21,8 @@ def chamfer(mesh: Mesh, target: Mesh, samples: int = 20_000, seed: int = 0) -> f
     for name, (vertices, _) in zip(("mesh", "target"), surfaces, strict=True):
         if not np.isfinite(vertices).all():
             raise ValueError(f"chamfer: {name} has vertices that are not finite")
+
+    from jaxdr.optimize.warp_distances import surface_distances  # on use: importing Warp takes long
 
     # Warp works in float32: bring the target into the unit box, so that an offset of the scene costs no digits.
     corners = surfaces[1][0][np.unique(surfaces[1][1])]
@@ -47,27 +46,3 @@ def sample_surface(
     face = np.minimum(np.searchsorted(cumulative, position, side="right"), len(faces) - 1)
     root, v = np.sqrt(generator.random((count, 1))), generator.random((count, 1))
     return (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face]
-
-
-def surface_distances(
-    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Float[np.ndarray, " N"]:
-    """Distance from each point to the nearest point of the triangles, in the units of the input; float32 accuracy."""
-    mesh = wp.Mesh(
-        points=wp.array(vertices, dtype=wp.vec3, device="cpu"),
-        indices=wp.array(np.asarray(faces, np.int32).ravel(), dtype=wp.int32, device="cpu"),
-    )
-    reach = float(np.linalg.norm(np.ptp(np.concatenate([points, vertices]), axis=0)))
-    distance = wp.empty(len(points), dtype=float, device="cpu")
-    inputs = [mesh.id, wp.array(points, dtype=wp.vec3, device="cpu"), 2.0 * reach, distance]
-    wp.launch(_surface_distance, dim=len(points), inputs=inputs, device="cpu")
-    return distance.numpy()
-
-
-@wp.kernel
-@no_type_check  # Warp's annotations are not types
-def _surface_distance(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: float, distance: wp.array(dtype=float)):
-    i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
-    nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-    distance[i] = wp.length(points[i] - nearest)

@@ -6,8 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from jaxtyping import Array, Float, Int
 
 from jaxdr.geometry.mesh import Mesh
@@ -72,6 +70,9 @@ class Factors:
     """
 
     def __init__(self, edges: np.ndarray, degrees: np.ndarray, lam: float):
+        import scipy.sparse  # on use: importing it takes long
+        import scipy.sparse.linalg
+
         count = len(degrees)
         weights = np.full(len(edges), -lam)
         upper = scipy.sparse.coo_matrix((weights, (edges[:, 0], edges[:, 1])), (count, count))

@@ -1,7 +1,8 @@
 """RGB: parameters and luminance."""
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from jaxdr.arrays import as_array, broadcast
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
@@ -14,7 +15,7 @@ def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:
     """An RGB triple from a number or three numbers; ValueError names the parameter otherwise."""
-    array = jnp.asarray(value, float)
+    array = as_array(value)
     if array.shape not in ((), (1,), (3,)):
         raise ValueError(f"{name} must be a number or three numbers (RGB), got shape {array.shape}")
-    return jnp.broadcast_to(array, (3,))
+    return broadcast(array, (3,))

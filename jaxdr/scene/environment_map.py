@@ -13,6 +13,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import normalize, transform
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
@@ -41,9 +42,9 @@ class EnvironmentMap(Environment):
     uniform = False
 
     def __init__(self, radiance: ArrayLike, to_world: ArrayLike | None = None, scale: ArrayLike = 1.0):
-        self.radiance = jnp.asarray(radiance, float)
-        self.to_world = jnp.asarray(np.eye(4) if to_world is None else to_world, float)
-        self.scale = jnp.asarray(scale, float)
+        self.radiance = as_array(radiance)
+        self.to_world = as_array(np.eye(4) if to_world is None else to_world)
+        self.scale = as_array(scale)
         shape = self.radiance.shape
         if len(shape) != 3 or shape[2] != 3 or shape[0] < 3 or shape[1] < 2:
             raise ValueError(f"EnvironmentMap: radiance must be [H >= 3, W >= 2, 3], got shape {list(shape)}")

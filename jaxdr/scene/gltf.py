@@ -8,9 +8,9 @@ import struct
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from jaxdr.geometry.load import Part, is_triangles, joined
@@ -67,6 +67,8 @@ def load_gltf(
         nodes = list(_nodes(header))
         problems = list(dict.fromkeys(_unsupported(header, nodes)))
     _report(path, problems, ignore_unsupported)
+    import trimesh  # on use: importing it takes long
+
     with _readable(path):
         primitives = _primitives(header, trimesh.load_scene(path, process=False))
         shapes = dict(_shapes(header, nodes, primitives))
@@ -120,16 +122,18 @@ def _nodes(header: dict) -> Iterator[tuple[dict, Matrix]]:
 
 def _node_matrix(node: dict) -> Matrix:
     """A node's `matrix` (stored by columns), or translation · rotation (quaternion x, y, z, w) · scale."""
+    from trimesh.transformations import quaternion_matrix
+
     if "matrix" in node:
         return np.reshape(node["matrix"], (4, 4)).T.astype(float)
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
-    matrix = trimesh.transformations.quaternion_matrix([w, x, y, z])
+    matrix = quaternion_matrix([w, x, y, z])
     matrix[:3, :3] *= node.get("scale", (1, 1, 1))
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
 
 
-def _primitives(header: dict, content: trimesh.Scene) -> list[list[tuple[dict, object]]]:
+def _primitives(header: dict, content: Any) -> list[list[tuple[dict, object]]]:
     """For each mesh its primitives, with what trimesh made of them: it keeps the order and leaves some modes out."""
     decoded = iter(content.geometry.values())
     left_out = (LINE_LOOP, LINE_STRIP, TRIANGLE_FAN)

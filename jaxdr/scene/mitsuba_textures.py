@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.bsdf.parameters import SMOOTHEST
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import LUMINANCE
 from jaxdr.scene.mitsuba_element import Element
 from jaxdr.scene.mitsuba_xml import COLOR, NUMBER, Properties, read_plugin
 from jaxdr.scene.textures import Bitmap, Checkerboard, Texture, VertexColors
@@ -109,12 +109,18 @@ def textured_number(properties: Properties, name: str, default: ArrayLike | None
     """Take a number that may be a texture: of one with colours, the luminance."""
     value = _textured(properties, name, NUMBER, default)
     if isinstance(value, Bitmap) and value.pixels.shape[-1] == 3:
-        return eqx.tree_at(lambda t: t.pixels, value, luminance(value.pixels)[..., None])
+        return eqx.tree_at(lambda t: t.pixels, value, _grey(value.pixels))
     if isinstance(value, Checkerboard):
         # Mitsuba 3.9 takes the other colour of a board than it does where it asks for RGB.
-        first, second = (luminance(c)[None] if c.shape == (3,) else c for c in (value.color1, value.color0))
+        first, second = (_grey(c) if c.shape == (3,) else c for c in (value.color1, value.color0))
         return eqx.tree_at(lambda t: (t.color0, t.color1), value, (first, second))
     return value
+
+
+def _grey(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n 1"]:
+    """Luminance, computed on the host."""
+    red, green, blue = (share * np.asarray(rgb)[..., k] for k, share in enumerate(LUMINANCE))
+    return as_array((red + green + blue)[..., None])
 
 
 def textured_roughness(properties: Properties, name: str) -> Any:
@@ -122,7 +128,7 @@ def textured_roughness(properties: Properties, name: str) -> Any:
     value = textured_number(properties, name, None)
     if not isinstance(value, Texture):
         return value
-    rough_enough = tuple(jnp.maximum(array, SMOOTHEST) for array in value.data())
+    rough_enough = tuple(as_array(np.maximum(array, SMOOTHEST)) for array in value.data())
     return eqx.tree_at(lambda t: t.data(), value, rough_enough)
 
 

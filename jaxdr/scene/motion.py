@@ -2,10 +2,10 @@
 
 import difflib
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.scene import Scene
 
 EPSILON = float(np.finfo(np.float32).eps)
@@ -18,7 +18,7 @@ def rounding_step(value: Float[Array, "*n"], speed: float) -> float:
     `speed`: size of the value's derivative. Acceleration structures are kept by their content; after such a step
     they are built anew, and nothing else changes.
     """
-    return 4 * EPSILON * float(jnp.abs(value).max()) / max(speed, 1e-12)
+    return 4 * EPSILON * float(np.abs(np.asarray(value)).max()) / max(speed, 1e-12)
 
 
 def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Array, "*n"]]:
@@ -41,17 +41,14 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     kind, _, axis = rest.partition(".")
     if owner in owners and kind in ("translate", "rotate") and axis in AXES:
         key = owners[owner]
-        value = parameters[key]
-        direction = jnp.asarray(AXES[axis], value.dtype)
-        if key == "camera.to_world":
-            return key, value, _camera_derivative(kind, value, direction)
-        centre = (value.min(0) + value.max(0)) / 2
-        turning = jnp.cross(direction, value - centre)
-        return key, value, jnp.broadcast_to(direction, value.shape) if kind == "translate" else turning
+        value = np.asarray(parameters[key])
+        direction = np.asarray(AXES[axis], value.dtype)
+        derive = _camera_derivative if key == "camera.to_world" else _vertex_derivative
+        return key, parameters[key], as_array(derive(kind, value, direction), value.dtype)
 
     plain = [key for key in parameters if key not in owners.values()]
     if name in plain:
-        return name, parameters[name], jnp.ones_like(parameters[name])
+        return name, parameters[name], as_array(np.ones(parameters[name].shape), parameters[name].dtype)
     moves = [f"{o}.{k}.{a}" for o in owners for k in ("translate", "rotate") for a in AXES]
     close = difflib.get_close_matches(name, [*moves, *plain], n=1)
     hint = f"; did you mean {close[0]!r}?" if close else ""
@@ -61,7 +58,16 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     )
 
 
-def _camera_derivative(kind, to_world, direction):
+def _vertex_derivative(kind, vertices, direction):
     if kind == "translate":
-        return jnp.zeros_like(to_world).at[:3, 3].set(direction)
-    return jnp.zeros_like(to_world).at[:3, :3].set(jnp.cross(direction[:, None], to_world[:3, :3], axis=0))
+        return np.broadcast_to(direction, vertices.shape)
+    return np.cross(direction, vertices - (vertices.min(0) + vertices.max(0)) / 2)
+
+
+def _camera_derivative(kind, to_world, direction):
+    derivative = np.zeros_like(to_world)
+    if kind == "translate":
+        derivative[:3, 3] = direction
+    else:
+        derivative[:3, :3] = np.cross(direction, to_world[:3, :3].T).T
+    return derivative

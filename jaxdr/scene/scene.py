@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from jaxdr.arrays import as_array
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Camera
@@ -87,7 +88,7 @@ class Scene(eqx.Module):
         if not values:
             return self
         getters = [accessors[name] for name in values]
-        new = [jnp.asarray(v, get(self).dtype) for v, get in zip(values.values(), getters, strict=True)]
+        new = [as_array(v, get(self).dtype) for v, get in zip(values.values(), getters, strict=True)]
         return eqx.tree_at(lambda scene: [get(scene) for get in getters], self, new)
 
 

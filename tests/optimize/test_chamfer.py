@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.chamfer import chamfer, sample_surface, surface_distances
+from jaxdr.optimize.chamfer import chamfer, sample_surface
+from jaxdr.optimize.warp_distances import surface_distances
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 SQUARE_FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -6,12 +6,12 @@ is evaluated: `Color` and `Number` are fields that models compute with, `Value` 
 
 from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array, on_host
 from jaxdr.scene.bsdf.materials import DIELECTRICS, METALS
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS
 from jaxdr.scene.color import as_rgb
@@ -33,7 +33,7 @@ def number(value, name: str, low: float, high: float) -> Number:
     """A number in [low, high], or a texture of such; ValueError names the parameter otherwise."""
     if isinstance(value, Texture):
         return _texture(value, name, 1, low, high)
-    array = jnp.asarray(value, float)
+    array = as_array(value)
     if array.shape != ():
         raise ValueError(f"{name} must be a number, got shape {array.shape}")
     _check_range(array, name, low, high)
@@ -79,7 +79,7 @@ def distribution_name(name: str, model: str) -> str:
 def relative_index(int_ior, ext_ior, model: str, low: float = 0.0, high: float = np.inf) -> Float[Array, ""]:
     """Interior index of refraction over the exterior one; each is a number or the name of a dielectric."""
     inside, outside = (_index(v, f"{model}: {n}") for v, n in ((int_ior, "int_ior"), (ext_ior, "ext_ior")))
-    return number(inside / outside, f"{model}: int_ior / ext_ior", low, high)
+    return number(on_host(inside) / on_host(outside), f"{model}: int_ior / ext_ior", low, high)
 
 
 def _index(value, name) -> Float[Array, ""]:
@@ -101,8 +101,8 @@ def complex_index(material, eta, k, model: str) -> tuple[Color, Color]:
             raise ValueError(f"{model}: give either a material or eta and k, not both")
         return rgb(eta, f"{model}: eta", 0.0, np.inf), rgb(k, f"{model}: k", 0.0, np.inf)
     if material is None:
-        return jnp.zeros(3), jnp.ones(3)
+        return as_array(np.zeros(3)), as_array(np.ones(3))
     if material not in METALS:
         raise ValueError(f"{model}: unknown material {material!r}; known: {', '.join(METALS)}")
     eta, k = METALS[material]
-    return jnp.asarray(eta), jnp.asarray(k)
+    return as_array(eta), as_array(k)

@@ -47,7 +47,7 @@ class RoughDielectric(BSDF):
     ):
         self.alpha = roughness(alpha, "RoughDielectric")
         self.eta = relative_index(int_ior, ext_ior, "RoughDielectric")
-        if not isinstance(self.eta, Tracer) and self.eta == 1:
+        if not isinstance(self.eta, Tracer) and np.asarray(self.eta) == 1:
             raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
         self.specular_reflectance = rgb(specular_reflectance, "RoughDielectric: specular_reflectance")
         self.specular_transmittance = rgb(specular_transmittance, "RoughDielectric: specular_transmittance")

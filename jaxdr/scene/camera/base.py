@@ -4,11 +4,11 @@ import abc
 from typing import ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.camera.view import View
 from jaxdr.scene.film import Film
 
@@ -87,7 +87,7 @@ def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
 
     Without `scales` all axes must have one length and be orthogonal. Of a traced matrix only the shape is checked.
     """
-    matrix = jnp.asarray(to_world, float)
+    matrix = as_array(to_world)
     if matrix.shape != (4, 4):
         raise ValueError(f"{name}: to_world must be a 4 x 4 matrix, got shape {matrix.shape}")
     values = concrete(to_world)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.camera.base import Camera, checked_clip, checked_pose, concrete
 from jaxdr.scene.camera.view import PinholeView
 from jaxdr.scene.film import Film
@@ -27,8 +28,8 @@ class PinholeCamera(Camera):
     def __init__(self, to_world, fov, film: Film, fov_axis, near_clip, far_clip, principal_point):
         name = type(self).__name__
         self.to_world = checked_pose(name, to_world, scales=False)
-        self.fov = jnp.asarray(fov, float)
-        self.principal_point = jnp.asarray(principal_point, float)
+        self.fov = as_array(fov)
+        self.principal_point = as_array(principal_point)
         self.film = film
         self.fov_axis = fov_axis
         self.near_clip, self.far_clip = checked_clip(name, near_clip, far_clip)

@@ -5,6 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import norm
 from jaxdr.scene.camera.base import concrete
 from jaxdr.scene.camera.pinhole import PinholeCamera
@@ -41,8 +42,8 @@ class ThinLens(PinholeCamera):
         principal_point=(0.0, 0.0),
     ):
         super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)
-        self.aperture_radius = jnp.asarray(aperture_radius, float)
-        self.focus_distance = jnp.asarray(focus_distance, float)
+        self.aperture_radius = as_array(aperture_radius)
+        self.focus_distance = as_array(focus_distance)
         for name, given in (("aperture_radius", aperture_radius), ("focus_distance", focus_distance)):
             value = concrete(given)
             if value is not None and not (value.shape == () and value > 0):

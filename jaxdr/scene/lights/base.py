@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.sampling import uniform_sphere
 
 
@@ -58,7 +59,7 @@ class DeltaLight(eqx.Module):
 
 def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:
     """Three numbers; ValueError names the parameter otherwise."""
-    array = jnp.asarray(value, float)
+    array = as_array(value)
     if array.shape != (3,):
         raise ValueError(f"{name} must be three numbers, got shape {array.shape}")
     return array

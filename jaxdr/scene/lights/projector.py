@@ -9,6 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.camera.pinhole import FOV_AXES
 from jaxdr.scene.color import luminance
@@ -46,8 +47,8 @@ class Projector(DeltaLight):
         fov_axis: str = "x",
         wrap: Literal["clamp", "repeat"] = "clamp",
     ):
-        self.irradiance = jnp.asarray(irradiance, float)
-        self.to_world, self.fov, self.scale = (jnp.asarray(value, float) for value in (to_world, fov, scale))
+        self.irradiance = as_array(irradiance)
+        self.to_world, self.fov, self.scale = (as_array(value) for value in (to_world, fov, scale))
         self.fov_axis, self.wrap = fov_axis, wrap
         if self.irradiance.ndim != 3 or self.irradiance.shape[2] != 3:
             raise ValueError(f"Projector: irradiance must be an RGB image [H, W, 3], got {self.irradiance.shape}")

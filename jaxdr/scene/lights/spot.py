@@ -9,6 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array, on_host
 from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
 from jaxdr.scene.color import as_rgb, luminance
 from jaxdr.scene.lights.base import DeltaLight, vector
@@ -40,8 +41,8 @@ class SpotLight(DeltaLight):
         self.position = vector(position, "SpotLight: position")
         self.direction = vector(direction, "SpotLight: direction")
         self.intensity = as_rgb(intensity, "SpotLight: intensity")
-        self.cutoff_angle = jnp.asarray(cutoff_angle, float)
-        self.beam_width = 0.75 * self.cutoff_angle if beam_width is None else jnp.asarray(beam_width, float)
+        self.cutoff_angle = as_array(cutoff_angle)
+        self.beam_width = as_array(0.75 * on_host(self.cutoff_angle) if beam_width is None else beam_width)
         for name in ("cutoff_angle", "beam_width"):
             if getattr(self, name).shape != ():
                 raise ValueError(f"SpotLight: {name} must be a number (degrees)")

@@ -14,6 +14,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import as_array, broadcast, on_host
+
 
 class TexturePoint(NamedTuple):
     """N points on surfaces, as textures see them. `uv` and `barycentric` are differentiable where points slide.
@@ -55,7 +57,7 @@ class Texture(eqx.Module):
             return self
         if channels == 1:
             raise ValueError(f"{name} must be a number at every point, and the texture has RGB; give one channel of it")
-        grey = [jnp.broadcast_to(array, (*array.shape[:-1], channels)) for array in data]
+        grey = [broadcast(array, (*array.shape[:-1], channels)) for array in data]
         return eqx.tree_at(lambda texture: texture.data(), self, tuple(grey))
 
     def check_range(self, name: str, low: float, high: float) -> None:
@@ -63,7 +65,8 @@ class Texture(eqx.Module):
         for array in self.data():
             if isinstance(array, Tracer):
                 continue
-            least, most = float(jnp.min(array)), float(jnp.max(array))
+            values = np.asarray(array)
+            least, most = float(values.min()), float(values.max())
             lowest, highest = (float(np.asarray(limit, array.dtype)) for limit in (low, high))
             if not (lowest <= least and most <= highest and np.isfinite(most)):
                 expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
@@ -83,15 +86,15 @@ def textures_in(tree: Any) -> list[tuple[str, Texture]]:
 
 def channels_last(value: ArrayLike, name: str, axes: int) -> Float[Array, "..."]:
     """Float array of numbers or RGB at `axes` indices, channels last; ValueError names the parameter otherwise."""
-    array = jnp.asarray(value)
+    array = as_array(value, None)
     if not jnp.issubdtype(array.dtype, jnp.floating) and axes:
         raise ValueError(f"{name} must be floats, linear, got {array.dtype}")
-    array = jnp.asarray(array, float)
+    array = on_host(as_array(array))
     if array.ndim == axes:
         array = array[..., None]
     if array.ndim != axes + 1 or array.shape[-1] not in (1, 3) or 0 in array.shape:
         raise ValueError(f"{name} must have 1 or 3 channels at {axes} indices, got shape {array.shape}")
-    return array
+    return as_array(array)
 
 
 class ImageTexture(Texture):
@@ -116,9 +119,9 @@ def affine(to_uv: ArrayLike | None, name: str) -> Float[Array, "2 3"] | None:
     """An affine map of the plane, from [2, 3] or [3, 3] with the last row 0 0 1."""
     if to_uv is None:
         return None
-    matrix = jnp.asarray(to_uv, float)
+    matrix = on_host(as_array(to_uv))
     if matrix.shape == (3, 3) and not isinstance(matrix, Tracer) and matrix[2].tolist() != [0, 0, 1]:
         raise ValueError(f"{name}: the last row of to_uv must be 0 0 1, got {matrix[2].tolist()}")
     if matrix.shape not in ((2, 3), (3, 3)):
         raise ValueError(f"{name}: to_uv must have shape [2, 3] or [3, 3], got {list(matrix.shape)}")
-    return matrix[:2]
+    return as_array(matrix[:2])

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import broadcast
 from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
 
 
@@ -20,7 +21,7 @@ class Checkerboard(ImageTexture):
     def __init__(self, color0: ArrayLike = 0.4, color1: ArrayLike = 0.2, *, to_uv: ArrayLike | None = None):
         colors = [channels_last(c, f"Checkerboard: color{i}", 0) for i, c in enumerate((color0, color1))]
         channels = max(color.shape[0] for color in colors)
-        self.color0, self.color1 = (jnp.broadcast_to(color, (channels,)) for color in colors)
+        self.color0, self.color1 = (broadcast(color, (channels,)) for color in colors)
         self.to_uv = affine(to_uv, "Checkerboard")
 
     @property
