@@ -72,7 +72,7 @@ def derivative_terms(
     integrator = default_integrator(scene) if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
-    return _estimate(scene, key, spp, integrator, moving)
+    return _estimate(scene, key, spp, integrator, moving, apart=True)
 
 
 def _split(leaves, is_float):
@@ -126,7 +126,7 @@ def _derivative_image(program: Program, active, at, floats, others, arrays, key)
     return sum(terms.values())
 
 
-def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None) -> dict:
+def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None, apart: bool = False) -> dict:
     """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel.
 
     Without `moving` the terms are those of an image that nobody differentiates: the interior's value alone.
@@ -140,7 +140,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
     prepared = None
     if moving is not None and moving.any:
         rest, pilot_key = jax.random.split(key)
-        prepared = integrator.prepare(scene, packed, moving, pilot_key)
+        prepared = integrator.prepare(scene, packed, moving, pilot_key, apart)
         if integrator.max_depth > 1 and (any(moving.seen) or moving.environment):
             warn_of_known_failure(scene, integrator.boundary)
         key = key if prepared is None else rest
@@ -149,7 +149,7 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
     def chunk(packed, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
         key_chunk = jax.random.fold_in(key_chunks, index)
-        return integrator.terms(packed, prepared, samples, key_film, key_chunk, spp, moving)
+        return integrator.estimate(packed, prepared, samples, key_film, key_chunk, spp, moving)
 
     if chunks == 1:
         return chunk(packed, 0)

@@ -5,25 +5,22 @@ radiance past the edge, which a ray and a path from where it ends estimate. Path
 neighbour, so nothing is evaluated away from the boundary.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.silhouettes import PathSegments, horizon_normal, occluded_side, past_edge
+from jaxdr.boundary.term import stream_of
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.radiance import gathered_radiance
+from jaxdr.transport.radiance import Requests, request
 from jaxdr.transport.sampler import lattice
-
-# Emitted radiance that counts, of a background point seen in a direction from an apex.
-Emission = Callable[[SurfacePoint, Float[Array, "C 3"]], Float[Array, "C 3"]]
 
 
 class SeenEdges(NamedTuple):
@@ -62,55 +59,109 @@ def seen_edges(
     return SeenEdges(segment, apex, apex_face, edge_point, distance, to_edge / distance[:, None], pole, own)
 
 
-def background_term(
+class Behind(NamedTuple):
+    """Boundary points of C slots with the surface that is seen past the edge; detached.
+
+    `weight`: all that the radiance from there is multiplied with but the velocity, zero where nothing counts. The
+    background is a material point, or the environment where nothing is `hit`.
+    """
+
+    segment: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    weight: Float[Array, "C 3"]
+    face: Int[Array, " C"]
+    barycentric: Float[Array, "C 3"]
+    hit: Bool[Array, " C"]
+
+
+class BehindEdges(NamedTuple):
+    """Boundary points in slots, of which the first `used` are filled."""
+
+    behind: Behind
+    used: Int[Array, ""]
+
+
+def look_behind(
     packed: PackedScene,
     paths: PathSegments,
     seen: SeenEdges,
+    edge: Int[Array, " C"],
+    along: Float[Array, " C"],
     weight: Float[Array, "C 3"],
     valid: Bool[Array, " C"],
-    number: Int[Array, " C"],
-    key: PRNGKeyArray,
     settings: PathSettings,
-    emission: Emission | None = None,
-) -> Float[Array, "C 3"]:
-    """Boundary points' weight x scattered background radiance x normal velocity: zero in value, right in derivative.
+) -> tuple[Behind, SurfacePoint]:
+    """(boundary points with what is behind them, that as surface points). One ray each; in value alone.
 
     `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
-    `number` and `key` choose the random numbers. `emission` says which emitted radiance counts as well.
     """
-    key_first, key_path = jax.random.split(key)
     background, clear = background_point(packed, paths.apex(seen.segment), seen, valid, settings)
-    valid = valid & clear
-    detached = jax.tree.map(stop_gradient, packed)
-    back = jax.tree.map(stop_gradient, background._replace(valid=background.valid & valid))
-    bounces = settings.max_depth - 2
-    radiance = jnp.zeros_like(weight)
-    if bounces > 0:
-        u = lattice(key_first, 1, number, 4, weight.dtype)[0]
-        remaining = jnp.where(valid, bounces - seen.segment // paths.paths, 0)
-        radiance = gathered_radiance(
-            detached, back, seen.towards, u, jax.random.fold_in(key_path, number[0]), settings, bounces, remaining
-        )
-    if emission is not None:
-        radiance = radiance + emission(back, seen.towards)
-    weight = weight * paths.scatterer(seen.segment).eval(seen.towards) * radiance
+    counts = (valid & clear)[:, None]
+    weight = jnp.where(counts, weight * paths.scatterer(seen.segment).eval(seen.towards), 0.0)
+    behind = Behind(seen.segment, edge, along, weight, background.face, background.barycentric, background.valid)
+    return behind, background._replace(valid=background.valid & counts[:, 0])
 
-    # Angular velocity of the silhouette relative to the material point behind it, seen from the apex.
+
+def ask_behind(
+    paths: PathSegments,
+    seen: SeenEdges,
+    background: SurfacePoint,
+    number: Int[Array, " C"],
+    emission: Float[Array, " C"] | float,
+    key: PRNGKeyArray,
+    name: str,
+    settings: PathSettings,
+) -> Requests:
+    """Requests for the radiance of what is seen past edges; `emission` is the share of the emitted one that counts.
+
+    `number`, `key` and `name` choose the random numbers.
+    """
+    u = lattice(key, 1, number, 4, seen.distance.dtype)[0]
+    bounces = settings.max_depth - 2 - seen.segment // paths.paths
+    stream = number.astype(jnp.uint32) + stream_of(name)
+    return request(background, -seen.towards, u, bounces, stream, emission)
+
+
+def background_values(
+    packed: PackedScene, paths: PathSegments, behind: Behind, radiance: Float[Array, "C 3"]
+) -> Float[Array, "C 3"]:
+    """Weight x radiance x normal velocity: zero in value, right in derivative.
+
+    The velocity is that of the silhouette relative to the material point behind it, as an angle seen from the apex.
+    """
+    valid = (behind.weight != 0).any(-1)
+    seen = seen_edges(packed, paths, behind.segment, behind.edge, behind.along, valid)
+    background = material_point(packed, behind.face, behind.barycentric, behind.hit)
     edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
     # The environment is seen in one direction, whatever the apex does, and is never near.
-    there = background.valid[:, None]
+    there = behind.hit[:, None]
     far = jnp.where(there, background.position, apex)
     moving_apex = paths.apex_towards(seen.segment, stop_gradient(far))
     moving_apex = jnp.where(there, moving_apex, paths.apex(seen.segment).position)
-    far_distance = jnp.where(valid & background.valid, norm(stop_gradient(far) - apex), 1.0)
+    far_distance = jnp.where(valid & behind.hit, norm(stop_gradient(far) - apex), 1.0)
     # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
     horizon = -dot(horizon_normal(packed, seen.apex_face, pole), distance[:, None] * seen.towards)
     edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex)) / distance
     sky = dot(pole, packed.turned(seen.towards)) if packed.environment_turns else 0.0
-    far_moved = jnp.where(background.valid, dot(pole, far - moving_apex) / far_distance, sky)
+    far_moved = jnp.where(behind.hit, dot(pole, far - moving_apex) / far_distance, sky)
     displacement = edge_moved - far_moved
     displacement = displacement - stop_gradient(displacement)
-    return jnp.where(valid[:, None], weight, 0.0) * displacement[:, None]
+    return behind.weight * radiance * displacement[:, None]
+
+
+def sum_behind(
+    packed: PackedScene, paths: PathSegments, edges: BehindEdges, radiance: Float[Array, "C 3"]
+) -> Float[Array, "N 3"]:
+    """The same, summed over the boundary points of each of N paths."""
+
+    def values(block, number):
+        behind, radiance = block
+        radiance = jnp.where((number < edges.used)[:, None], radiance, 0.0)
+        value = background_values(packed, paths, behind, radiance)
+        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(behind.segment)].add(value)
+
+    return sum_over_blocks(values, (edges.behind, radiance), edges.used)
 
 
 def background_point(

@@ -29,11 +29,10 @@ from jaxdr.geometry.vector import dot, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.connections import ends, with_camera
-from jaxdr.transport.interaction import SurfacePoint, material_point, on_fixed_ray
+from jaxdr.transport.interaction import material_point, on_fixed_ray
 from jaxdr.transport.near_field import footprint
-from jaxdr.transport.path import PathSettings, scatter
+from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import path_numbers
-from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.subpaths import Subpath, trace_on
 
 
@@ -88,27 +87,6 @@ def detect(
     seen = carries & ~queries.occluded(packed.vertices, packed.faces, joined.start, offset, reach, settings.rays)
     value = jnp.where(seen[:, None], joined.value, 0.0).reshape(bounces, -1, 3)
     return stop_gradient(Detected(value, film_point.reshape(bounces, -1, 2), lens))
-
-
-def gathered_by_bounces(
-    packed: PackedScene,
-    source: SurfacePoint,
-    direction: Float[Array, "n 3"],
-    number: Int[Array, " n"],
-    key: PRNGKeyArray,
-    settings: PathSettings,
-) -> Float[Array, "B n 3"]:
-    """Radiance that points scatter back against `direction` in at most 0, 1, ... `max_depth` - 2 bounces; detached."""
-    bounces = settings.max_depth - 2
-
-    def step(state, bounce):
-        point, wi, throughput = state
-        u = path_numbers(key, number, bounce, wi.dtype)
-        state, added = scatter(packed, Scatterer(packed, point, wi), throughput, u, settings)
-        return state, added.light + added.emission
-
-    _, light = jax.lax.scan(step, (source, -direction, jnp.ones_like(direction)), jnp.arange(bounces))
-    return stop_gradient(jnp.concatenate([jnp.zeros_like(light[:1]), jnp.cumsum(light, 0)]))
 
 
 def moves(

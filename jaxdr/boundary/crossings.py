@@ -63,7 +63,7 @@ class Crossings(NamedTuple):
 
 @runtime_checkable
 class Lines(Protocol):
-    """One kind of chords. What `search` draws, `score` and `value` get back.
+    """One kind of chords. What `search` draws, `score` gets back.
 
     `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
     """
@@ -79,10 +79,6 @@ class Lines(Protocol):
     ) -> tuple[Any, Crossings, Float[Array, ""], Int[Array, ""]]: ...
 
     def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]: ...
-
-    def value(
-        self, drawn: Any, found: Crossings, number: Int[Array, " C"], weight: Float[Array, " C"], key: Any
-    ) -> Float[Array, "C 3"]: ...
 
 
 def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:

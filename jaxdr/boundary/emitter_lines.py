@@ -88,9 +88,15 @@ class EmitterLines:
 
     traces_paths = False
 
-    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
-        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
-        self.both: Centres | None = None
+    def __init__(
+        self,
+        packed: PackedScene,
+        prepared: Prepared,
+        paths: PathSegments,
+        settings: PathSettings,
+        both: Centres | None = None,
+    ):
+        self.packed, self.prepared, self.paths, self.settings, self.both = packed, prepared, paths, settings, both
 
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
@@ -111,9 +117,8 @@ class EmitterLines:
         projection, weight, _ = self._boundary(drawn, found)
         return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
 
-    def value(self, drawn: EmitterChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
+    def value(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
-        del number, key
         projection, value, point = self._boundary(drawn, found)
         if self.both is not None:
             chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)

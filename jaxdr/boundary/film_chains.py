@@ -19,19 +19,20 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
-from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
-from jaxdr.geometry.vector import norm
+from jaxdr.boundary.term import Chunk, Context, streams
+from jaxdr.geometry.vector import norm, scale
 from jaxdr.scene.camera import Camera, View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.delta_chain import ChainSegments, delta_chain
-from jaxdr.transport.interaction import on_fixed_ray
-from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, uniform
+from jaxdr.transport.interaction import SurfacePoint, on_fixed_ray
+from jaxdr.transport.radiance import Answers, Requests, joined, request
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, path_numbers, uniform
 
 REACH = 2.0  # half-length of the chords, pixels
 PILOTS = 0.25  # chords that tell where the others should go, for each of them
@@ -47,12 +48,13 @@ BESIDE = 2e-5  # how far beside the edge both sides are looked at, as a share of
 class Chords(NamedTuple):
     """C chords from `centre` along the unit `towards`; detached.
 
-    `u` are the random numbers of the paths, `lens` those of the camera's aperture; `inverse` is one over the density of
-    centres (per square pixel).
+    `u` are the random numbers of the paths, those of `stream`, `lens` those of the camera's aperture; `inverse` is one
+    over the density of centres (per square pixel).
     """
 
     centre: Float[Array, "C 2"]
     towards: Float[Array, "C 2"]
+    stream: UInt32[Array, " C"]
     u: Float[Array, "C B 4"]
     lens: Float[Array, "C 2"] | None
     inverse: Float[Array, " C"]
@@ -83,38 +85,77 @@ def chain_edges(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> Edg
     return edge_table(packed, flags[packed.edges.shape] | turns, rays)
 
 
-def film_chain_term(
-    packed: PackedScene, table: EdgeTable, count: int, key: PRNGKeyArray, settings: PathSettings
-) -> Float[Array, "H W 3"]:
-    """Image of the edges seen over delta lobes, zero in value and right in derivative, from `count` chords.
+class Jumps(NamedTuple):
+    """Points of the film at which the image jumps; detached.
+
+    `weight` of what jumps there, over the steepness of g; `faces` of the chain.
+    """
+
+    crossings: Crossings
+    film_point: Float[Array, "C 2"]
+    weight: Float[Array, " C"]
+    faces: Int[Array, "C B"]
+
+
+class FilmChains:
+    """Term of the edges seen over delta lobes, from a chord for every path sample.
 
     Pilots, a share of them more, are spread evenly over the film and tell where they go.
     """
-    detached = jax.tree.map(stop_gradient, packed)
-    key_pilot, key_cells, key_chords, key_trials, key_path = jax.random.split(key, 5)
-    _, _, width, height = packed.camera.film.window
-    margin = _margin(packed)
-    shape = (height + 2 * margin, width + 2 * margin)
-    cells = shape[0] * shape[1]
-    pilots = max(1, round(PILOTS * count / cells))
-    cell = jnp.repeat(jnp.arange(cells), pilots)
-    even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
-    _, score = _candidates(detached, table, _chords(packed, cell, even, key_pilot, settings), key_pilot, settings)
-    importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
-    expected = shares(importance[None, :, None], float(count))
-    cell, inverse = allocate(expected, capacity(count, cells), key_cells)
-    chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, settings)
-    crossings, score = _candidates(detached, table, chords, key_chords, settings)
-    valid = (score > 0) & (cell >= 0)
-    order, used = jnp.argsort(~valid, stable=True), valid.sum()
-    slots = jax.tree.map(lambda x: x[order], (crossings, valid))
 
-    def image(slots, number):
-        crossings, valid = slots
-        key = jax.random.fold_in(key_trials, number[0])
-        return _image(packed, table, crossings, valid & (number < used), key, key_path, settings)
+    name = "chains"
 
-    return sum_over_blocks(image, slots, used)
+    def prepare(self, context: Context, key) -> EdgeTable | None:
+        """The edges that may jump in the image as it is seen over delta lobes."""
+        del key
+        packed, seen = context.packed, context.moving.seen
+        if not (any(seen) and packed.has_delta_lobes and context.settings.max_depth > 1):
+            return None
+        return chain_edges(packed, seen, context.settings.rays)
+
+    def draw(self, context: Context, state: EdgeTable, chunk: Chunk, key):
+        """Where chords cross edges, and requests for the radiance on both sides."""
+        packed, settings, count = context.packed, context.settings, chunk.paths
+        key_pilot, key_cells, key_chords, key_trials = jax.random.split(key, 4)
+        _, _, width, height = packed.camera.film.window
+        margin = _margin(packed)
+        shape = (height + 2 * margin, width + 2 * margin)
+        cells = shape[0] * shape[1]
+        pilots = max(1, round(PILOTS * count / cells))
+        cell = jnp.repeat(jnp.arange(cells), pilots)
+        even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
+        pilot = _chords(packed, cell, even, key_pilot, chunk.key, settings)
+        _, score = _candidates(packed, state, pilot, key_pilot, settings)
+        importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
+        expected = shares(importance[None, :, None], float(count))
+        cell, inverse = allocate(expected, capacity(count, cells), key_cells)
+        chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, chunk.key, settings)
+        crossings, score = _candidates(packed, state, chords, key_chords, settings)
+        valid = (score > 0) & (cell >= 0)
+        order, used = jnp.argsort(~valid, stable=True), valid.sum()
+        slots = jax.tree.map(lambda x: x[order], (crossings, valid))
+
+        def find(slots, number):
+            crossings, valid = slots
+            key = jax.random.fold_in(key_trials, number[0])
+            return _jumps(packed, state, crossings, valid & (number < used), key, settings)
+
+        jumps, one, two = map_over_blocks(find, slots, used)
+        return joined([one, two]), (jumps, used)
+
+    def image(self, context: Context, state, chunk: Chunk, held, answers: Answers) -> Float[Array, "H W 3"]:
+        """Jumps x normal velocities."""
+        packed, settings = context.packed, context.settings
+        jumps, used = held
+        one, two = answers.total.reshape(2, -1, 3)
+
+        def image(block, number):
+            jumps, jump = block
+            moved = _volume(packed, jumps.crossings, jumps.film_point, jumps.faces.T, settings)
+            displacement = jnp.where(number < used, jumps.weight, 0.0) * (stop_gradient(moved) - moved)
+            return splat(packed.camera.film, jumps.film_point, scale(jump, displacement))
+
+        return chunk.share * sum_over_blocks(image, (jumps, one - two), used)
 
 
 def _margin(packed: PackedScene) -> int:
@@ -122,19 +163,23 @@ def _margin(packed: PackedScene) -> int:
     return math.ceil(packed.camera.film.filter.radius + REACH)
 
 
-def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, settings) -> Chords:
-    """Chords from random points of cells, the pixels of the window with a margin around it."""
+def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths, settings) -> Chords:
+    """Chords from random points of cells, the pixels of the window with a margin around it.
+
+    Their paths have the numbers that the wavefront draws for their streams from `key_paths`.
+    """
     x0, y0, width, _ = packed.camera.film.window
     margin, dtype = _margin(packed), inverse.dtype
     aperture = LENS_DIMENSIONS if packed.camera.aperture else 0
     drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)[0]
     row, column = jnp.divmod(cell, width + 2 * margin)
     corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
-    angle = math.pi * drawn[:, 2]
+    angle, stream = math.pi * drawn[:, 2], streams(FilmChains.name, cell.shape[0])
     return Chords(
         centre=corner + drawn[:, :2],
         towards=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
-        u=uniform(jax.random.fold_in(key, 1), (cell.shape[0], settings.max_depth, 4), dtype),
+        stream=stream,
+        u=jnp.stack([path_numbers(key_paths, stream, b, dtype) for b in range(settings.max_depth)], 1),
         lens=drawn[:, 3:] if aperture else None,
         inverse=inverse,
     )
@@ -256,65 +301,68 @@ def _report(lost, total):
     )
 
 
-def _image(packed, table: EdgeTable, crossings: Crossings, valid, key, key_path, settings) -> Float[Array, "H W 3"]:
-    detached, chords = jax.tree.map(stop_gradient, packed), crossings.chords
-    found = _find(detached, table, crossings, settings)
-    valid = valid & found.valid
-    x, u = found.film_point, chords.u.swapaxes(0, 1)
-    view = _view(detached.camera, chords)
-    faces = delta_chain(detached, view, x, u, settings.rays).face
+def _volume(packed, crossings: Crossings, film_point, faces, settings) -> Float[Array, " C"]:
+    """g for a scene and film points, along the faces of chains."""
+    chords = crossings.chords
+    chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
+    (origin, direction) = _segment(crossings, chain.origin, chain.direction)
+    ends = packed.vertices[packed.edges.vertices[crossings.edge]]
+    return volume(origin, direction, ends[:, 0], ends[:, 1] - ends[:, 0])
 
-    def at(packed, x):
-        """g for the scene and film points, along the faces of these chains."""
-        moving = delta_chain(packed, _view(packed.camera, chords), x, u, settings.rays, faces)
-        (origin, direction) = _segment(crossings, moving.origin, moving.direction)
-        ends = packed.vertices[packed.edges.vertices[crossings.edge]]
-        return volume(origin, direction, ends[:, 0], ends[:, 1] - ends[:, 0])
+
+def _jumps(packed, table: EdgeTable, crossings: Crossings, valid, key, settings) -> tuple[Jumps, Requests, Requests]:
+    """(where chords cross edges, requests for the radiance on both sides)."""
+    chords = crossings.chords
+    found = _find(packed, table, crossings, settings)
+    valid = valid & found.valid
+    x, view = found.film_point, _view(packed.camera, chords)
+    faces = delta_chain(packed, view, x, chords.u.swapaxes(0, 1), settings.rays).face
 
     def slope(axis):
-        return jax.jvp(lambda x: at(detached, x), (x,), (jnp.broadcast_to(axis, x.shape),))[1]
+        along = jnp.broadcast_to(axis, x.shape)
+        return jax.jvp(lambda x: _volume(packed, crossings, x, faces, settings), (x,), (along,))[1]
 
     gradient = jax.vmap(slope)(jnp.eye(2, dtype=x.dtype)).T
     steepness = norm(gradient)
     valid = valid & (steepness > 0)
     steepness = jnp.where(valid, steepness, 1.0)
-    normal = gradient / steepness[:, None]
-
-    film = packed.camera.film
-    step = BESIDE * max(film.width, film.height)
-    beside = jnp.stack([x - step * normal, x + step * normal])
-    sides = jax.vmap(lambda x: _side(detached, table, crossings, view, x, u, key_path, settings))(beside)
+    step = scale(gradient, BESIDE * max(packed.camera.film.width, packed.camera.film.height) / steepness)
+    sides = jax.vmap(lambda x: _side(packed, table, crossings, view, x, settings))(jnp.stack([x - step, x + step]))
     valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
-    trials = _trials(detached, table, crossings, Found(x, valid), key, settings)
+    trials = _trials(packed, table, crossings, Found(x, valid), key, settings)
     # (pi / 2) k / p, with k = 1 / (2 r P).
     weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight * trials
-    weight = stop_gradient(jnp.where(valid, weight / steepness, 0.0))
-    moved = at(packed, x)
-    displacement = stop_gradient(moved) - moved
-    return splat(film, x, stop_gradient(sides.radiance[0] - sides.radiance[1]) * (weight * displacement)[:, None])
+    jumps = Jumps(crossings, x, jnp.where(valid, weight / steepness, 0.0), faces.T)
+    one, two = (
+        request(
+            point._replace(valid=point.valid & valid), -direction, chords.u[:, 0], settings.max_depth - 1, chords.stream
+        )
+        for point, direction in (jax.tree.map(lambda x, k=k: x[k], (sides.first, sides.direction)) for k in (0, 1))
+    )
+    return jumps, one, two
 
 
 class _Side(NamedTuple):
-    """Radiance beside a crossing, on which side of the edge the chain passes, and whether it does with clear sight."""
+    """What camera rays beside a crossing hit, on which side of the edge the chain passes, and whether in clear sight."""
 
-    radiance: Float[Array, "C 3"]
+    first: SurfacePoint
+    direction: Float[Array, "C 3"]
     volume: Float[Array, " C"]
     valid: Bool[Array, " C"]
 
 
-def _side(detached, table: EdgeTable, crossings: Crossings, view, film_points, u, key, settings) -> _Side:
+def _side(packed, table: EdgeTable, crossings: Crossings, view, film_points, settings) -> _Side:
     """What chains from film points beside crossings find."""
     start = table.ends[crossings.edge, 0]
     side = table.ends[crossings.edge, 1] - start
-    whole = delta_chain(detached, view, film_points, u, settings.rays)
+    whole = delta_chain(packed, view, film_points, crossings.chords.u.swapaxes(0, 1), settings.rays)
     (chain,) = _segment(crossings, whole)
     at = passes(chain.origin, chain.direction, start, side)
-    neighbours = detached.edges.faces[crossings.edge]
+    neighbours = packed.edges.faces[crossings.edge]
     own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
     # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
     clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
     ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
     meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached
-    first = on_fixed_ray(detached, whole.origin[0], whole.direction[0], whole.face[0])
-    radiance = trace_paths(detached, first, whole.direction[0], u, key, settings).radiance
-    return _Side(radiance, volume(chain.origin, chain.direction, start, side), meets)
+    first = on_fixed_ray(packed, whole.origin[0], whole.direction[0], whole.face[0])
+    return _Side(first, whole.direction[0], volume(chain.origin, chain.direction, start, side), meets)

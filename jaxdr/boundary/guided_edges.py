@@ -1,17 +1,24 @@
 """Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.beam import detect, gathered_by_bounces, image, moves
-from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.boundary_segments import DirectionSampling, EmitterSampling, Strategy, segment_ends
+from jaxdr.boundary.beam import Detected, detect, image, moves
+from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.boundary_segments import (
+    DirectionSampling,
+    EmitterSampling,
+    SegmentEnds,
+    Segments,
+    Strategy,
+    segment_ends,
+)
 from jaxdr.boundary.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.flux_maps import flux_maps
@@ -20,11 +27,14 @@ from jaxdr.boundary.kdtree_guide import build_kdtree, root_borders
 from jaxdr.boundary.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.projected_paths import project_paths
 from jaxdr.boundary.seeded_tree import SEEDS, build_seeded_tree
+from jaxdr.boundary.term import Chunk, Context, stream_of
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import lattice
 
 
@@ -46,6 +56,28 @@ class Prepared(NamedTuple):
     moving: Bool[Array, " S"]
     guides: tuple[Defended, ...]
     order: EdgeOrder | None = None
+
+
+class _Row(NamedTuple):
+    """Segments in slots as the camera sees them, see `Detected`, the slots first; detached.
+
+    `sent`: emission of the source over its density; `inverse`: one over the density for what the source scatters.
+    """
+
+    segments: Segments
+    ends: SegmentEnds
+    value: Float[Array, "n B 3"]
+    film_point: Float[Array, "n B 2"]
+    lens: Float[Array, "n 2"] | None
+    sent: Float[Array, "n 3"]
+    inverse: Float[Array, " n"]
+
+
+class _Drawn(NamedTuple):
+    """What one strategy drew; the first `used` slots are filled."""
+
+    rows: _Row
+    used: Int[Array, ""]
 
 
 class GuidedEdges(eqx.Module):
@@ -76,6 +108,8 @@ class GuidedEdges(eqx.Module):
     threshold: float = eqx.field(static=True, default=0.1)
     sort: bool = eqx.field(static=True, default=False)
 
+    name: ClassVar[str] = "boundary"
+
     def __check_init__(self):
         guides = "none", "grid", "kdtree", "projective"
         for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", guides)):
@@ -98,18 +132,20 @@ class GuidedEdges(eqx.Module):
             plans.append(Plan(DirectionSampling, by_direction, indirect))
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
-        """Edges and guides, once for a whole image. `moving`: which shapes can move.
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+        """Edges and guides. Raises ValueError for what no segment covers, and for what has not been verified yet."""
+        del key  # all images of the same scene have the same guide
+        return self.build(context.packed, context.moving.seen, context.settings)
 
-        Raises ValueError for what no segment covers, and for what has not been verified yet.
-        """
+    def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
+        """The same for shapes that can move. Raises ValueError as `prepare`."""
         _check(packed)
         detached = jax.tree.map(stop_gradient, packed)
         lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
             order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
             lunes = edge_lunes(packed, moving, order)
-        # A key of its own: all images of the same scene have the same guide.
+        # A key of its own, whatever the image's.
         key_maps, *keys = jax.random.split(jax.random.key(0), 3)
         lines = None
         if self.guide == "projective":
@@ -165,9 +201,9 @@ class GuidedEdges(eqx.Module):
         guides: tuple[Defended, ...],
         order: EdgeOrder | None,
     ) -> Prepared:
-        """`prepare` with guides that were built for another position of the same meshes.
+        """`build` with guides that were built for another position of the same meshes.
 
-        Raises ValueError as `prepare` does, and for another number of strategies than there are guides.
+        Raises ValueError as `build` does, and for another number of strategies than there are guides.
         """
         self._plans_of(packed, settings, guides)
         return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
@@ -217,29 +253,48 @@ class GuidedEdges(eqx.Module):
             return build_seeded_tree(target, *seeds, edges, self._powers, self._evaluations, key)
         return Unguided()
 
-    def film_term(
-        self,
-        packed: PackedScene,
-        prepared: Prepared,
-        count: int,
-        key: PRNGKeyArray,
-        settings: PathSettings,
-        form: str,
+    def draw(
+        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+    ) -> tuple[Requests | None, list["_Drawn"]]:
+        """Segments of all strategies, and requests for what their sources scatter."""
+        count, drawn, asked = max(1, round(chunk.paths * self.samples)), [], []
+        for number in range(len(self.plans(context.packed, context.settings))):
+            requests, found = self._draw(context, state, number, count, jax.random.fold_in(key, number))
+            asked += requests
+            drawn.append(found)
+        return joined(asked) if asked else None, drawn
+
+    def image(
+        self, context: Context, state: Prepared, chunk: Chunk, held: list["_Drawn"], answers: Answers | None
     ) -> Float[Array, "H W 3"]:
-        """Boundary term for `count` path samples: an image that is zero in value, right in derivative.
-
-        `prepared` by `prepare`; `form` of the first hits, see `primary_samples`.
-        """
+        """Boundary term, an estimate of the whole film by itself: zero in value, right in derivative."""
+        packed, settings = context.packed, context.settings
         _, _, width, height = packed.camera.film.window
-        total = jnp.zeros((height, width, 3), packed.vertices.dtype)
-        count = max(1, round(count * self.samples))
-        for number in range(len(self.plans(packed, settings))):
-            total += self._term(packed, prepared, number, count, jax.random.fold_in(key, number), settings, form)
-        return total
+        total, bounces = jnp.zeros((height, width, 3), packed.vertices.dtype), settings.max_depth - 1
+        plans = self.plans(packed, settings)
+        for plan, drawn in zip(plans, held, strict=True):
+            gathered = None
+            if plan.gathered and answers is not None:
+                gathered = answers.total.reshape(bounces - 1, -1, 3).swapaxes(0, 1)
 
-    def _term(self, packed, prepared: Prepared, number: int, count: int, key, settings, form) -> Float[Array, "H W 3"]:
-        """The term of segments drawn by one plan."""
-        detached, lunes = jax.tree.map(stop_gradient, packed), prepared.lunes
+            def values(block, number, drawn=drawn):
+                block, gathered = block
+                radiance = jnp.broadcast_to(block.sent[:, None], block.value.shape)
+                if gathered is not None:
+                    radiance = radiance.at[:, :-1].add(gathered * block.inverse[:, None, None])
+                radiance = jnp.where((number < drawn.used)[:, None, None], radiance, 0.0)
+                seen = Detected(block.value.swapaxes(0, 1), block.film_point.swapaxes(0, 1), block.lens)
+                parts = block.segments, block.ends, seen, radiance.swapaxes(0, 1)
+                return image(packed, state.lunes, *parts, context.form)
+
+            total += sum_over_blocks(values, (drawn.rows, gathered), drawn.used)
+        return chunk.share * total
+
+    def _draw(
+        self, context: Context, prepared: Prepared, number: int, count: int, key
+    ) -> tuple[list[Requests], "_Drawn"]:
+        """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
+        packed, settings, lunes = context.packed, context.settings, prepared.lunes
         plans = self.plans(packed, settings)
         plan, guide = plans[number], prepared.guides[number]
         key_segments, key_detector, key_source = jax.random.split(key, 3)
@@ -247,35 +302,40 @@ class GuidedEdges(eqx.Module):
         u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[0, :, :3]
         primary = guide.sample(u)
         # Most lines towards emitters pass no edge as a silhouette: the others are gathered in front.
-        drawn = plan.strategy.segments(detached, lunes, primary)
+        drawn = plan.strategy.segments(packed, lunes, primary)
         used = drawn.silhouette.sum()
         slots = jnp.nonzero(drawn.silhouette, size=count, fill_value=0)[0]
 
-        def values(slot, place):
+        def rows(slot, place):
             active = place < used
-            drawn_here = plan.strategy.segments(detached, lunes, primary[slot])
-            ends = segment_ends(detached, drawn_here, active, settings.rays)
-            ends = ends._replace(valid=ends.valid & moves(detached, prepared.moving, lunes, drawn_here, ends))
+            segments = plan.strategy.segments(packed, lunes, primary[slot])
+            ends = segment_ends(packed, segments, active, settings.rays)
+            ends = ends._replace(valid=ends.valid & moves(packed, prepared.moving, lunes, segments, ends))
             pdf = []
             for p, g in zip(plans, prepared.guides, strict=True):
                 own = p.strategy is plan.strategy
-                u = primary[slot] if own else p.strategy.numbers(detached, lunes, drawn_here, ends)
-                pdf.append(p.strategy.density(detached, lunes, drawn_here, ends) * g.pdf(u, count))
-            seen = detect(detached, drawn_here, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
-            carries = (seen.value != 0).any((0, 2))
-            radiance = jnp.zeros_like(seen.value)
+                u = primary[slot] if own else p.strategy.numbers(packed, lunes, segments, ends)
+                pdf.append(p.strategy.density(packed, lunes, segments, ends) * g.pdf(u, count))
+            seen = detect(packed, segments, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
+            value, share = seen.value.swapaxes(0, 1), lunes.share[segments.point.row]
+            lit = (value != 0).any(-1)
+            sent, asked = jnp.zeros_like(segments.towards), []
             if plan.emission:
                 density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
-                sent = emitted(detached, ends.source, -drawn_here.towards)
-                radiance += jnp.where(carries[:, None], sent / _nonzero(density)[:, None], 0.0)
+                sent = emitted(packed, ends.source, -segments.towards)
+                sent = jnp.where(lit.any(-1)[:, None], scale(sent, share / _nonzero(density)), 0.0)
             if plan.gathered:
-                source = ends.source._replace(valid=ends.source.valid & carries)
-                light = gathered_by_bounces(detached, source, drawn_here.towards, slot, key_source, settings)
-                radiance += light[::-1] / _nonzero(pdf[number])[:, None]
-            radiance *= lunes.share[drawn_here.point.row][:, None]
-            return image(packed, lunes, drawn_here, ends, seen, stop_gradient(radiance), form)
+                numbers = lattice(key_source, 1, slot, 4, value.dtype)[0]
+                stream = stream_of(self.name) + slot.astype(jnp.uint32)
+                for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
+                    bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
+                    asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
+            inverse = share / _nonzero(pdf[number])
+            row = _Row(segments, ends, value, seen.film_point.swapaxes(0, 1), seen.lens, sent, inverse)
+            return asked, row
 
-        return sum_over_blocks(values, slots, used)
+        asked, found = map_over_blocks(rows, slots, used)
+        return asked, _Drawn(found, used)
 
 
 def _nonzero(x) -> Any:

@@ -25,8 +25,10 @@ from jaxdr.boundary.silhouettes import (
     occluded_side,
     past_edge,
 )
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.camera import Perspective
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
@@ -235,6 +237,40 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
         tangent=moved(stop_gradient(lines.ends[:, 1] - lines.ends[:, 0])),
         lit=moved(-lines.dark),
     )
+
+
+class HardShadows:
+    """Term of the edges of hard shadows, in the image and on what paths meet."""
+
+    name = "shadows"
+
+    def prepare(self, context: Context, key) -> ShadowDistribution | None:
+        """Raises ValueError for cameras whose shadows have no derivative yet."""
+        del key
+        packed, moving = context.packed, context.moving
+        if not packed.light_count or context.settings.max_depth == 1:
+            return None
+        if not isinstance(packed.camera, Perspective):
+            raise ValueError(
+                f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; "
+                "take a Perspective, or boundary=None for the interior term alone"
+            )
+        lights = moving.lights or (False,) * packed.light_count
+        return shadow_distribution(packed, moving.seen, lights, context.settings)
+
+    def draw(self, context: Context, state: ShadowDistribution, chunk: Chunk, key):
+        """Nothing: what jumps is the light's own contribution, which no path has to estimate."""
+        return None, jax.random.split(key)
+
+    def image(self, context: Context, state: ShadowDistribution, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
+        """Points on silhouettes as lights see them, followed to the film and to the paths' vertices."""
+        packed, settings = context.packed, context.settings
+        count = max(1, round(chunk.paths * context.edge_samples))
+        total = chunk.share * film_shadow_term(packed, state, count, held[0], settings, context.form)
+        if settings.max_depth > 2 and chunk.record.direct is not None:
+            paths = PathSegments(packed, chunk.primary, chunk.record.direct)
+            total += chunk.image(packed, scattered_shadow_term(packed, state, paths, held[1], settings))
+        return total
 
 
 class _OnFilm(NamedTuple):

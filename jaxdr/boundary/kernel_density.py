@@ -4,7 +4,7 @@ A path segment that passes close to a silhouette, seen from its camera-side end,
 there: its contribution is spread over a strip (or disc) of radius r around the projected silhouette.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,9 +12,10 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.background import BehindEdges, sum_behind
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
-from jaxdr.boundary.lobe_kernel import lobe_term
+from jaxdr.boundary.lobe_kernel import lobe_edges
 from jaxdr.boundary.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.silhouettes import (
     PathSegments,
@@ -23,8 +24,10 @@ from jaxdr.boundary.silhouettes import (
     affine_coordinates,
     never_silhouettes,
     past_edge,
+    path_segments,
     project_edges,
 )
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot, norm, normalize
@@ -32,8 +35,9 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.interaction import leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
-from jaxdr.transport.path import PathRecord, PathSettings, Segments
+from jaxdr.transport.path import Segments
 from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.radiance import Answers, Requests
 
 
 class Prepared(NamedTuple):
@@ -114,6 +118,8 @@ class KernelDensity(eqx.Module):
     points: int = eqx.field(static=True, default=1 << 16)
     capacity: float = eqx.field(static=True, default=0.25)
 
+    name: ClassVar[str] = "boundary"
+
     def __check_init__(self):
         if not self.radius > 0:
             raise ValueError(f"KernelDensity: radius must be positive (share of the shape's size), got {self.radius}")
@@ -136,8 +142,10 @@ class KernelDensity(eqx.Module):
             radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
         return radii
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
-        """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges, once for a whole image."""
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+        """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges."""
+        del key
+        packed, moving, settings = context.packed, context.moving.seen, context.settings
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
@@ -150,42 +158,38 @@ class KernelDensity(eqx.Module):
         apart = self.kernel == "edge" and any(moving) and not all(moving)
         return Prepared(radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None)
 
-    def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Prepared,
-        primary: PrimarySamples,
-        record: PathRecord,
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        settings: PathSettings,
-    ) -> Float[Array, "N 3"]:
-        """Boundary term of N paths: zero in value, right in derivative.
+    def draw(
+        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+    ) -> tuple[Requests | None, tuple[PRNGKeyArray, BehindEdges | None]]:
+        """What lies behind silhouettes near BSDF-sampled directions, and requests for its radiance."""
+        key_kernels, key_lobes = jax.random.split(key)
+        if chunk.record.scattered is None or not self.trace_background:
+            return None, (key_kernels, None)
+        packed, paths = context.packed, path_segments(context.packed, chunk, "scattered")
+        capacity = self._capacity(paths.count)
+        asked, edges = lobe_edges(
+            packed, state.tree, state.radius, paths, self._scale(chunk), capacity, key_lobes, context.settings
+        )
+        return asked, (key_kernels, edges)
 
-        `prepared` by `prepare`. `primary` are the paths' first hits, `sample_index` numbers the samples of a pixel.
-        """
-        total = jnp.zeros_like(record.radiance)
-        schedule = jnp.asarray(self.radius_schedule(), total.dtype)
-        scale = schedule[sample_index % self.iterations]
-        key_direct, key_scattered = jax.random.split(key)
+    def image(self, context: Context, state: Prepared, chunk: Chunk, held, answers: Answers | None):
+        """Boundary term, zero in value and right in derivative, [H, W, 3]."""
+        packed, settings, record, scale = context.packed, context.settings, chunk.record, self._scale(chunk)
+        (key, edges), total = held, jnp.zeros_like(record.radiance)
         if record.direct is not None:
-            paths = PathSegments(packed, primary, record.direct, record.vertices)
-            total = total + self._term(
-                packed, prepared, paths, record.direct, scale, self.both_sides, key_direct, settings
-            )
-        if record.scattered is not None:
-            bounces = record.scattered.apex_face.shape[0]
-            vertices = jax.tree.map(lambda x: x[:bounces], record.vertices)
-            paths = PathSegments(packed, primary, record.scattered, vertices)
-            if self.trace_background:
-                capacity = self._capacity(paths.count)
-                total = total + lobe_term(
-                    packed, prepared.tree, prepared.radius, paths, scale, capacity, key_scattered, settings
-                )
-            else:
-                terms = (packed, prepared, paths, record.scattered, scale, False, key_scattered, settings)
-                total = total + self._term(*terms)
-        return total
+            paths = path_segments(packed, chunk, "direct")
+            total += self._term(packed, state, paths, record.direct, scale, self.both_sides, key, settings)
+        if edges is not None and answers is not None:
+            total += sum_behind(packed, path_segments(packed, chunk, "scattered"), edges, answers.total)
+        elif record.scattered is not None:
+            paths, key = path_segments(packed, chunk, "scattered"), jax.random.fold_in(key, 1)
+            total += self._term(packed, state, paths, record.scattered, scale, False, key, settings)
+        return chunk.image(packed, total)
+
+    def _scale(self, chunk: Chunk) -> Float[Array, " N"]:
+        """Radii of the samples' iterations, relative to the first."""
+        schedule = jnp.asarray(self.radius_schedule(), chunk.weight.dtype)
+        return jnp.tile(schedule[chunk.samples % self.iterations], chunk.paths // chunk.samples.shape[0])
 
     def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""

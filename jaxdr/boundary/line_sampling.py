@@ -1,6 +1,6 @@
 """Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius (DESIGN 2b)."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,18 +10,20 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
+from jaxdr.boundary.background import BehindEdges, sum_behind
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.chords import EmitterChords
 from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lobe_lines import LobeLines
-from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes
+from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, path_segments
 from jaxdr.boundary.sky_lines import SkyLines, SkyShare
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathRecord, PathSettings
-from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.radiance import Answers, Requests, joined
 
 ROW = 64  # crossings among which some are kept are rounded together
 
@@ -33,6 +35,23 @@ class Spread(NamedTuple):
     expected: Float[Array, "B P n"]
     kept: Float[Array, ""]
     key: PRNGKeyArray
+
+
+class _EmitterCrossings(NamedTuple):
+    """Crossings of chords on emitters; `both` says what they weigh beside other chords."""
+
+    drawn: EmitterChords
+    found: Crossings
+    weight: Float[Array, " C"]
+    used: Int[Array, ""]
+    both: Centres | None
+
+
+class _Held(NamedTuple):
+    """What `draw` found."""
+
+    emitters: _EmitterCrossings | None
+    behind: list[BehindEdges]
 
 
 class LineSampling(eqx.Module):
@@ -60,6 +79,8 @@ class LineSampling(eqx.Module):
     backgrounds: float = eqx.field(static=True, default=1.0)
     capacity: float = eqx.field(static=True, default=4.0)
 
+    name: ClassVar[str] = "boundary"
+
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
             if not getattr(self, name) > 0:
@@ -67,14 +88,17 @@ class LineSampling(eqx.Module):
         if not self.pilot >= 0:
             raise ValueError(f"LineSampling: pilot must not be negative, got {self.pilot}")
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
-        """Ranks of the edges and the tree over them, once for a whole image. `moving`: which shapes can move."""
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+        """Ranks of the edges and the tree over them."""
+        del key
+        packed, moving = context.packed, context.moving.seen
         edges, flags = packed.edges, jnp.asarray(moving)
         rank = jnp.where(flags[edges.shape], MOVES, BOUNDS)
         rank = jnp.where(never_silhouettes(packed), HIDES, rank).astype(packed.vertices.dtype)
         tree = queries.edge_tree(
-            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts, settings.rays
-        )
+            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts,
+            context.settings.rays,
+        )  # fmt: skip
         faces = np.diff(packed.first_face)
         still = faces[~np.asarray(moving)].sum()
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)
@@ -83,45 +107,69 @@ class LineSampling(eqx.Module):
         count_layers = jnp.asarray(bool(still <= faces.sum() // 2))
         return Prepared(RankedEdges(rank, tree), group, flags, count_layers)
 
-    def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Prepared,
-        primary: PrimarySamples,
-        record: PathRecord,
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        settings: PathSettings,
-    ) -> Float[Array, "N 3"]:
-        """Boundary term of N paths: zero in value, right in derivative. `prepared` by `prepare`."""
-        total = jnp.zeros_like(record.radiance)
-        if record.direct is None:
-            return total
-        paths = PathSegments(packed, primary, record.direct, record.vertices)
+    def draw(
+        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+    ) -> tuple[Requests | None, "_Held | None"]:
+        """Crossings of chords, and requests for the radiance behind those of geodesic ones."""
+        packed, settings = context.packed, context.settings
+        if chunk.record.direct is None:
+            return None, None
+        paths = path_segments(packed, chunk, "direct")
+        emitters, others = self._spreads(packed, state, paths, settings, key)
+        found = None if emitters is None else _EmitterCrossings(*self._crossings(emitters), emitters.lines.both)
+        asked, behind = [], []
+        for spread in others:
+            requests, edges = self._look_behind(spread)
+            asked.append(requests)
+            behind.append(edges)
+        return joined(asked) if asked else None, _Held(found, behind)
+
+    def image(
+        self, context: Context, state: Prepared, chunk: Chunk, held: "_Held | None", answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
+        if held is None:
+            return chunk.image(packed, total)
+        paths = path_segments(packed, chunk, "direct")
+        if held.emitters is not None:
+            drawn, found, weight, used, both = held.emitters
+            lines = EmitterLines(packed, state, paths, context.settings, both)
+
+            def values(block, number):
+                block, weight = block
+                block = block._replace(valid=block.valid & (number < used))
+                value = lines.value(drawn, block, weight)
+                return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(block.vertex)].add(value)
+
+            total += sum_over_blocks(values, (found, weight), used)
+        first = 0
+        for edges in held.behind:
+            last = first + edges.behind.segment.shape[0]
+            total += sum_behind(packed, paths, edges, answers.total[first:last])
+            first = last
+        return chunk.image(packed, total)
+
+    def _spreads(self, packed: PackedScene, state: Prepared, paths: PathSegments, settings, key):
+        """(chords on emitters or None, those around BSDF samples and around those of a map)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
         emitters = lobes = skies = None
-        emitter_lines = EmitterLines(packed, prepared, paths, settings)
-        lobe_lines = LobeLines(packed, prepared, paths, settings, self.reach)
         if packed.has_area_emitters:
-            emitters = self._spread(emitter_lines, throughput, key_emitters)
+            emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
-            lobes = self._spread(lobe_lines, carries, key_lobes)
+            lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
-            sky_lines = SkyLines(packed, prepared, paths, settings)
-            skies = self._spread(sky_lines, throughput, jax.random.fold_in(key, 3))
+            skies = self._spread(SkyLines(packed, state, paths, settings), throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
-            sky_lines.both = lobe_lines.skies = SkyShare(packed, paths, self.reach, *numbers)
+            skies.lines.both = lobes.lines.skies = SkyShare(packed, paths, self.reach, *numbers)
         if emitters is not None and lobes is not None and settings.mis:
-            both = Centres(packed, prepared, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
-            emitter_lines.both = lobe_lines.both = both
-        for spread in (emitters, lobes, skies):
-            if spread is not None:
-                total = total + self._term(spread)
-        return total
+            both = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
+            emitters.lines.both = lobes.lines.both = both
+        return emitters, [spread for spread in (lobes, skies) if spread is not None]
 
     def _spread(self, lines: Lines, carries, key) -> Spread:
         """How many chords of one kind go where; `carries` is the importance of every path vertex."""
@@ -151,10 +199,10 @@ class LineSampling(eqx.Module):
                 kept = jnp.minimum(kept, self.backgrounds * self.pilot * paths.paths / jnp.maximum(used * thinned, 1))
         return Spread(lines, shares(importance, chords), kept, key_rest)
 
-    def _term(self, spread: Spread) -> Float[Array, "N 3"]:
-        """Boundary term of one kind of light."""
+    def _crossings(self, spread: Spread):
+        """(chords of one kind of light, crossings that count, their weights, their number)."""
         lines, paths = spread.lines, spread.lines.paths
-        key_main, key_chords, key_values = jax.random.split(spread.key, 3)
+        key_main, key_chords, key_kept = jax.random.split(spread.key, 3)
         chords = self.chords * paths.paths
         room = capacity(round(chords), spread.expected.shape[1])
         chosen = Chosen(*allocate(spread.expected, room, key_main))
@@ -164,16 +212,21 @@ class LineSampling(eqx.Module):
         if found.share is not None:
             weight = weight * found.share
         if lines.traces_paths:
-            key_kept, key_values = jax.random.split(key_values)
             found, weight, used = self._kept(lines, drawn, found, weight, used, key_kept)
+        return drawn, found, weight, used
 
-        def values(block, number):
+    def _look_behind(self, spread: Spread) -> tuple[Requests, BehindEdges]:
+        """What is behind crossings of geodesic chords, and requests for its radiance."""
+        drawn, found, weight, used = self._crossings(spread)
+        key = jax.random.fold_in(spread.key, 1)
+
+        def look(block, number):
             block, weight = block
             block = block._replace(valid=block.valid & (number < used))
-            value = lines.value(drawn, block, number, weight, key_values)
-            return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(block.vertex)].add(value)
+            return spread.lines.look(drawn, block, number, weight, key)
 
-        return sum_over_blocks(values, (found, weight), used)
+        asked, behind = map_over_blocks(look, (found, weight), used)
+        return asked, BehindEdges(behind, used)
 
     def _kept(self, lines: Lines, drawn, found: Crossings, weight, used, key):
         """Crossings drawn in proportion to what they should contribute, their weights, and their number.

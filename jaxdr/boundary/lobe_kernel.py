@@ -13,11 +13,10 @@ any T, so the radius causes no bias.
 
 import jax
 import jax.numpy as jnp
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.background import background_term, seen_edges
-from jaxdr.boundary.blocks import sum_over_blocks
+from jaxdr.boundary.background import BehindEdges, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.blocks import map_over_blocks
 from jaxdr.boundary.sampled_arcs import sampled_arc
 from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge
 from jaxdr.geometry import queries
@@ -25,11 +24,12 @@ from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Requests
 
 WIDEST = 1.0  # tangent of the widest angle between a direction and a silhouette it stands for
 
 
-def lobe_term(
+def lobe_edges(
     packed: PackedScene,
     tree: EdgeTree,
     radius: Float[Array, " E"],
@@ -38,42 +38,43 @@ def lobe_term(
     capacity: int,
     key: PRNGKeyArray,
     settings: PathSettings,
-) -> Float[Array, "N 3"]:
-    """Boundary term of the BSDF-sampled segments of N paths, zero in value and right in derivative.
+) -> tuple[Requests, BehindEdges]:
+    """Silhouettes near the BSDF-sampled segments of N paths, and requests for the radiance behind them; detached.
 
     Kernel radii: `radius` x `scale` at the edge (scene units), but no more than 45 degrees.
     """
     key_pairs, key_path = jax.random.split(key)
     direction, importance = paths.table.direction, paths.table.lobe
     scale = jnp.where((importance != 0).any(-1), jnp.tile(scale, paths.count // paths.paths), 0.0)
-    origin = stop_gradient(paths.apex(jnp.arange(paths.count)).position)
-    reach = 2.0 * stop_gradient(packed.size())
+    origin = paths.apex(jnp.arange(paths.count)).position
+    reach = 2.0 * packed.size()
     seed = jax.random.randint(key_pairs, (), 0, 1 << 30)
     pairs = queries.edge_candidates(
         tree, packed.vertices, packed.edges.vertices, packed.edges.opposite, radius,
         origin, origin + reach * direction, direction, scale, jnp.full_like(scale, WIDEST * reach), seed,
         capacity=capacity, both_sides=True, implementation=settings.rays,
     )  # fmt: skip
-    used = pairs.segment >= 0
+    used = (pairs.segment >= 0).sum()
 
-    def values(block, number):
-        segment, edge, valid = block
-        valid = valid & (number < used.sum())
+    def look(block, number):
+        segment, edge = block
+        valid = number < used
         centre = direction[segment]
         # The point of the silhouette nearest to the sampled direction.
-        vertices = stop_gradient(packed.vertices)[packed.edges.vertices[edge]]
+        vertices = packed.vertices[packed.edges.vertices[edge]]
         s0, s1 = vertices[:, 0] - origin[segment], vertices[:, 1] - origin[segment]
         along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
         seen = seen_edges(packed, paths, segment, edge, along, valid)
         limit = jnp.minimum(radius[edge] * scale[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
         scatterer = paths.scatterer(segment)
         kernel, counts = _kernel(scatterer, centre, seen.towards, seen.pole, limit)
-        counts = valid & counts & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        counts = valid & counts & scatterer.above_horizon(seen.edge_point)
         weight = importance[segment] * packed.edges.shared(edge, kernel * pairs.weight)[:, None]
-        value = background_term(packed, paths, seen, weight, counts, number, key_path, settings)
-        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
+        behind, background = look_behind(packed, paths, seen, edge, along, weight, counts, settings)
+        return ask_behind(paths, seen, background, number, 0.0, key_path, "lobe_kernel", settings), behind
 
-    return sum_over_blocks(values, (jnp.where(used, pairs.segment, 0), pairs.element, used), used.sum())
+    asked, behind = map_over_blocks(look, (jnp.maximum(pairs.segment, 0), pairs.element), used)
+    return asked, BehindEdges(behind, used)
 
 
 def _kernel(scatterer, centre, boundary, pole, limit):

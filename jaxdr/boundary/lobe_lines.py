@@ -5,16 +5,16 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.chords import LobeChords, lobe_weight
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
 from jaxdr.boundary.emitter_lines import Centres
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.sky_lines import SkyShare
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import emitted
-from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.radiance import Requests
 
 
 class LobeLines:
@@ -43,23 +43,21 @@ class LobeLines:
         seen, scatterer, weight = self._boundary(drawn, found)
         return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
 
-    def value(self, drawn: LobeChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
-        """Contributions times `weight`: zero in value, right in derivative."""
+    def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
+        """Requests for the radiance behind crossings, and what it is multiplied with, times `weight`."""
+        packed, paths = self.packed, self.paths
         seen, _, value = self._boundary(drawn, found)
-        value = value * weight[:, None]
-        plane = drawn.plane[found.chord]
-
-        def emission(background: SurfacePoint, towards):
-            """Emission of what is no surface, and that of surfaces as it counts beside chords on them."""
-            radiance = emitted(jax.tree.map(stop_gradient, self.packed), background, -towards)
-            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, plane, background)
-            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, plane, towards)
-            return radiance * jnp.where(background.valid, surfaces, sky)[:, None]
-
-        glows = self.packed.environment is not None or self.both is not None
-        return background_term(
-            self.packed, self.paths, seen, value, found.valid, number, key, self.settings, emission if glows else None
+        value, plane = scale(value, weight), drawn.plane[found.chord]
+        behind, background = look_behind(
+            packed, paths, seen, found.edge, found.along, value, found.valid, self.settings
         )
+        # Emission of what is no surface, and that of surfaces as it counts beside chords on them.
+        emission = jnp.zeros_like(weight)
+        if packed.environment is not None or self.both is not None:
+            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, plane, background)
+            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, plane, seen.towards)
+            emission = jnp.where(background.valid, surfaces, sky)
+        return ask_behind(paths, seen, background, number, emission, key, "lobe_lines", self.settings), behind
 
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""

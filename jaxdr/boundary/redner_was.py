@@ -13,7 +13,7 @@ v - m. So the sum is the spherical estimator, at the path tracer's own emitter s
 """
 
 import dataclasses
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -31,12 +31,11 @@ from jaxdr.boundary.divergence import (
     hidden_velocities,
 )
 from jaxdr.boundary.occluders import Faces, connect_faces
-from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds
+from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, path_segments
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry.vector import dot, norm, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
-from jaxdr.transport.path import PathRecord, PathSettings
-from jaxdr.transport.primary import PrimarySamples
 
 
 class RednerWAS(eqx.Module):
@@ -66,12 +65,15 @@ class RednerWAS(eqx.Module):
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
 
+    name: ClassVar[str] = "boundary"
+
     def __check_init__(self):
         check_options(self, ("samples",))
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Faces:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
-        del moving  # every face may bound what moving surfaces see
+        del key  # every face may bound what moving surfaces see, whatever moves
+        packed, settings = context.packed, context.settings
         if settings.max_depth > 2:
             raise ValueError(
                 f"RednerWAS: direct light only, but max_depth is {settings.max_depth}; set max_depth=2, or take "
@@ -84,22 +86,20 @@ class RednerWAS(eqx.Module):
             )
         return connect_faces(packed)
 
-    def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Faces,
-        primary: PrimarySamples,
-        record: PathRecord,
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        settings: PathSettings,
-    ) -> Float[Array, "N 3"]:
-        """Boundary term of N paths: zero in value, right in derivative. `prepared` by `prepare`."""
-        del sample_index
+    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
+        """Nothing: what the paths found is differentiated."""
+        return None, key
+
+    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        return chunk.image(context.packed, self._of_paths(context, state, chunk, held))
+
+    def _of_paths(self, context: Context, prepared: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+        packed, settings, record = context.packed, context.settings, chunk.record
         if record.direct is None or not (packed.has_area_emitters or packed.environment is not None):
             return jnp.zeros_like(record.radiance)
         fixed = jax.tree.map(stop_gradient, packed)
-        paths = PathSegments(packed, primary, record.direct, record.vertices)
+        paths = path_segments(packed, chunk, "direct")
         index = jnp.arange(paths.paths)
         measure = _measure(fixed, paths, index)
         ends = paths.ends(index)

@@ -7,7 +7,7 @@ it fits.
 
 from collections.abc import Collection
 from functools import partial
-from typing import Any
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -16,7 +16,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.boundary.edge_chains import EdgeOrder
 from jaxdr.boundary.guided_edges import GuidedEdges, Prepared
 from jaxdr.boundary.primary_guides import Defended
-from jaxdr.scene.packed import PackedScene, pack
+from jaxdr.boundary.term import Chunk, Context
+from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path import PathSettings
 
@@ -32,19 +33,25 @@ class ReusedGuides(eqx.Module):
     order: EdgeOrder | None
     edges: int = eqx.field(static=True)
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
+    name: ClassVar[str] = "boundary"
+
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
         """Edges of the shape of the moment.
 
         Raises ValueError as `GuidedEdges.prepare` does, and for guides of another mesh or depth.
         """
-        _same_edges(packed.edges.vertices.shape[0], self.edges)
-        return self.boundary.prepare_with(packed, moving, settings, self.guides, self.order)
+        del key
+        _same_edges(context.packed.edges.vertices.shape[0], self.edges)
+        scene = context.packed, context.moving.seen, context.settings
+        return self.boundary.prepare_with(*scene, self.guides, self.order)
 
-    def film_term(
-        self, packed: PackedScene, prepared: Any, count: int, key: PRNGKeyArray, settings: PathSettings, form: str
-    ) -> Float[Array, "H W 3"]:
-        """As `GuidedEdges.film_term`."""
-        return self.boundary.film_term(packed, prepared, count, key, settings, form)
+    def draw(self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray):
+        """As `GuidedEdges.draw`."""
+        return self.boundary.draw(context, state, chunk, key)
+
+    def image(self, context: Context, state: Prepared, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
+        """As `GuidedEdges.image`."""
+        return self.boundary.image(context, state, chunk, held, answers)
 
 
 def build_guides(
@@ -101,7 +108,7 @@ def _same_edges(edges: int, built: int) -> None:
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
 def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settings: PathSettings):
-    prepared = boundary.prepare(pack(scene), moving, settings)
+    prepared = boundary.build(pack(scene), moving, settings)
     return prepared.guides, prepared.order
 
 

@@ -1,11 +1,14 @@
 """Silhouettes as seen from the near end of a path segment, projected to its far end."""
 
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.boundary.term import Chunk
 from jaxdr.geometry.vector import dot, interpolate, norm, normalize
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.emission import environment_radiance
@@ -191,6 +194,14 @@ class PathSegments:
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
         towards = offset / jnp.sqrt(distance2)[:, None]
         return scatterer.eval(towards) * (jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)[:, None]
+
+
+def path_segments(packed: PackedScene, chunk: Chunk, kind: Literal["direct", "scattered"]) -> PathSegments:
+    """The segments of one kind of a chunk's paths."""
+    record = chunk.record
+    segments = getattr(record, kind)
+    vertices = jax.tree.map(lambda x: x[: segments.apex_face.shape[0]], record.vertices)
+    return PathSegments(packed, chunk.primary, segments, vertices)
 
 
 class Projection(eqx.Module):

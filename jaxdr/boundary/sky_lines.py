@@ -8,17 +8,17 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from jaxdr.boundary.background import background_term, seen_edges
+from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.sampled_arcs import on_same_side, place
 from jaxdr.boundary.silhouettes import PathSegments
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
-from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Requests
 from jaxdr.transport.sampler import lattice
 
 
@@ -87,15 +87,16 @@ class SkyLines:
         weight = weight * self.paths.scatterer(found.vertex).eval(seen.towards) * radiance
         return luminance(weight) / seen.distance
 
-    def value(self, drawn: LobeChords, found: Crossings, number, weight, key) -> Float[Array, "C 3"]:
-        """Contributions times `weight`: zero in value, right in derivative."""
+    def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
+        """Requests for the environment's radiance behind crossings, and what it is multiplied with, times `weight`."""
+        packed, paths = self.packed, self.paths
         seen, value = self._boundary(drawn, found)
-        value = value * (weight * self._share(drawn, found, seen.towards))[:, None]
-
-        def emission(background: SurfacePoint, towards):
-            return jnp.where(background.valid[:, None], 0.0, self._radiance(towards))
-
-        return background_term(self.packed, self.paths, seen, value, found.valid, number, key, self.settings, emission)
+        value = scale(value, weight * self._share(drawn, found, seen.towards))
+        behind, background = look_behind(
+            packed, paths, seen, found.edge, found.along, value, found.valid, self.settings
+        )
+        emission = jnp.where(background.valid, 0.0, jnp.ones_like(weight))
+        return ask_behind(paths, seen, background, number, emission, key, "sky_lines", self.settings), behind
 
     def _radiance(self, towards: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         return environment_radiance(jax.tree.map(stop_gradient, self.packed), towards)

@@ -1,6 +1,6 @@
 """Warped-area reparameterisation of boundary path integrals (Xu et al. 2023)."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -20,14 +20,15 @@ from jaxdr.boundary.divergence import (
     hidden_velocities,
 )
 from jaxdr.boundary.occluders import Faces, connect_faces
-from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates
+from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates, path_segments
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry.vector import dot, interpolate, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.moved_paths import layers, moved_contributions, target_segments
-from jaxdr.transport.path import PathRecord, PathSettings, Segments
+from jaxdr.transport.path import Segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
@@ -69,6 +70,8 @@ class WarpedArea(eqx.Module):
     spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
 
+    name: ClassVar[str] = "boundary"
+
     def __check_init__(self):
         check_options(self, ("samples", "projections"))
 
@@ -78,9 +81,10 @@ class WarpedArea(eqx.Module):
         room = min(self.projections, packed.faces.shape[0]) if finite else 1
         return Convolution(kernel, self.samples, room, self.debias, finite, infinite)
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Faces:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
-        del moving  # every face may bound what moving surfaces see
+        del key  # every face may bound what moving surfaces see, whatever moves
+        packed, settings = context.packed, context.settings
         if packed.light_count and settings.max_depth > 2:
             raise ValueError(
                 "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
@@ -88,24 +92,22 @@ class WarpedArea(eqx.Module):
             )
         return connect_faces(packed)
 
-    def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Faces,
-        primary: PrimarySamples,
-        record: PathRecord,
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        settings: PathSettings,
-    ) -> Float[Array, "N 3"]:
-        """Boundary term of N paths: zero in value, right in derivative. `prepared` by `prepare`."""
-        del sample_index
+    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
+        """Nothing: what the paths found is differentiated."""
+        return None, key
+
+    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        return chunk.image(context.packed, self._of_paths(context, state, chunk, held))
+
+    def _of_paths(self, context: Context, prepared: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+        packed, settings, record = context.packed, context.settings, chunk.record
         total = jnp.zeros_like(record.radiance)
         if record.direct is None:
             return total
         key_direct, key_scattered = jax.random.split(key)
         fixed = jax.tree.map(stop_gradient, packed)
-        direct = PathSegments(packed, primary, record.direct, record.vertices)
+        direct = path_segments(packed, chunk, "direct")
         if packed.has_area_emitters or packed.environment is not None:
 
             def measure(index, ends):
@@ -114,9 +116,7 @@ class WarpedArea(eqx.Module):
             kinds = packed.has_area_emitters, packed.environment is not None
             total += self._term(packed, fixed, prepared, direct, measure, kinds, key_direct, settings)
         if record.scattered is not None:
-            bounces = record.scattered.apex_face.shape[0]
-            vertices = jax.tree.map(lambda x: x[:bounces], record.vertices)
-            scattered = PathSegments(packed, primary, record.scattered, vertices)
+            scattered = path_segments(packed, chunk, "scattered")
 
             def measure_beyond(index, ends):
                 return _scattered_measure(fixed, scattered, direct, index, ends)

@@ -13,15 +13,54 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxdr.boundary.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
 from jaxdr.boundary.occluders import Faces
 from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.term import Chunk, Context
 from jaxdr.boundary.warped_area import Onward, WarpedArea, sent_back
 from jaxdr.geometry.vector import interpolate, norm, normalize
 from jaxdr.scene.camera import View
+from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, on_fixed_ray
 from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
+
+
+class WarpedCamera:
+    """Term of the camera's segment, by the estimator of those behind the first hit."""
+
+    name = "warp"
+
+    def __init__(self, warp: WarpedArea):
+        self.warp = warp
+
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Faces | None:
+        """Raises ValueError for what it does not know."""
+        if not any(context.moving.seen):
+            return None
+        packed = context.packed
+        if not isinstance(packed.camera, PinholeCamera):
+            raise ValueError(
+                f'render: primary="warp" needs a camera with a position, not {type(packed.camera).__name__}; take a '
+                'Perspective or a ThinLens, or primary="fixed_ray"'
+            )
+        if packed.light_count:
+            raise ValueError(
+                'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
+                'lights with an area, or primary="fixed_ray"'
+            )
+        return self.warp.prepare(context, key)
+
+    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
+        """Nothing: what the paths found is differentiated."""
+        return None, key
+
+    def image(self, context: Context, state: Faces, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
+        """The term of all paths."""
+        packed, primary, record = context.packed, chunk.primary, chunk.record
+        return chunk.image(
+            packed, warped_camera_term(packed, state, self.warp, primary, record, held, context.settings)
+        )
 
 
 def warped_camera_term(

@@ -1,8 +1,6 @@
 """Integrators: what `render` estimates and how, as static settings. Adding one: a file, and a line here."""
 
-from jaxdr.integrators.base import BoundaryEstimator as BoundaryEstimator
 from jaxdr.integrators.base import ConnectedEstimator as ConnectedEstimator
-from jaxdr.integrators.base import FilmEstimator as FilmEstimator
 from jaxdr.integrators.base import Integrator as Integrator
 from jaxdr.integrators.bidirectional import BidirectionalPathTracer as BidirectionalPathTracer
 from jaxdr.integrators.path_tracer import PathTracer as PathTracer

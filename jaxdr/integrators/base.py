@@ -1,62 +1,28 @@
 """What integrators share: the interfaces of estimators, and sums over samples."""
 
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.term import Chunk, Context, Term, detached, named_key
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.bidirectional import Drawn
-from jaxdr.transport.path import PathRecord, PathSettings
 from jaxdr.transport.primary import PrimarySamples
-
-
-@runtime_checkable
-class BoundaryEstimator(Protocol):
-    """Boundary term of the segments behind the first hit; see `KernelDensity`, `LineSampling`.
-
-    `prepare` runs once an image and is told which shapes move, or are seen by a camera that does; `estimate` for every
-    chunk of its samples.
-    """
-
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
-
-    def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Any,
-        primary: PrimarySamples,
-        record: PathRecord,
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        settings: PathSettings,
-    ) -> Float[Array, "N 3"]: ...
-
-
-@runtime_checkable
-class FilmEstimator(Protocol):
-    """The same term as an image, from samples that are no path's: see `GuidedEdges`.
-
-    It is zero in value and right in derivative, and an estimate by itself whatever the `count` of path samples that it
-    comes with. `form` of the first hits as in `primary_samples`.
-    """
-
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
-
-    def film_term(
-        self, packed: PackedScene, prepared: Any, count: int, key: PRNGKeyArray, settings: PathSettings, form: str
-    ) -> Float[Array, "H W 3"]: ...
+from jaxdr.transport.radiance import joined, radiance, split
 
 
 @runtime_checkable
 class ConnectedEstimator(Protocol):
-    """The same for pairs of subpaths: boundary terms of what every strategy contributes, [C, N, 3], with its weight."""
+    """Boundary terms of pairs of subpaths: of what every strategy contributes, [C, N, 3], with its weight."""
 
-    def prepare(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Any: ...
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Any: ...
 
     def estimate_connected(
         self,
@@ -71,9 +37,46 @@ class ConnectedEstimator(Protocol):
     ) -> Float[Array, "C N 3"]: ...
 
 
+class Prepared(NamedTuple):
+    """Terms with what each of them prepared, and the context of all."""
+
+    terms: tuple[Term, ...]
+    states: tuple[Any, ...]
+    context: Context
+
+
+def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) -> Prepared:
+    """Prepare terms, detached; those that are nothing here are left out."""
+    still = context._replace(packed=stop_gradient(context.packed))
+    states = [(term, term.prepare(still, named_key(key, term.name))) for term in terms]
+    there = [(term, stop_gradient(state)) for term, state in states if state is not None]
+    return Prepared(tuple(term for term, _ in there), tuple(state for _, state in there), context)
+
+
+def term_images(
+    packed: PackedScene, prepared: Prepared, chunk: Chunk, key: PRNGKeyArray
+) -> dict[str, Float[Array, "H W 3"]]:
+    """Images of all terms, by name: one wavefront answers the requests of all of them."""
+    context = prepared.context._replace(packed=packed)
+    still, still_chunk = detached(context, chunk)
+    drawn = [
+        term.draw(still, state, still_chunk, named_key(key, term.name))
+        for term, state in zip(prepared.terms, prepared.states, strict=True)
+    ]
+    asked = [requests for requests, _ in drawn if requests is not None]
+    answers = []
+    if asked:
+        answers = split(radiance(still.packed, joined(asked), chunk.key, context.settings), asked)
+    images, answered = {}, iter(answers)
+    for term, state, (requests, held) in zip(prepared.terms, prepared.states, drawn, strict=True):
+        answer = None if requests is None else next(answered)
+        images[term.name] = term.image(context, state, chunk, held, answer)
+    return images
+
+
 @runtime_checkable
 class Integrator(Protocol):
-    """What `render` estimates and how: `prepare` runs once for a derivative, `terms` for every chunk of samples.
+    """What `render` estimates and how: `prepare` runs once for a derivative, `estimate` for every chunk of samples.
 
     `boundary` is None where only the interior term is wanted.
     """
@@ -88,11 +91,14 @@ class Integrator(Protocol):
         """Paths in a chunk."""
         ...
 
-    def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray) -> Any:
-        """What all chunks share, or None where visibility has no terms. Raises ValueError for what can't move."""
+    def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False) -> Any:
+        """What all chunks share, or None where visibility has no terms; `apart`: with more terms by name.
+
+        Raises ValueError for what can't move.
+        """
         ...
 
-    def terms(
+    def estimate(
         self,
         packed: PackedScene,
         prepared: Any,
@@ -119,12 +125,6 @@ def edge_points_per_sample(integrator) -> float:
 def sample_weights(samples, spp: int, dtype) -> Float[Array, " n"]:
     """What samples by their numbers count in their pixels."""
     return jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
-
-
-def pixel_sums(packed: PackedScene, values: Float[Array, "N 3"], weight: Float[Array, " n"]) -> Float[Array, "H W 3"]:
-    """Image of values of all samples, those of a pixel in a row."""
-    _, _, width, height = packed.camera.film.window
-    return (values.reshape(width * height, -1, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
 
 
 def check_rough_glass(scene: Scene) -> None:

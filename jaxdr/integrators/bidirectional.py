@@ -1,21 +1,23 @@
 """Bidirectional path tracing with boundary terms."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.film_edges import EdgeDistribution, edge_distribution, film_edge_terms
+from jaxdr.boundary.film_edges import FilmEdges
+from jaxdr.boundary.term import Chunk, Context, Term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
-    BoundaryEstimator,
     ConnectedEstimator,
-    FilmEstimator,
+    Prepared,
     check_rough_glass,
     edge_points_per_sample,
+    prepare_terms,
     sample_weights,
+    term_images,
 )
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
@@ -27,12 +29,31 @@ from jaxdr.transport.path import PathSettings
 HEURISTICS = {"balance": 1, "power": 2}  # the powers of densities that weights are shares of
 
 
-class Prepared(NamedTuple):
-    """What all chunks share: edges in the image, the estimator, and what it prepared."""
+class _Connected:
+    """The term of a `ConnectedEstimator`, for the pairs of subpaths of a chunk."""
 
-    edges: EdgeDistribution
-    estimator: ConnectedEstimator
-    boundary: Any
+    name = "boundary"
+
+    def __init__(self, estimator: ConnectedEstimator):
+        self.estimator = estimator
+
+    def prepare(self, context: Context, key: PRNGKeyArray) -> Any:
+        return self.estimator.prepare(context, key)
+
+    def draw(self, context: Context, state, chunk: Chunk, key: PRNGKeyArray):
+        return None, key
+
+    def image(self, context: Context, state, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
+        packed, found = context.packed, chunk.record
+        film = packed.camera.film
+        _, _, width, height = film.window
+        if found.drawn is None or not has_emitters(packed):
+            return jnp.zeros((height, width, 3), found.value.dtype)
+        index = jnp.tile(chunk.samples, width * height)
+        weight = jnp.where((found.value != 0).any(-1), found.weight, 0.0)
+        options = weight, index, held, context.settings.rays
+        values = self.estimator.estimate_connected(packed, state, chunk.primary, found.drawn, *options)
+        return found.image(film, values, chunk.weight, False)
 
 
 class BidirectionalPathTracer(eqx.Module):
@@ -63,7 +84,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: ConnectedEstimator | BoundaryEstimator | FilmEstimator | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | Term | None = eqx.field(static=True, default=None)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int = eqx.field(static=True, default=1 << 18)
     rays: str = eqx.field(static=True, default="auto")
@@ -99,8 +120,11 @@ class BidirectionalPathTracer(eqx.Module):
     def check(self, scene: Scene) -> None:
         """All scenes can be rendered."""
 
-    def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray) -> Prepared | None:
+    def prepare(
+        self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
+    ) -> Prepared | None:
         """Edges in the image, and what the estimator needs; None where only the interior term is wanted."""
+        del apart  # of edges there are silhouettes alone
         _check_motion(packed, moving)
         if not isinstance(self.boundary, ConnectedEstimator):
             return None  # there is none
@@ -108,10 +132,10 @@ class BidirectionalPathTracer(eqx.Module):
         if not any(moving.seen):
             return None
         settings = PathSettings(self.max_depth, True, self.rays)
-        boundary = self.boundary.prepare(packed, moving.seen, settings)
-        return Prepared(edge_distribution(packed, moving.seen, key), self.boundary, boundary)
+        context = Context(packed, moving, settings, "material", edge_points_per_sample(self))
+        return prepare_terms(context, [FilmEdges("silhouettes"), _Connected(self.boundary)], key)
 
-    def terms(
+    def estimate(
         self,
         packed: PackedScene,
         prepared: Prepared | None,
@@ -123,25 +147,14 @@ class BidirectionalPathTracer(eqx.Module):
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         material = moving is not None and any(moving.seen)
-        film, rays = packed.camera.film, self.rays
-        primary, found = bidirectional_paths(packed, samples, key_film, key, self.settings, material)
+        key_path, key_radiance, key_terms = jax.random.split(key, 3)
+        primary, found = bidirectional_paths(packed, samples, key_film, key_path, self.settings, material)
         share = sample_weights(samples, spp, found.value.dtype)
-        terms = {"interior": found.image(film, found.value * found.weight[..., None], share, material)}
+        value = found.value * found.weight[..., None]
+        images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
-            return terms
-        _, _, width, height = film.window
-        key_boundary, key_edges = jax.random.split(jax.random.fold_in(key, 1))
-        points = max(1, round(primary.u.shape[0] * edge_points_per_sample(self)))
-        settings = PathSettings(self.max_depth, True, rays)
-        edges = film_edge_terms(packed, prepared.edges, points, key_edges, settings, "material")
-        terms["silhouettes"] = share.sum() * edges.silhouettes
-        if found.drawn is not None and has_emitters(packed):
-            index = jnp.tile(samples, width * height)
-            weight = jnp.where((found.value != 0).any(-1), found.weight, 0.0)
-            options = weight, index, key_boundary, rays
-            values = prepared.estimator.estimate_connected(packed, prepared.boundary, primary, found.drawn, *options)
-            terms["boundary"] = found.image(film, values, share, False)
-        return terms
+            return images
+        return images | term_images(packed, prepared, Chunk(samples, share, primary, found, key_radiance), key_terms)
 
 
 def _check_motion(packed: PackedScene, moving: Moving) -> None:

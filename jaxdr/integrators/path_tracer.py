@@ -2,60 +2,38 @@
 
 import dataclasses
 import warnings
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.edge_reservoir import EdgeTable
-from jaxdr.boundary.film_chains import chain_edges, film_chain_term
-from jaxdr.boundary.film_edges import EdgeDistribution, edge_distribution, film_edge_terms
-from jaxdr.boundary.hard_shadows import (
-    ShadowDistribution,
-    film_shadow_term,
-    scattered_shadow_term,
-    shadow_distribution,
-)
+from jaxdr.boundary.film_chains import FilmChains
+from jaxdr.boundary.film_edges import FilmEdges
+from jaxdr.boundary.hard_shadows import HardShadows
 from jaxdr.boundary.kernel_density import KernelDensity
-from jaxdr.boundary.pixel_borders import pixel_border_term
-from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.boundary.pixel_borders import PixelBorders
+from jaxdr.boundary.term import Chunk, Context, Term, pixel_sums
 from jaxdr.boundary.texture_jumps import check_still_jumps
 from jaxdr.boundary.warped_area import WarpedArea
-from jaxdr.boundary.warped_camera import warped_camera_term
+from jaxdr.boundary.warped_camera import WarpedCamera
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
-    BoundaryEstimator,
-    FilmEstimator,
+    Prepared,
     check_rough_glass,
     edge_points_per_sample,
-    pixel_sums,
+    prepare_terms,
     sample_weights,
+    term_images,
 )
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import only_delta
-from jaxdr.scene.camera import Perspective
-from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
+from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.primary import primary_samples
 from jaxdr.transport.radiance import arriving_radiance
-
-
-class Prepared(NamedTuple):
-    """What all chunks share: distributions over edges and shadows, edges seen in mirrors, the estimator's own.
-
-    None where there are no such terms. `warp`: in place of the edges; `turns`: whether the environment does.
-    """
-
-    edges: EdgeDistribution | None
-    boundary: Any
-    shadows: ShadowDistribution | None
-    chains: EdgeTable | None
-    warp: WarpedArea | None
-    turns: bool
 
 
 class PathTracer(eqx.Module):
@@ -78,7 +56,7 @@ class PathTracer(eqx.Module):
     """
 
     max_depth: int = eqx.field(static=True, default=3)
-    boundary: BoundaryEstimator | FilmEstimator | None = KernelDensity()
+    boundary: Term | None = KernelDensity()
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     edge_samples: float | None = eqx.field(static=True, default=None)
@@ -99,6 +77,11 @@ class PathTracer(eqx.Module):
             raise ValueError(
                 'PathTracer: primary="warp" needs boundary=WarpedArea(...) (or None), got '
                 f'{type(self.boundary).__name__}; or take primary="fixed_ray"'
+            )
+        if not isinstance(self.boundary, Term | None):
+            raise ValueError(
+                f"PathTracer: boundary must be an estimator such as jaxdr.KernelDensity(), or None, got "
+                f"{type(self.boundary).__name__}; estimators have name, prepare, draw and image (jaxdr.Term)"
             )
         if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
@@ -124,36 +107,31 @@ class PathTracer(eqx.Module):
                 f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
             )
 
-    def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray) -> Prepared | None:
+    def prepare(
+        self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
+    ) -> Prepared | None:
         """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
         if self.boundary is None:
             return None
         check_rough_glass(scene)
         _check_transmission(packed, self)
         check_still_jumps(scene, moving.seen, self.primary == "fixed_ray")
-        packed = dataclasses.replace(packed, environment_turns=moving.environment)
-        edges = boundary = shadows = chains = warp = None
-        if any(moving.seen):
-            if packed.has_delta_lobes and self.max_depth > 1:
-                chains = chain_edges(packed, moving.seen, self.rays)
-            if self.primary == "warp" and isinstance(self.boundary, WarpedArea):
-                _check_warp(packed)
-                warp = self.boundary
-            else:
-                edges = edge_distribution(packed, moving.seen, key)
-        if any(moving.seen) or moving.environment:
-            boundary = self.boundary.prepare(packed, moving.seen, self.settings)
-        if packed.light_count and self.max_depth > 1:
-            if not isinstance(packed.camera, Perspective):
-                raise ValueError(
-                    f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; "
-                    "take a Perspective, or boundary=None for the interior term alone"
-                )
-            lights = moving.lights or (False,) * packed.light_count
-            shadows = shadow_distribution(packed, moving.seen, lights, self.settings)
-        return Prepared(edges, boundary, shadows, chains, warp, moving.environment)
+        return prepare_terms(self._context(packed, moving), self._terms(moving, apart), key)
 
-    def terms(
+    def _context(self, packed: PackedScene, moving: Moving) -> Context:
+        packed = dataclasses.replace(packed, environment_turns=moving.environment)
+        form = self._form(packed, any(moving.seen) and self.boundary is not None)
+        return Context(packed, moving, self.settings, form, edge_points_per_sample(self))
+
+    def _terms(self, moving: Moving, apart: bool) -> list[Term]:
+        """What visibility brings, `apart` by kinds of edges."""
+        edges: list[Term] = [FilmEdges("silhouettes"), FilmEdges("creases")] if apart else [FilmEdges()]
+        if self.primary == "warp":
+            edges = [WarpedCamera(self.boundary)]
+        terms = [*edges, PixelBorders(), FilmChains(), HardShadows()]
+        return [*terms, self.boundary] if any(moving.seen) or moving.environment else terms
+
+    def estimate(
         self,
         packed: PackedScene,
         prepared: Prepared | None,
@@ -167,57 +145,19 @@ class PathTracer(eqx.Module):
         if moving is None:
             return self._image(packed, samples, key_film, key, spp)
         if prepared is not None:
-            packed = dataclasses.replace(packed, environment_turns=prepared.turns)
-        _, _, width, height = packed.camera.film.window
-        pixels, count = width * height, samples.shape[0]
-        key_path, key_boundary, key_edges = jax.random.split(key, 3)
-        moves = prepared is not None and (prepared.edges is not None or prepared.warp is not None)
-        settings, form = self.settings, self._form(packed, moves)
+            packed = dataclasses.replace(packed, environment_turns=moving.environment)
+        key_path, key_radiance, key_terms = jax.random.split(key, 3)
+        settings, form = self.settings, "fixed" if prepared is None else prepared.context.form
         primary = primary_samples(packed, samples, key_film, settings.rays, form)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
+        if record.near is not None:
+            radiance += near_field_term(packed, primary, record)
         weight = sample_weights(samples, spp, radiance.dtype)
-
-        def gather(values):
-            return pixel_sums(packed, values, weight)
-
-        terms = {"interior": gather(radiance)}
+        images = {"interior": pixel_sums(packed, radiance, weight)}
         if prepared is None:
-            return terms
-        points = max(1, round(pixels * count * edge_points_per_sample(self)))
-        if prepared.edges is not None:
-            edges = film_edge_terms(packed, prepared.edges, points, key_edges, settings, form)
-            share = weight.sum()
-            terms |= {"silhouettes": share * edges.silhouettes, "creases": share * edges.creases}
-            if form == "near" and packed.camera.film.filter.tiles:
-                sides = max(1, round(count * edge_points_per_sample(self) / 4))
-                key_borders = jax.random.fold_in(key_edges, 2)
-                terms["pixel_borders"] = share * pixel_border_term(packed, sides, key_borders, settings)
-        if prepared.warp is not None:
-            key_camera = jax.random.fold_in(key_edges, 4)
-            options = prepared.boundary, prepared.warp, primary, record, key_camera, settings
-            terms["warp"] = gather(warped_camera_term(packed, *options))
-        if prepared.boundary is not None and isinstance(self.boundary, FilmEstimator):
-            image = self.boundary.film_term(packed, prepared.boundary, pixels * count, key_boundary, settings, form)
-            terms["boundary"] = weight.sum() * image
-        elif prepared.boundary is not None:
-            assert isinstance(self.boundary, BoundaryEstimator)
-            index = jnp.tile(samples, pixels)
-            options = primary, record, index, key_boundary, settings
-            terms["boundary"] = gather(self.boundary.estimate(packed, prepared.boundary, *options))
-        if prepared.chains is not None:
-            key_chains = jax.random.fold_in(key_edges, 3)
-            terms["chains"] = weight.sum() * film_chain_term(
-                packed, prepared.chains, pixels * count, key_chains, settings
-            )
-        if prepared.shadows is not None:
-            key_seen, key_scattered = jax.random.split(jax.random.fold_in(key_edges, 1))
-            shadows = weight.sum() * film_shadow_term(packed, prepared.shadows, points, key_seen, settings, form)
-            if settings.max_depth > 2 and record.direct is not None:
-                paths = PathSegments(packed, primary, record.direct)
-                shadows += gather(scattered_shadow_term(packed, prepared.shadows, paths, key_scattered, settings))
-            terms["shadows"] = shadows
-        return terms
+            return images
+        return images | term_images(packed, prepared, Chunk(samples, weight, primary, record, key_radiance), key_terms)
 
     def _image(self, packed: PackedScene, samples, key_film, key, spp: int) -> dict:
         """The same in value, for images that nobody differentiates."""
@@ -257,18 +197,4 @@ def _check_transmission(packed: PackedScene, tracer: PathTracer) -> None:
             "delta surfaces (a path that leaves a surface that spreads light, meets a mirror or smooth glass and goes "
             "on); what the camera sees over delta surfaces is there",
             stacklevel=2,
-        )
-
-
-def _check_warp(packed: PackedScene) -> None:
-    """Raises ValueError for what a `warped_camera_term` does not know."""
-    if not isinstance(packed.camera, PinholeCamera):
-        raise ValueError(
-            f'render: primary="warp" needs a camera with a position, not {type(packed.camera).__name__}; take a '
-            'Perspective or a ThinLens, or primary="fixed_ray"'
-        )
-    if packed.light_count:
-        raise ValueError(
-            'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
-            'lights with an area, or primary="fixed_ray"'
         )

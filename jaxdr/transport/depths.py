@@ -6,8 +6,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings, gather
-from jaxdr.transport.shading import Scatterer
+from jaxdr.transport.path import PathSettings, Vertex, gather
 
 
 def radiance_by_depth(
@@ -25,5 +24,6 @@ def radiance_by_depth(
     seen = emitted(packed, first, -direction)[None]
     if settings.max_depth == 1:
         return seen
-    parts = gather(packed, Scatterer(packed, first, -direction), settings.max_depth - 1, u, key, settings, None)
+    start = Vertex(first, -direction, jnp.ones_like(direction))
+    parts = gather(packed, start, settings.max_depth - 1, u, key, settings, None)
     return jnp.concatenate([seen, parts.light + parts.emission])

@@ -1,8 +1,16 @@
 """Unidirectional path tracing: measurement contributions and the segments they came through.
 
-A path starts at a first hit that the caller provides; every later vertex is a material point (DESIGN 1), except behind
-delta lobes: there it slides, as mirrors and smooth glass continue a ray as it moves. Contributions are differentiable
-functions of the scene (the interior term is their derivative); choices and densities are detached.
+A path starts at a first hit x_1 that the caller provides; every later vertex is a material point (DESIGN 1). With
+throughput T_1 = 1 the contribution of the vertices k = 1, 2, ... is the sum of
+
+    T_k f(x_k, y) G(x_k, y) J(y) L_e(y) w / p(y)                     y an emitter sample, p per area (light)
+    T_(k+1) L_e(x_(k+1)) w,   T_(k+1) = T_k f G J / [p(ω) G]         ω a BSDF sample, p per solid angle (emission)
+
+f contains the cosine at x_k, G the one at the other end over the squared distance, J is the Jacobian from the reference
+surface, [.] is detached, and the weights w are those of the balance heuristic (Veach 1997). Contributions are
+differentiable functions of the scene (the interior term is their derivative); choices and densities are detached. What
+is infinitely far away has G = J = 1. Behind delta lobes the next vertex slides: mirrors and smooth glass continue a ray
+as it moves.
 """
 
 from typing import NamedTuple
@@ -13,7 +21,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, normalize, scale
+from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import (
@@ -25,7 +34,7 @@ from jaxdr.transport.interaction import (
     material_point,
     on_fixed_ray,
 )
-from jaxdr.transport.near_field import NearField
+from jaxdr.transport.near_field import Footprint, NearField, footprint
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 
@@ -57,26 +66,38 @@ class Segments(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Path vertices as they move, differentiable, where there are delta lobes. `delta`: the path goes on in one."""
+    """Path vertices as they move, differentiable, in scenes where some slide: behind `delta` lobes."""
 
     position: Float[Array, "B N 3"]
     shading_normal: Float[Array, "B N 3"]
     delta: Bool[Array, "B N"]
 
 
+class NearLight(NamedTuple):
+    """What the first hits of N paths scatter: by emitter sampling, and from behind the BSDF-sampled segment; detached.
+
+    With the shares of both that are taken in material form.
+    """
+
+    light: Float[Array, "N 3"]
+    beyond: Float[Array, "N 3"]
+    light_share: Float[Array, " N"]
+    beyond_share: Float[Array, " N"]
+
+
 class PathRecord(NamedTuple):
     """Radiance towards the camera of N paths, and the segments behind the first hit.
 
     `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments;
-    they carry what is gathered at their far end and beyond. None where there are none. `near` is the share of the
-    radiance (detached) that is taken in material form. `vertices` are the apexes of the segments, where some may slide.
+    they carry what is gathered at their far end and beyond. None where there are none. `near` says what first hits take
+    in material form, None where they have one form. `vertices` are the apexes of the segments, where some may slide.
     """
 
     radiance: Float[Array, "N 3"]
-    near: Float[Array, "N 3"]
     direct: Segments | None
     scattered: Segments | None
     vertices: Vertices | None = None
+    near: NearLight | None = None
 
 
 class PathSettings(NamedTuple):
@@ -87,18 +108,34 @@ class PathSettings(NamedTuple):
     rays: str
 
 
-class _Bounce(NamedTuple):
+class Vertex(NamedTuple):
+    """Where N paths are: at a point, the unit direction `wi` back along the path, and the throughput (RGB)."""
+
+    point: SurfacePoint
+    wi: Float[Array, "N 3"]
+    throughput: Float[Array, "N 3"]
+
+
+class Lobe(NamedTuple):
+    """Directions that are given where `pdf` (solid angle) is positive, in place of BSDF samples; detached."""
+
+    direction: Float[Array, "N 3"]
+    pdf: Float[Array, " N"]
+
+
+class Bounce(NamedTuple):
     """What one vertex of N paths adds.
 
-    `light` by emitter sampling, `emission` found by BSDF sampling; `near_light` and `near_beyond` are the shares of the
-    light sample and of everything behind the BSDF-sampled segment that are in material form.
+    `light` by emitter sampling, `emission` found by BSDF sampling; `light_share` and `beyond_share` are the shares of
+    the light sample and of everything behind the BSDF-sampled segment that are in material form, None without a
+    footprint. `scattered` is None where no direction was sampled; its weight is the BSDF value times geometric term.
     """
 
     light: Float[Array, "N 3"]
     emission: Float[Array, "N 3"]
-    near_light: Float[Array, " N"]
-    near_beyond: Float[Array, " N"]
-    direct: Segments
+    light_share: Float[Array, " N"] | None
+    beyond_share: Float[Array, " N"] | None
+    direct: Segments | None
     scattered: Segments | None
     vertices: Vertices | None = None
 
@@ -107,33 +144,30 @@ def trace_paths(
     packed: PackedScene,
     first: SurfacePoint,
     direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"] | Float[Array, "B N 4"],
+    u: Float[Array, "N 4"],
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None = None,
 ) -> PathRecord:
     """Trace paths on from first hits; `direction` is that of the rays which found them, `u` the first bounce's numbers.
 
-    Or those of all bounces; then nothing is drawn from `key`.
-
     Next-event estimation and BSDF sampling are combined by the balance heuristic (Veach 1997), unless `settings.mis`
     is off: then emitters are reached by next-event estimation alone, but for delta lobes, whose light only they find.
-    `near` is the other form of the first hits.
+    `near` is the other form of the first hits: the radiance is that of the fixed one, see `near_field_term`.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
-        return PathRecord(radiance, jnp.zeros_like(radiance), None, None)
-    scatterer = Scatterer(packed, first, -direction)
-    parts = gather(packed, scatterer, bounces, u, key, settings, near)
+        return PathRecord(radiance, None, None)
+    parts = gather(packed, Vertex(first, -direction, jnp.ones_like(direction)), bounces, u, key, settings, near)
     light, emission = parts.light, parts.emission
     own = stop_gradient(light + emission)
     # What every BSDF-sampled segment carries from its far end: the light that later bounces add, summed from the end.
     beyond = jnp.cumsum(own[::-1], axis=0)[::-1] - own
-    near_radiance = jnp.zeros_like(radiance)
+    near_light = None
     if near is not None:
-        near_radiance = parts.near_light[0, :, None] * stop_gradient(light[0])
-        near_radiance += parts.near_beyond[0, :, None] * (stop_gradient(emission[0]) + beyond[0])
+        shares = parts.light_share[0], parts.beyond_share[0]
+        near_light = NearLight(stop_gradient(light[0]), stop_gradient(emission[0]) + beyond[0], *shares)
     scattered = None
     if bounces > 1:
         scattered = jax.tree.map(lambda x: x[: bounces - 1], parts.scattered)
@@ -142,41 +176,40 @@ def trace_paths(
         scattered = scattered._replace(weight=jnp.where(transfer > 0, gathered, 0.0))
     return PathRecord(
         radiance + light.sum(0) + emission.sum(0),
-        near_radiance,
-        jax.tree.map(stop_gradient, parts.direct),
-        jax.tree.map(stop_gradient, scattered),
+        stop_gradient(parts.direct),
+        stop_gradient(scattered),
         parts.vertices,
+        near_light,
     )
 
 
-def gather(packed, scatterer, bounces, u, key, settings, near) -> _Bounce:
-    """All bounces of paths from their first vertex on, [B, N, ...]."""
+def gather(
+    packed: PackedScene,
+    start: Vertex,
+    bounces: int,
+    u: Float[Array, "N 4"],
+    key: PRNGKeyArray,
+    settings: PathSettings,
+    near: NearField | None,
+) -> Bounce:
+    """All bounces of paths from their first vertex on, [B, N, ...]; `u` are the numbers of the first."""
+    if bounces == 1:
+        added = scatter(packed, start, u, settings, onwards=not ends_early(packed, settings))[1]
+        return jax.tree.map(lambda x: x[None], added)
+    seen = None
+    if near is not None:
+        seen = stop_gradient(footprint(near.camera, start.point.position, start.point.normal))
 
-    given = u if u.ndim == 3 else None
-    u = u if given is None else given[0]
+    def step(at, bounce):
+        numbers = jnp.where(bounce == 0, u, uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype))
+        sees, moved = None, None
+        if near is not None:  # first hits alone have two forms
+            sees = seen._replace(size2=jnp.where(bounce == 0, seen.size2, 0.0))
+            moved = near.point.position - start.point.position
+        goes_on = bounce < bounces - 1 if ends_early(packed, settings) else True
+        return scatter(packed, at, numbers, settings, goes_on, sees, moved)
 
-    def numbers(bounce):
-        return given[bounce] if given is not None else uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype)
-
-    throughput = jnp.ones_like(scatterer.point.position)
-    last = bounces - ends_early(packed, settings)
-    if last == 0:
-        return _stack(scatter_last(packed, scatterer, throughput, u, settings, near))
-    state, added = scatter(packed, scatterer, throughput, u, settings, near)
-    parts = [_stack(added)]
-
-    def step(state, bounce):
-        point, wi, throughput = state
-        return scatter(packed, Scatterer(packed, point, wi), throughput, numbers(bounce), settings)
-
-    if last > 1:
-        state, added = jax.lax.scan(step, state, jnp.arange(1, last))
-        parts.append(added)
-    if last < bounces:
-        point, wi, throughput = state
-        scatterer = Scatterer(packed, point, wi)
-        parts.append(_stack(scatter_last(packed, scatterer, throughput, numbers(last), settings)))
-    return jax.tree.map(lambda *p: jnp.concatenate(p), *parts)
+    return jax.lax.scan(step, start, jnp.arange(bounces))[1]
 
 
 def ends_early(packed: PackedScene, settings: PathSettings) -> bool:
@@ -184,11 +217,110 @@ def ends_early(packed: PackedScene, settings: PathSettings) -> bool:
     return not (settings.mis or packed.has_delta_lobes)
 
 
-def _stack(bounce: _Bounce) -> _Bounce:
-    return jax.tree.map(lambda x: x[None], bounce)
+def scatter(
+    packed: PackedScene,
+    at: Vertex,
+    u: Float[Array, "N 4"],
+    settings: PathSettings,
+    onwards: bool | Bool[Array, "*#N"] = True,
+    seen: Footprint | None = None,
+    apart: Float[Array, "N 3"] | None = None,
+    given: Lobe | None = None,
+    records: bool = True,
+) -> tuple[Vertex | None, Bounce]:
+    """(next vertex, what this vertex adds): light by emitter sampling, and BSDF sampling where it goes `onwards`.
+
+    With `seen`, the footprint of a pixel at points that have two forms (of size zero at others), the shares of the
+    material form are found as well. `apart` is where that form is, relative to the points: the path goes on from the
+    mixture. `given` takes the place of BSDF samples. Without `records` there are no segments.
+    """
+    scatterer = Scatterer(packed, at.point, at.wi)
+    light, light_share, direct = _connect(packed, at, scatterer, u[:, :2], settings, seen, records)
+    if onwards is False:
+        return None, Bounce(light, jnp.zeros_like(light), light_share, None, direct, None)
+    sampled = _sample(packed, at, scatterer, u[:, 2:], onwards, given)
+    target, direction = _next_point(packed, at, scatterer, sampled, settings)
+    hit = target.valid
+
+    # T' = T f G J / [p G], in area measure; what is infinitely far away or behind a delta lobe has no G.
+    transfer = transfer_to(scatterer, target, ~hit, direction)
+    value, geometry, in_angle = transfer.value, transfer.geometry, ~hit
+    if sampled.delta is not None:
+        in_angle = ~hit | sampled.chosen
+        value = jnp.where(sampled.chosen[:, None], sampled.delta.weight, value)
+        geometry = jnp.where(sampled.chosen, 1.0, geometry)
+    density = sampled.pdf * stop_gradient(geometry)
+    carries = sampled.active & (density > 0)
+    throughput = scale(at.throughput * value, 1.0 / jnp.where(carries, density, 1.0))
+    throughput = jnp.where(carries[:, None], throughput, 0.0)
+
+    beyond_share, back = None, -transfer.towards
+    if seen is not None:
+        beyond_share = jnp.where(in_angle, 0.0, seen.share(stop_gradient(transfer.distance2)))
+        if apart is not None:
+            # The first hit as it moves for what is there; in value where it is.
+            moved = scale(apart - stop_gradient(apart), beyond_share)
+            mixed = at.point.position + moved - target.position
+            back = jnp.where(hit[:, None], normalize(jnp.where(hit[:, None], mixed, 1.0)), -direction)
+    emission = _found_emission(packed, scatterer, target, transfer, sampled, back, throughput, settings)
+    following = target._replace(valid=hit & (throughput != 0).any(-1))
+    scattered = _record(at, target, transfer, sampled) if records else None
+    vertices = None
+    if records and sampled.chosen is not None:
+        vertices = Vertices(at.point.position, at.point.shading_normal, sampled.chosen)
+    added = Bounce(light, emission, light_share, beyond_share, direct, scattered, vertices)
+    return Vertex(following, back, throughput), added
 
 
-class _Transfer(NamedTuple):
+class _Sampled(NamedTuple):
+    """Detached unit `direction` and its `pdf` (solid angle, of a `delta` lobe its probability), where `active`.
+
+    `own` is the BSDF's density, which emitter samples are weighted against, whatever directions were drawn from.
+    `delta` and `chosen`, where such a lobe was, are None in scenes without.
+    """
+
+    direction: Float[Array, "N 3"]
+    pdf: Float[Array, " N"]
+    own: Float[Array, " N"]
+    active: Bool[Array, " N"]
+    delta: DeltaSample | None
+    chosen: Bool[Array, " N"] | None
+
+
+def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards, given: Lobe | None) -> _Sampled:
+    direction, delta, chosen = scatterer.sample(u), None, None
+    if given is not None:
+        direction = jnp.where((given.pdf > 0)[:, None], given.direction, direction)
+    own = scatterer.pdf(direction)
+    pdf = own if given is None else jnp.where(given.pdf > 0, given.pdf, own)
+    if packed.has_delta_lobes:
+        delta = scatterer.sample_delta(u)
+        chosen = delta.probability > 0
+        direction = jnp.where(chosen[:, None], stop_gradient(delta.wo), direction)
+        pdf = jnp.where(chosen, stop_gradient(delta.probability), pdf)
+    active = at.point.valid & (pdf > 0)
+    return _Sampled(direction, pdf, own, active if onwards is True else active & onwards, delta, chosen)
+
+
+def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: _Sampled, settings: PathSettings):
+    """(what sampled rays hit: material points, behind delta lobes sliding ones; the directions as they move)."""
+    origin = scatterer.leave(sampled.direction)
+    face = intersect(packed, origin, sampled.direction, sampled.active, settings.rays)
+    hit = face >= 0
+    face = jnp.where(hit, face, 0)
+    barycentric = detached_barycentric(packed, origin, sampled.direction, face)
+    target, direction = material_point(packed, face, barycentric, hit), sampled.direction
+    if packed.environment_turns:
+        direction = jnp.where(hit[:, None], direction, packed.turned(direction))
+    if sampled.delta is not None:
+        slides = sampled.chosen & hit
+        direction = jnp.where(sampled.chosen[:, None], sampled.delta.wo, direction)
+        sliding = on_fixed_ray(packed, at.point.position, direction, jnp.where(slides, face, -1))
+        target = either(slides, sliding._replace(barycentric=barycentric), target)
+    return target, direction
+
+
+class Transfer(NamedTuple):
     """From a vertex towards a target: `value` = f_s |cos| G J (RGB; G counts the target's cosine, 1 at infinity).
 
     `towards` unit, `cosine` at the target (signed), `geometry` = G J; all of them differentiable.
@@ -201,8 +333,14 @@ class _Transfer(NamedTuple):
     geometry: Float[Array, " N"]
 
 
-def _transfer(scatterer, target: SurfacePoint, infinite, direction, delta=None) -> _Transfer:
-    """`delta` ones have no area, and so no cosine."""
+def transfer_to(
+    scatterer: Scatterer,
+    target: SurfacePoint,
+    infinite: Bool[Array, " N"],
+    direction: Float[Array, "N 3"],
+    delta: Bool[Array, " N"] | None = None,
+) -> Transfer:
+    """Transfer towards points, or in `direction` where `infinite`; `delta` ones have no area, and so no cosine."""
     offset = target.position - scatterer.point.position
     towards = jnp.where(infinite[:, None], direction, normalize(offset))
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
@@ -210,149 +348,90 @@ def _transfer(scatterer, target: SurfacePoint, infinite, direction, delta=None) 
     if delta is not None:
         cosine = jnp.where(delta, 1.0, cosine)
     geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
-    scattered = scatterer.eval_towards(towards, target.position, infinite)
-    return _Transfer(scattered * geometry[:, None], towards, distance2, cosine, geometry)
+    return Transfer(scale(scatterer.eval(towards), geometry), towards, distance2, cosine, geometry)
 
 
-def _both_forms(
-    packed, near: NearField | None, fixed: _Transfer, scatterer, target: SurfacePoint, infinite, direction, far
+def _connect(
+    packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings, seen: Footprint | None, records: bool
 ):
-    """(value, towards) of both forms of the first hit, mixed by the share of the near field, and that share.
-
-    All of it equals the fixed form's in value; the derivative is what differs. Nothing of what is `far` has a share.
-    """
-    if near is None:
-        return fixed.value, fixed.towards, jnp.zeros_like(fixed.distance2)
-    material = _transfer(Scatterer(packed, near.point, near.wi), target, infinite, direction)
-    far_share = 1.0 - near.share(scatterer.point, target.position, far)
-    share = near.share(near.point, target.position, far)
-    weight = share * near.importance
-    value = far_share[:, None] * fixed.value + weight[:, None] * material.value
-    mixed = stop_gradient(share)[:, None]
-    return value, (1.0 - mixed) * fixed.towards + mixed * material.towards, stop_gradient(share)
-
-
-def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
-    sample, point = sample_emitter(packed, u), scatterer.point
+    sample, point = sample_emitter(packed, u), at.point
     delta = sample.is_delta
-    fixed = _transfer(scatterer, sample.point, sample.infinite, sample.direction, delta)
-    infinite, towards = sample.infinite[:, None], fixed.towards
-    facing = stop_gradient(fixed.cosine) > 0
-    reachable = point.valid & facing & (stop_gradient(fixed.value) != 0).any(-1)
+    transfer = transfer_to(scatterer, sample.point, sample.infinite, sample.direction, delta)
+    towards = transfer.towards
+    facing = stop_gradient(transfer.cosine) > 0
+    reachable = point.valid & facing & (stop_gradient(transfer.value) != 0).any(-1)
     start = scatterer.leave(towards)
-    end = jnp.where(infinite, start + 2.0 * packed.size() * towards, leave(sample.point, -towards))
+    end = leave(sample.point, -towards)
+    end = jnp.where(sample.infinite[:, None], start + 2.0 * packed.size() * stop_gradient(towards), end)
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
-    seen = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
-    far = sample.infinite if delta is None else sample.infinite | delta
-    value, _, share = _both_forms(packed, near, fixed, scatterer, sample.point, sample.infinite, sample.direction, far)
-    arriving = throughput * radiance_towards(packed, sample, towards) / sample.pdf[:, None]
-    light = arriving * value
+    visible = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
+    share = None
+    if seen is not None:
+        far = sample.infinite if delta is None else sample.infinite | delta
+        share = jnp.where(far, 0.0, seen.share(stop_gradient(transfer.distance2)))
+    arriving = at.throughput * scale(radiance_towards(packed, sample, towards), 1.0 / sample.pdf)
+    light = arriving * transfer.value
     if settings.mis:
-        solid_angle_pdf = sample.pdf * stop_gradient(fixed.distance2 / jnp.where(reachable, fixed.cosine, 1.0))
-        light *= _share(solid_angle_pdf / (solid_angle_pdf + scatterer.pdf(towards)), delta)
+        per_angle = stop_gradient(transfer.distance2 / jnp.where(reachable, transfer.cosine, 1.0)) * sample.pdf
+        weight = per_angle / (per_angle + scatterer.pdf(towards))
+        # What nothing else finds has the weight one.
+        light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
+    light = jnp.where(visible[:, None], light, 0.0)
+    if not records:
+        return light, share, None
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
     carries = reachable if delta is None else reachable & ~delta
     lit = point.valid & scatterer.spreads() if packed.has_delta_lobes else point.valid
     unlit = None
     if packed.has_varying_sky or packed.glow:
-        unlit = jnp.where(carries[:, None], throughput / sample.pdf[:, None], 0.0)
+        unlit = stop_gradient(scale(at.throughput, jnp.where(carries, 1.0 / sample.pdf, 0.0)))
     segment = Segments(
         apex_face=point.face,
         apex_barycentric=point.barycentric,
         target_face=sample.point.face,
         target_barycentric=sample.point.barycentric,
         infinite=sample.infinite,
-        direction=sample.direction,
-        weight=jnp.where(carries[:, None], arriving, 0.0),
-        visible=seen,
-        throughput=jnp.where(lit[:, None], throughput, 0.0),
+        direction=stop_gradient(sample.direction),
+        weight=jnp.where(carries[:, None], stop_gradient(arriving), 0.0),
+        visible=visible,
+        throughput=jnp.where(lit[:, None], stop_gradient(at.throughput), 0.0),
         unlit=unlit,
     )
-    return jnp.where(seen[:, None], light, 0.0), share, segment
+    return light, share, segment
 
 
-def _share(weight, delta):
-    """Weight of emitter samples, [N, 1]: one where nothing else finds the light."""
-    return (weight if delta is None else jnp.where(delta, 1.0, weight))[:, None]
+def _found_emission(
+    packed, scatterer, target: SurfacePoint, transfer: Transfer, sampled: _Sampled, back, throughput, settings
+) -> Float[Array, "N 3"]:
+    """Radiance that BSDF samples find, weighted against emitter samples."""
+    if not settings.mis and sampled.chosen is None:
+        return jnp.zeros_like(throughput)
+    weight = jnp.zeros_like(sampled.pdf)
+    if settings.mis:
+        still = stop_gradient(transfer)
+        found = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, jnp.abs(still.cosine))
+        weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + found, 1.0)
+    if sampled.chosen is not None:
+        weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
+    return scale(throughput * emitted(packed, target, back), stop_gradient(weight))
 
 
-def scatter_last(packed, scatterer, throughput, u, settings, near=None) -> _Bounce:
-    """A vertex behind which paths end: emitter sampling alone."""
-    light, share, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
-    unused = jax.tree.map(jnp.zeros_like, direct)._replace(throughput=None, unlit=None, lobe=jnp.zeros_like(light))
-    return _Bounce(light, jnp.zeros_like(light), share, jnp.zeros_like(share), direct, unused)
-
-
-def scatter(packed, scatterer, throughput, u, settings, near=None):
-    """((next vertex, direction back from it, throughput), what this vertex adds): light, and BSDF sampling.
-
-    The weight of the BSDF-sampled segment is its BSDF value times geometric term, for `trace_paths` to divide by.
-    """
-    point = scatterer.point
-    light, near_light, direct = _emitter_connection(packed, scatterer, throughput, u[:, :2], settings, near)
-
-    sampled = scatterer.sample(u[:, 2:])
-    pdf = scatterer.pdf(sampled)
-    delta = chosen = None
-    if packed.has_delta_lobes:
-        delta = scatterer.sample_delta(u[:, 2:])
-        chosen = delta.probability > 0
-        sampled = jnp.where(chosen[:, None], stop_gradient(delta.wo), sampled)
-        pdf = jnp.where(chosen, stop_gradient(delta.probability), pdf)
-    active = point.valid & (pdf > 0)
-    origin = scatterer.leave(sampled)
-    face = intersect(packed, origin, sampled, active, settings.rays)
-    hit = face >= 0
-    face = jnp.where(hit, face, 0)
-    barycentric = detached_barycentric(packed, origin, sampled, face)
-    following = material_point(packed, face, barycentric, hit)
-    vertices, direction = None, sampled
-    if packed.environment_turns:
-        direction = jnp.where(hit[:, None], sampled, packed.turned(sampled))
-    if delta is not None:
-        vertices = Vertices(point.position, point.shading_normal, chosen)
-        direction = jnp.where(chosen[:, None], delta.wo, direction)
-        sliding = on_fixed_ray(packed, point.position, direction, jnp.where(chosen & hit, face, -1))
-        following = either(chosen & hit, sliding._replace(barycentric=barycentric), following)
-
-    # f G J / pdf in area measure; the density of a sampled direction there is pdf times the detached G.
-    transfer = _transfer(scatterer, following, ~hit, direction)
-    fixed, in_angle = transfer, ~hit
-    if delta is not None:
-        in_angle = in_angle | chosen
-        fixed = _transfer(scatterer, following, in_angle, direction)
-        fixed = fixed._replace(value=jnp.where(chosen[:, None], delta.weight, fixed.value))
-    forms = _both_forms(packed, near, fixed, scatterer, following, in_angle, direction, in_angle)
-    value, towards, near_beyond = forms
-    density = pdf * stop_gradient(fixed.geometry)
-    carries = active & (density > 0)
-    incoming = throughput
-    factor = value / jnp.where(carries, density, 1.0)[:, None]
-    throughput = jnp.where(carries[:, None], throughput * factor, 0.0)
-
-    emission = jnp.zeros_like(throughput)
-    if settings.mis or delta is not None:
-        weight = jnp.zeros_like(pdf)
-        if settings.mis:
-            found = emitter_pdf(packed, following, transfer.towards, transfer.distance2, jnp.abs(transfer.cosine))
-            weight = stop_gradient(pdf / jnp.where(active, pdf + found, 1.0))
-        if chosen is not None:
-            weight = jnp.where(chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
-        emission = throughput * emitted(packed, following, -towards) * weight[:, None]
-    # Delta lobes have no density: no estimator may spread what they carry over directions beside theirs.
-    spread = active if chosen is None else active & ~chosen
-    scattered = Segments(
-        apex_face=point.face,
-        apex_barycentric=point.barycentric,
-        target_face=face,
-        target_barycentric=barycentric,
-        infinite=active & ~hit,
-        direction=sampled,
-        weight=jnp.where((hit if chosen is None else hit & spread)[:, None], stop_gradient(transfer.value), 0.0),
+def _record(at: Vertex, target: SurfacePoint, transfer: Transfer, sampled: _Sampled) -> Segments:
+    """The BSDF-sampled segments; delta lobes have no density: none may spread what they carry over directions."""
+    hit, spread = target.valid, sampled.active
+    if sampled.chosen is not None:
+        spread = spread & ~sampled.chosen
+    carries = hit if sampled.chosen is None else hit & spread
+    per_angle = jnp.where(spread, 1.0 / jnp.where(spread, sampled.pdf, 1.0), 0.0)
+    return Segments(
+        apex_face=at.point.face,
+        apex_barycentric=at.point.barycentric,
+        target_face=target.face,
+        target_barycentric=target.barycentric,
+        infinite=sampled.active & ~hit,
+        direction=sampled.direction,
+        weight=jnp.where(carries[:, None], stop_gradient(transfer.value), 0.0),
         visible=hit,
-        lobe=jnp.where(spread[:, None], incoming / jnp.where(spread, pdf, 1.0)[:, None], 0.0),
+        lobe=scale(stop_gradient(at.throughput), per_angle),
     )
-    following = following._replace(valid=hit & (throughput != 0).any(-1))
-    added = _Bounce(light, emission, near_light, near_beyond, direct, scattered, vertices)
-    return (following, -towards, throughput), added

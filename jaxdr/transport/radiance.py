@@ -1,49 +1,189 @@
-"""Radiance of paths in value alone: no records, no derivative, and paths that have ended cost nothing."""
+"""The radiance wavefront: one loop that answers all requests for radiance that nobody differentiates.
+
+A term of a derivative asks for the radiance that leaves surface points in given directions. All terms' requests of a
+chunk go through one loop over bounces. From bounce to bounce the paths that go on are gathered in front, and blocks of
+them are worked on as far as there are any: paths that have ended, and requests for nothing, cost nothing.
+"""
 
 import os
-from functools import partial
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
-from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.near_field import NearField
-from jaxdr.transport.path import PathSettings, ends_early, scatter, scatter_last
+from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.near_field import Footprint
+from jaxdr.transport.path import Lobe, PathSettings, Vertex, ends_early, scatter
 from jaxdr.transport.sampler import path_numbers
-from jaxdr.transport.shading import Scatterer, ScatteringJump
 
 # Paths that go on together: enough for all threads of the ray queries, few enough for what they need to stay in caches.
 BLOCK = 8192 * max(2, os.cpu_count() or 1)
 
 
-class _Paths(NamedTuple):
-    """Rows of paths at a vertex, the random numbers there, and the numbers of the paths they belong to."""
+class Requests(NamedTuple):
+    """Radiance requests: what R material points send in the unit directions `wi`; detached.
 
-    point: SurfacePoint
-    wi: Float[Array, "N 3"]
-    throughput: Float[Array, "N 3"]
-    u: Float[Array, "N 4"]
-    number: Int[Array, " N"]
-
-
-class FirstBounce(NamedTuple):
-    """What the first vertices of paths add, and where the paths go from there.
-
-    `near_light` and `near_beyond` are the shares of the light sample and of everything behind the next segment that the
-    first hit takes in material form.
+    Where not `valid`, what the environment sends there. Paths scatter at most `bounces` times; `u` are the numbers of
+    the first bounce, those of later ones are functions of `stream`: paths of the same stream share them. `emission` is
+    the share of the point's own emission that counts. `seen`: footprints of a pixel at points whose radiance has two
+    forms (of size zero at others). `given` directions take the place of the first BSDF samples where their density is
+    positive.
     """
 
-    emission: Float[Array, "*S N 3"]
-    light: Float[Array, "*S N 3"]
-    found: Float[Array, "*S N 3"]
-    near_light: Float[Array, "*S N"]
-    near_beyond: Float[Array, "*S N"]
-    following: tuple[SurfacePoint, Float[Array, "*S N 3"], Float[Array, "*S N 3"]]
+    face: Int[Array, " R"]
+    barycentric: Float[Array, "R 3"]
+    valid: Bool[Array, " R"]
+    wi: Float[Array, "R 3"]
+    u: Float[Array, "R 4"]
+    bounces: Int[Array, " R"]
+    stream: UInt32[Array, " R"]
+    emission: Float[Array, " R"]
+    seen: Footprint | None = None
+    given: Lobe | None = None
+
+
+class Answers(NamedTuple):
+    """Radiance of requests, and what of it is taken in material form (nothing without footprints); detached."""
+
+    total: Float[Array, "R 3"]
+    near: Float[Array, "R 3"]
+
+
+class _Paths(NamedTuple):
+    """Rows of paths at a vertex; `share` of what they bring that is in material form, `number` of their requests."""
+
+    face: Int[Array, " N"]
+    barycentric: Float[Array, "N 3"]
+    wi: Float[Array, "N 3"]
+    throughput: Float[Array, "N 3"]
+    share: Float[Array, " N"] | None
+    number: Int[Array, " N"]
+    alive: Bool[Array, " N"]
+
+
+def request(
+    point: SurfacePoint,
+    wi: Float[Array, "R 3"],
+    u: Float[Array, "R 4"],
+    bounces: Int[Array, "*#R"] | int,
+    stream: UInt32[Array, " R"],
+    emission: Float[Array, " R"] | float = 1.0,
+    seen: Footprint | None = None,
+    given: Lobe | None = None,
+) -> Requests:
+    """Requests for the radiance of surface points, valid or not; at valid ones alone paths scatter."""
+    count, dtype = wi.shape[:1], wi.dtype
+    bounces = jnp.where(point.valid, jnp.asarray(bounces, jnp.int32), 0)
+    emission = jnp.broadcast_to(jnp.asarray(emission, dtype), count)
+    found = Requests(point.face, point.barycentric, point.valid, wi, u, bounces, stream, emission, seen, given)
+    return stop_gradient(found)
+
+
+def joined(requests: Sequence[Requests]) -> Requests:
+    """Several lists as one."""
+    if len(requests) == 1:
+        return requests[0]
+    footprints, lobes = (any(getattr(r, name) is not None for r in requests) for name in ("seen", "given"))
+
+    def whole(r: Requests) -> Requests:
+        zeros = jnp.zeros_like(r.emission)
+        seen = Footprint(zeros, zeros) if footprints and r.seen is None else r.seen
+        return r._replace(seen=seen, given=Lobe(r.wi, zeros) if lobes and r.given is None else r.given)
+
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *(whole(r) for r in requests))
+
+
+def split(answers: Answers, requests: Sequence[Requests]) -> list[Answers]:
+    """The answers to each of the lists that were joined."""
+    counts = [r.emission.shape[0] for r in requests]
+    parts = (jax.lax.split(table, counts) for table in answers)
+    return [Answers(*part) for part in zip(*parts, strict=True)]
+
+
+def radiance(packed: PackedScene, requests: Requests, key: PRNGKeyArray, settings: PathSettings) -> Answers:
+    """Answer requests: emission, next-event estimation and BSDF sampling as of `trace_paths`; detached."""
+    packed, requests = stop_gradient((packed, requests))
+    point = material_point(packed, requests.face, requests.barycentric, requests.valid)
+    total = scale(emitted(packed, point, requests.wi), requests.emission)
+    bounces, near = settings.max_depth - 1, jnp.zeros_like(total)
+    if bounces == 0:
+        return Answers(total, near)
+    sums = _followed(packed, requests, key, settings, bounces)
+    return Answers(total + sums[0], near if requests.seen is None else sums[1])
+
+
+def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettings, bounces: int) -> list[Array]:
+    """[what paths gather, and, with footprints, what of it is in material form]."""
+    count = requests.emission.shape[0]
+    size = min(BLOCK, count)
+    room = -(-count // size) * size
+    early, forms = ends_early(packed, settings), 1 if requests.seen is None else 2
+    start = _Paths(
+        face=requests.face,
+        barycentric=requests.barycentric,
+        wi=requests.wi,
+        throughput=jnp.ones_like(requests.wi),
+        share=None if requests.seen is None else jnp.zeros_like(requests.emission),
+        number=jnp.arange(count),
+        alive=requests.bounces > 0,
+    )
+    start = jax.tree.map(lambda x: jnp.pad(x, [(0, room - count)] + [(0, 0)] * (x.ndim - 1)), start)
+
+    def step(state: tuple[_Paths, list[Array]], bounce):
+        paths, sums = state
+        used = paths.alive.sum()
+        rows = jnp.nonzero(paths.alive, size=room, fill_value=0)[0]
+
+        def block(i, state):
+            after, sums = state
+            here = jax.lax.dynamic_slice_in_dim(rows, i * size, size)
+            live = i * size + jnp.arange(size) < used
+            following, added = at_vertices(jax.tree.map(lambda x: x[here], paths), live, bounce)
+            number = following.number
+            sums = [s.at[number].add(jnp.where(live[:, None], a, 0.0)) for s, a in zip(sums, added, strict=True)]
+            after = jax.tree.map(lambda t, x: jax.lax.dynamic_update_slice_in_dim(t, x, i * size, 0), after, following)
+            return after, sums
+
+        nobody = paths._replace(alive=jnp.zeros_like(paths.alive))
+        return jax.lax.fori_loop(0, -(-used // size), block, (nobody, sums)), None
+
+    def at_vertices(paths: _Paths, live, bounce) -> tuple[_Paths, list[Array]]:
+        own = jax.tree.map(lambda x: x[paths.number], requests._replace(face=None, barycentric=None, wi=None))
+        first = bounce == 0
+        u = jnp.where(first, own.u, path_numbers(key, own.stream, bounce, own.u.dtype))
+        seen = given = None
+        if own.seen is not None:
+            seen = own.seen._replace(size2=jnp.where(first, own.seen.size2, 0.0))
+        if own.given is not None:
+            given = own.given._replace(pdf=jnp.where(first, own.given.pdf, 0.0))
+        more = live & (bounce + 1 < own.bounces)
+        onwards = (False if bounces == 1 else more) if early else True
+        at = Vertex(material_point(packed, paths.face, paths.barycentric, live), paths.wi, paths.throughput)
+        after, added = scatter(packed, at, u, settings, onwards, seen, None, given, records=False)
+        light, found, share = added.light, added.emission, paths.share
+        values = [light + found]
+        if seen is not None:
+            light_share = jnp.where(first, added.light_share, paths.share)
+            share = light_share if after is None else jnp.where(first, added.beyond_share, paths.share)
+            values.append(scale(light, light_share) + scale(found, share))
+        if after is None:
+            return paths._replace(alive=jnp.zeros_like(live), share=share), values
+        point = after.point
+        ahead = _Paths(
+            point.face, point.barycentric, after.wi, after.throughput, share, paths.number, more & point.valid
+        )
+        return ahead, values
+
+    state: Any = (start, [jnp.zeros_like(requests.wi) for _ in range(forms)])
+    if bounces == 1:
+        return step(state, 0)[0][1]
+    return jax.lax.scan(step, state, jnp.arange(bounces))[0][1]
 
 
 def arriving_radiance(
@@ -55,164 +195,5 @@ def arriving_radiance(
     settings: PathSettings,
 ) -> Float[Array, "N 3"]:
     """Radiance that rays of `direction` find, `first` being what they hit: that of `trace_paths`, detached."""
-    packed, first, direction = stop_gradient((packed, first, direction))
-    radiance, bounces = emitted(packed, first, -direction), settings.max_depth - 1
-    if bounces == 0:
-        return radiance
-    return radiance + gathered_radiance(packed, first, direction, u, key, settings, bounces)
-
-
-def first_bounce(
-    packed: PackedScene,
-    first: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
-    settings: PathSettings,
-    near: NearField | None,
-) -> FirstBounce:
-    """The first bounce of paths that `radiance_by_form` goes on with; `near` the other form of the first hits.
-
-    It may be mapped over several first hits that share their random numbers.
-    """
-    packed, first, direction, near = stop_gradient((packed, first, direction, near))
-    emission, scatterer = emitted(packed, first, -direction), Scatterer(packed, first, -direction)
-    return _first_bounce(packed, emission, scatterer, -direction, u, settings, near)
-
-
-def first_bounce_of_jump(
-    packed: PackedScene,
-    one: SurfacePoint,
-    two: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
-    settings: PathSettings,
-    near: tuple[NearField, NearField] | None,
-) -> FirstBounce:
-    """The same of the radiance from points `one` less that from `two` beside them, across a crease: a path for both.
-
-    With `near`, of the two sides, only the share that is not in material form.
-    """
-    packed, one, two, direction, near = stop_gradient((packed, one, two, direction, near))
-    emission = emitted(packed, one, -direction) - emitted(packed, two, -direction)
-    first, second = Scatterer(packed, one, -direction), Scatterer(packed, two, -direction)
-    jump = ScatteringJump(first, second, near)
-    return _first_bounce(packed, emission, jump, -direction, u, settings, None)
-
-
-def _first_bounce(packed, emission, scatterer, wi, u, settings, near) -> FirstBounce:
-    throughput, nothing = jnp.ones_like(wi), jnp.zeros_like(wi)
-    nowhere = (scatterer.point, wi, throughput)
-    if settings.max_depth == 1:
-        return FirstBounce(emission, nothing, nothing, nothing[:, 0], nothing[:, 0], nowhere)
-    if settings.max_depth == 2 and ends_early(packed, settings):
-        following, added = nowhere, scatter_last(packed, scatterer, throughput, u, settings, near)
-    else:
-        following, added = scatter(packed, scatterer, throughput, u, settings, near)
-    return FirstBounce(emission, added.light, added.emission, added.near_light, added.near_beyond, following)
-
-
-def radiance_by_form(
-    packed: PackedScene, begun: FirstBounce, key: PRNGKeyArray, settings: PathSettings
-) -> tuple[Float[Array, "*S N 3"], Float[Array, "*S N 3"]]:
-    """(radiance, what of it first hits take in material form) of paths after their first bounce, detached.
-
-    Paths of the same N share their random numbers.
-    """
-    packed, begun = stop_gradient((packed, begun))
-    beyond = jnp.zeros_like(begun.light)
-    if settings.max_depth > 2:
-        shape, count = begun.light.shape, begun.light.shape[-2]
-        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[len(shape) - 1 :]), begun.following)
-        stream = jnp.tile(jnp.arange(count), flat[1].shape[0] // count)
-        u = path_numbers(key, stream, 0, begun.light.dtype)
-        bounces = settings.max_depth - 2
-        beyond = _followed(packed, flat, u, key, settings, bounces, stream=stream, first=1).reshape(shape)
-    radiance = begun.emission + begun.light + begun.found + beyond
-    return radiance, begun.near_light[..., None] * begun.light + begun.near_beyond[..., None] * (begun.found + beyond)
-
-
-def gathered_radiance(
-    packed: PackedScene,
-    point: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    u: Float[Array, "N 4"],
-    key: PRNGKeyArray,
-    settings: PathSettings,
-    bounces: int,
-    remaining: Int[Array, " N"] | None = None,
-    stream: Int[Array, " N"] | None = None,
-) -> Float[Array, "N 3"]:
-    """Radiance that valid surface points scatter back against `direction`, without what they emit; detached.
-
-    Paths scatter `remaining` times, at most `bounces`. `u` are the random numbers of the first bounce; those of later
-    ones are the same for paths of the same `stream` (by default all have their own). From bounce to bounce the rows of
-    paths that go on are gathered in front, and blocks of rows are worked on as far as there are any.
-    """
-    packed, point, direction = stop_gradient((packed, point, direction))
-    start = (point, -direction, jnp.ones_like(direction))
-    return _followed(packed, start, u, key, settings, bounces, remaining, stream)
-
-
-def _followed(
-    packed,
-    start: tuple[SurfacePoint, Array, Array],
-    u,
-    key,
-    settings,
-    bounces: int,
-    remaining=None,
-    stream=None,
-    first: int = 0,
-):
-    """Light that paths gather in `bounces` bounces, the first of them number `first`.
-
-    `start`: their points there, directions back and throughputs.
-    """
-    count = u.shape[0]
-    size = min(BLOCK, count)
-    room = -(-count // size) * size
-    remaining = jnp.full(count, bounces) if remaining is None else remaining
-    stream = jnp.arange(count) if stream is None else stream
-    paths = _Paths(*start, u, jnp.arange(count))
-    paths = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], room - count, axis=0)]), paths)
-
-    def alive(paths, rows, number):
-        """(rows of paths that scatter once more, in front, and how many there are)."""
-        goes_on = rows & paths.point.valid & (number - first < remaining[paths.number])
-        return jnp.nonzero(goes_on, size=room, fill_value=0)[0], goes_on.sum()
-
-    def step(at_vertex, state, number):
-        paths, rows, used, radiance = state
-
-        def block(i, state):
-            after, radiance = state
-            here = jax.lax.dynamic_slice_in_dim(rows, i * size, size)
-            live = i * size + jnp.arange(size) < used
-            before = jax.tree.map(lambda x: x[here], paths)
-            before = before._replace(point=before.point._replace(valid=before.point.valid & live))
-            following, added = at_vertex(before, number)
-            added = jnp.where(live[:, None], added, 0.0)
-            radiance = radiance.at[before.number].add(added)
-            after = jax.tree.map(lambda t, x: jax.lax.dynamic_update_slice_in_dim(t, x, i * size, 0), after, following)
-            return after, radiance
-
-        after, radiance = jax.lax.fori_loop(0, -(-used // size), block, (paths, radiance))
-        return (after, *alive(after, jnp.arange(room) < used, number + 1), radiance), None
-
-    def full(before: _Paths, number):
-        scatterer = Scatterer(packed, before.point, before.wi)
-        state, added = scatter(packed, scatterer, before.throughput, before.u, settings)
-        u = path_numbers(key, stream[before.number], number, before.u.dtype)
-        return _Paths(*state, u, before.number), added.light + added.emission
-
-    def last(before: _Paths, number):
-        del number
-        scatterer = Scatterer(packed, before.point, before.wi)
-        return before, scatter_last(packed, scatterer, before.throughput, before.u, settings).light
-
-    ends = ends_early(packed, settings)
-    state: Any = (paths, *alive(paths, jnp.arange(room) < count, first), jnp.zeros_like(start[1]))
-    state = jax.lax.scan(partial(step, full), state, first + jnp.arange(bounces - ends))[0]
-    if ends:
-        state = step(last, state, first + bounces - 1)[0]
-    return state[-1]
+    stream = jnp.arange(u.shape[0], dtype=jnp.uint32)
+    return radiance(packed, request(first, -direction, u, settings.max_depth - 1, stream), key, settings).total

@@ -15,7 +15,6 @@ from jaxdr.geometry.vector import dot
 from jaxdr.scene.bsdf.base import DeltaSample, Rim, no_delta, only_delta, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
-from jaxdr.transport.near_field import NearField
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
@@ -95,11 +94,6 @@ class Scatterer:
         """f_s |cos| for world directions `wo`."""
         local = self.to_local(wo)
         return self._combine([bsdf.eval(self.wi, local) for bsdf, _ in self.groups])
-
-    def eval_towards(self, wo: Float[Array, "N 3"], target, infinite) -> Float[Array, "N 3"]:
-        """The same; how far the target is matters to a `ScatteringJump` alone."""
-        del target, infinite
-        return self.eval(wo)
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
@@ -202,52 +196,3 @@ class Scatterer:
         if through is None:
             return self.leave(self.normal)
         return self.leave(jnp.where(through[:, None], towards, self.normal))
-
-
-class ScatteringJump:
-    """What jumps across creases: the scattering on one side minus that on the other, at (nearly) the same points.
-
-    Both sides receive the same light but for what their own faces block, so one direction serves both: the noise is
-    that of the difference, and vanishes with the fold. `eval` is signed; `pdf` is the mean of the two sides'. Under
-    interpolated normals a face blocks directions that its shading normal would let through: those do not count for it.
-    With `near`, first hits in material form on the two sides, the share of light in that form does not count either.
-    """
-
-    def __init__(self, one: Scatterer, two: Scatterer, near: tuple[NearField, NearField] | None = None):
-        self.one, self.two, self.near = one, two, near
-        self.point = one.point
-
-    def eval_towards(
-        self, wo: Float[Array, "N 3"], target: Float[Array, "N 3"], infinite: Bool[Array, " N"]
-    ) -> Float[Array, "N 3"]:
-        """Difference of f_s |cos| for world directions `wo`, in which `target` is, or nothing where `infinite`."""
-        one, two = _unblocked(self.one, wo), _unblocked(self.two, wo)
-        if self.near is not None:
-            one, two = self._far(0, target, infinite) * one, self._far(1, target, infinite) * two
-        return one - two
-
-    def _far(self, side: int, target, infinite) -> Float[Array, "N 1"]:
-        """Share of the light that is not in material form."""
-        near = self.near[side]
-        return 1.0 - near.share(near.point, target, infinite)[:, None]
-
-    def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
-        """Density of `sample` (solid angle), detached."""
-        return 0.5 * (self.one.pdf(wo) + self.two.pdf(wo))
-
-    def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
-        """World directions from either side, detached."""
-        second = u[:, :1] >= 0.5
-        rest = jnp.concatenate([2.0 * u[:, :1] - second, u[:, 1:]], -1)
-        return jnp.where(second, self.two.sample(rest), self.one.sample(rest))
-
-    def leave(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """Origins of rays, on a side that scatters towards them: in a concave crease only that one sees the other."""
-        scatters = (_unblocked(self.one, towards) > 0).any(-1, keepdims=True)
-        return jnp.where(scatters, self.one.leave(towards), self.two.leave(towards))
-
-
-def _unblocked(scatterer: Scatterer, wo):
-    """f_s |cos| where `wo` is on the same side of the face as of its shading normal."""
-    leaves = dot(scatterer.normal, wo) * scatterer.cosine(wo) > 0
-    return jnp.where(leaves[:, None], scatterer.eval(wo), 0.0)

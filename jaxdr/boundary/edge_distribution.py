@@ -1,0 +1,184 @@
+"""How edges in the image are drawn: by projected length times an estimate of the jump of radiance (DESIGN 1)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.folds import SMOOTH
+from jaxdr.boundary.texture_jumps import glow_jumps, seam_jumps
+from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
+from jaxdr.transport.sampler import lattice, uniform
+
+PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
+
+
+class EdgeDistribution(NamedTuple):
+    """What edge points are drawn from; detached. Its rows are the edges of the moving shapes, numbered by `edge`.
+
+    `start`, `end` are the film points of the visible part of each edge, `clip` the fractions of the 3D edge at the ends
+    between near and far plane, `homogeneous` the denominators of the projection there, `range` the part of the
+    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance. Seen
+    through an aperture, an edge's `extent` bounds its length from all of it.
+    """
+
+    edge: Int[Array, " E"]
+    start: Float[Array, "E 2"]
+    end: Float[Array, "E 2"]
+    clip: Float[Array, "E 2"]
+    homogeneous: Float[Array, "E 2"]
+    range: Float[Array, "E 2"]
+    importance: Float[Array, " E"]
+    silhouettes: Float[Array, " E"]
+    creases: Float[Array, " E"]
+    extent: Float[Array, " E"] | None = None
+
+
+def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
+    """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
+    packed = jax.tree.map(stop_gradient, packed)
+    camera, number = packed.camera, packed.edges_of(moving)
+    view = camera.view()
+    ends = packed.vertices[packed.edges.vertices[number]]
+    p0, p1 = view.local(ends[:, 0]), view.local(ends[:, 1])
+    (near0, near1), (far0, far1) = (
+        _clip(sign * (limit - p0[:, 2]), sign * (limit - p1[:, 2]))
+        for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
+    )
+    t0, t1 = jnp.maximum(near0, far0), jnp.minimum(near1, far1)
+    in_front = t1 > t0
+    q0, q1 = p0 + t0[:, None] * (p1 - p0), p0 + t1[:, None] * (p1 - p0)
+    behind = ~in_front[:, None]
+    ahead = jnp.asarray([0.0, 0.0, 1.0], q0.dtype)
+    q0, q1 = jnp.where(behind, ahead, q0), jnp.where(behind, ahead, q1)
+    start, end = view.project_local(q0), view.project_local(q1)
+    extent, margin = norm(end - start), None
+    if camera.aperture:
+        blur0, blur1 = camera.blur(q0), camera.blur(q1)
+        extent, margin = extent + jnp.abs(blur0 - blur1), jnp.maximum(jnp.abs(blur0), jnp.abs(blur1))
+    s0, s1 = _inside_window(camera.film, start, end, margin)
+    length = jnp.where(in_front, extent * jnp.maximum(s1 - s0, 0.0), 0.0)
+    silhouette, importance = _importance(packed, moving, number, key)
+    mass = length * importance
+    return EdgeDistribution(
+        edge=number,
+        start=start,
+        end=end,
+        clip=jnp.stack([t0, t1], -1),
+        homogeneous=jnp.stack([view.homogeneous(q0), view.homogeneous(q1)], -1),
+        range=jnp.stack([s0, s1], -1),
+        importance=importance,
+        silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
+        creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
+        extent=extent if camera.aperture else None,
+    )
+
+
+def _clip(outside0, outside1):
+    """Parameter range of a line on which a linear function, positive outside, is not positive; empty as (1, 0)."""
+    change = outside1 - outside0
+    root = -outside0 / jnp.where(change == 0, 1.0, change)
+    low = jnp.where(outside0 > 0, jnp.where(outside1 > 0, 1.0, root), 0.0)
+    high = jnp.where(outside1 > 0, jnp.where(outside0 > 0, 0.0, root), 1.0)
+    return low, high
+
+
+def _inside_window(film, start, end, margin=None):
+    """Parameter range of projected edges within reach of the window's filters, and `margin` pixels more."""
+    x0, y0, width, height = film.window
+    reach = film.filter.radius if margin is None else film.filter.radius + margin
+    low, high = jnp.zeros(start.shape[0], start.dtype), jnp.ones(start.shape[0], start.dtype)
+    for axis, first, size in ((0, x0, width), (1, y0, height)):
+        for sign, limit in ((-1.0, first - reach), (1.0, first + size + reach)):
+            a, b = _clip(sign * (start[:, axis] - limit), sign * (end[:, axis] - limit))
+            low, high = jnp.maximum(low, a), jnp.minimum(high, b)
+    return low, high
+
+
+def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
+    """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
+
+    Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, a share of
+    their fold that stands for all other light, and how much their textures differ. Silhouettes: what the visible face
+    receives, and a typical value for the background. Only the noise depends on these estimates.
+    """
+    faces, row_of = packed.faces_of(moving)
+    corners, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
+    corner = corners[:, 0]
+    normal = normalize(jnp.cross(corners[:, 1] - corner, corners[:, 2] - corner))
+    front = dot(normal, packed.camera.view().towards(corner)) > 0
+    # Normals turned towards the camera: two faces that continue each other have no crease.
+    normal = jnp.where(front[:, None], normal, -normal)
+    smooth = jnp.asarray(packed.smooth)[shape]
+    lit = front | packed.two_sided[shape]  # one-sided faces seen from behind are black
+    if (through := packed.spreads_through) is not None:
+        lit |= through[shape]
+    received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
+
+    pair, interior = packed.edges.faces[number], packed.edges.interior[number]
+    face0 = row_of(pair[:, 0])
+    face1 = jnp.where(pair[:, 1] >= 0, row_of(pair[:, 1]), face0)
+    # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
+    silhouette = ~interior | (front[face0] != front[face1])
+    if packed.camera.aperture:  # and those that are silhouettes from a part of it
+        turns = packed.camera.turns(corner, normal)
+        silhouette = silhouette | turns[face0] | turns[face1]
+    fold = norm(normal[face0] - normal[face1])
+    jump = jnp.abs(received[face0] - received[face1])
+    typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
+    crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
+    if packed.uvs is not None:
+        light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
+        crease = crease + light * seam_jumps(packed, number)
+    if packed.glow:  # as irradiance that a white surface would send on
+        crease = crease + jnp.pi * glow_jumps(packed, number)
+    bright = jnp.maximum(received[face0], received[face1])
+    return silhouette, jnp.where(silhouette, 0.5 * (typical + bright), crease)
+
+
+def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
+    """Irradiance (luminance) of faces from a few emitter samples, without visibility.
+
+    Interpolated normals agree at an edge: what can differ for smooth faces is which of them the light reaches at all.
+    """
+    received = jnp.zeros(corner.shape[0], corner.dtype)
+    if not has_emitters(packed):
+        return received
+    sample = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
+    for i in range(PILOTS):
+        offset = sample.point.position[i] - corner
+        squared = jnp.maximum(dot(offset, offset), 1e-30)
+        direction = jnp.where(sample.infinite[i], sample.direction[i], offset / jnp.sqrt(squared)[:, None])
+        facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / squared
+        if sample.light is None:
+            power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
+        else:
+            one = jax.tree.map(lambda x, i=i: jnp.broadcast_to(x[i], (corner.shape[0], *x.shape[1:])), sample)
+            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf[i] / PILOTS
+            facing = jnp.where(one.is_delta, 1.0 / squared, facing)
+        cosine = dot(direction, normal)
+        cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
+        received = received + cosine * jnp.where(sample.infinite[i], 1.0, facing) * power
+    return received
+
+
+def sample_edges(
+    distribution: EdgeDistribution, cdf: Float[Array, " E"], count: int, key
+) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """Rows, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
+    total = cdf[-1]
+    strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
+    target = strata / count * total
+    edge = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
+    mass = cdf[edge] - before
+    along = jnp.clip((target - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0)
+    low, high = distribution.range[edge, 0], distribution.range[edge, 1]
+    importance = distribution.importance[edge]
+    weight = jnp.where(mass > 0, total / (count * jnp.where(importance > 0, importance, 1.0)), 0.0)
+    return edge, low + along * (high - low), weight

@@ -1,0 +1,69 @@
+"""What the material form of first hits changes in the derivative of paths, see `near_field`."""
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+from jaxdr.geometry.vector import dot, scale
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.near_field import footprint
+from jaxdr.transport.path import PathRecord, transfer_to
+from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.shading import Scatterer
+
+
+def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRecord) -> Float[Array, "N 3"]:
+    """Zero in value; its derivative is that of the share s of first hits' light that is in material form.
+
+    `record` is of first hits on fixed rays. With f and f' what they scatter in the fixed and the material form, equal in
+    value, and w the importance of the latter, that is s w f' - s f: to first order f with the point moved by s times
+    the difference of the forms, and f times the changes of s and w. Light that arrives is the same in both.
+    """
+    assert primary.near is not None and record.near is not None  # there where first hits have two forms
+    assert record.direct is not None and record.scattered is not None
+    still, near, light = stop_gradient(packed), primary.near, record.near
+    point = stop_gradient(primary.first)
+
+    def apart(material, fixed):
+        return (material - stop_gradient(material)) - (fixed - stop_gradient(fixed))
+
+    position, shading_normal = (apart(getattr(near.point, n), getattr(primary.first, n)) for n in MOVING)
+    on_face = None if point.on_face is None else apart(near.point.on_face, primary.first.on_face)
+    wi, importance = apart(near.wi, -primary.direction), near.importance - stop_gradient(near.importance)
+    view = stop_gradient(near.camera)
+
+    def part(face, barycentric, carried, share):
+        target = material_point(still, face, barycentric, share > 0)
+        moved = SurfacePoint(
+            *point[:3],
+            position=point.position + scale(position, share),
+            normal=point.normal,
+            shading_normal=point.shading_normal + scale(shading_normal, share),
+            area=point.area,
+            scale=point.scale,
+            on_face=None if on_face is None else point.on_face + scale(on_face, share),
+        )
+        scatterer = Scatterer(still, moved, stop_gradient(-primary.direction) + scale(wi, share))
+        value = transfer_to(scatterer, target, share <= 0, jnp.zeros_like(wi)).value
+        lit = (stop_gradient(value) != 0) & (share > 0)[:, None]
+        arriving = jnp.where(lit, carried / jnp.where(lit, stop_gradient(value), 1.0), 0.0)
+        offset = target.position - (point.position + position)
+        there = share > 0
+        changed = footprint(view, point.position + position, point.normal).share(
+            jnp.where(there, dot(offset, offset), 1.0)
+        )
+        changed = jnp.where(there, changed - stop_gradient(changed), 0.0) + share * importance
+        return arriving * (value - stop_gradient(value)) + scale(carried, changed)
+
+    one, two = (jax.tree.map(lambda x: x[0], s) for s in (record.direct, record.scattered))
+    both = jax.tree.map(
+        lambda *x: jnp.stack(x),
+        (one.target_face, one.target_barycentric, light.light, light.light_share),
+        (two.target_face, two.target_barycentric, light.beyond, light.beyond_share),
+    )
+    return jax.vmap(part)(*both).sum(0)
+
+
+MOVING = ("position", "shading_normal")
