@@ -20,6 +20,12 @@ def components(v: Shaped[ArrayLike, "*n d"]) -> tuple[Shaped[Array, "*n"], ...]:
     return tuple(jax.lax.squeeze(part, (part.ndim - 1,)) for part in parts)
 
 
+def z_of(v: Shaped[ArrayLike, "*n 3"]) -> Shaped[Array, "*n"]:
+    """The third component alone: of local directions the cosine to the normal, of a camera's points the depth."""
+    v = jnp.asarray(v)
+    return jax.lax.squeeze(jax.lax.split(v, (2, 1), v.ndim - 1)[1], (v.ndim - 1,))
+
+
 def from_components(*numbers: Shaped[ArrayLike, "*#n"]) -> Shaped[Array, "*n d"]:
     """Vectors of these components."""
     arrays = jnp.broadcast_arrays(*numbers)

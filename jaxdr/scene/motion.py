@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxdr.geometry.vector import cross
 from jaxdr.scene.scene import Scene
 
 EPSILON = float(np.finfo(np.float32).eps)
@@ -46,7 +47,7 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
         if key == "camera.to_world":
             return key, value, _camera_derivative(kind, value, direction)
         centre = (value.min(0) + value.max(0)) / 2
-        turning = jnp.cross(direction, value - centre)
+        turning = cross(direction, value - centre)
         return key, value, jnp.broadcast_to(direction, value.shape) if kind == "translate" else turning
 
     plain = [key for key in parameters if key not in owners.values()]

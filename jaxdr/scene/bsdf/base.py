@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import normalize
+from jaxdr.geometry.vector import cross, from_components, normalize, z_of
 
 
 class DeltaSample(NamedTuple):
@@ -92,7 +92,7 @@ class BSDF(eqx.Module):
         A matter of noise alone: how far from sampled directions line sampling looks for silhouettes. A model with
         several lobes gives the narrowest. Delta lobes don't count.
         """
-        return jnp.ones_like(wi[..., 0])
+        return jnp.ones(wi.shape[:-1], wi.dtype)
 
     def rims(self, wi: Float[Array, "*n 3"]) -> tuple[Rim, Rim]:
         """Bounds of the directions beyond the surface for which `pdf` is positive; for models that are `transmissive`.
@@ -101,8 +101,10 @@ class BSDF(eqx.Module):
         alone); at the second it may jump. Where there is more density than they say, light is lost. By default there
         is nothing but the horizon.
         """
-        far = -jnp.sign(wi[..., 2:]) * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        return Rim(far, jnp.zeros_like(wi[..., 0])), Rim(jnp.zeros_like(wi), -jnp.ones_like(wi[..., 0]))
+        z = z_of(wi)
+        zero = jnp.zeros_like(z)
+        far = from_components(zero, zero, -jnp.sign(z))
+        return Rim(far, zero), Rim(jnp.zeros_like(wi), -jnp.ones_like(z))
 
     def turn(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """`wo` (detached) as it turns with the lobe when `wi` moves: `wo` in value, its derivative a rotation.
@@ -123,7 +125,7 @@ class DeltaBSDF(BSDF):
         return jnp.zeros_like(wo)
 
     def pdf(self, wi, wo):
-        return jnp.zeros_like(wo[..., 0])
+        return jnp.zeros(wo.shape[:-1], wo.dtype)
 
     def sample(self, wi, u):
         return jnp.zeros_like(wi)
@@ -158,7 +160,7 @@ class TwoSided(eqx.Module):
 
 def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
     """Whether both directions are on the side of the normal."""
-    return (wi[..., 2] > 0) & (wo[..., 2] > 0)
+    return (z_of(wi) > 0) & (z_of(wo) > 0)
 
 
 def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -168,7 +170,7 @@ def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 
 def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
     """No delta lobe chosen."""
-    return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros_like(wi[..., 0]))
+    return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros(wi.shape[:-1], wi.dtype))
 
 
 def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -178,5 +180,5 @@ def turn_with_reflection(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> 
 
 def turn_with(centre: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """The same of lobes around unit directions `centre`."""
-    axis = jnp.cross(stop_gradient(centre), centre)
-    return normalize(wo + jnp.cross(axis, wo))
+    axis = cross(stop_gradient(centre), centre)
+    return normalize(wo + cross(axis, wo))
