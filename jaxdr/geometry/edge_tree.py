@@ -14,7 +14,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import cross, dot, norm, normalize
 
 LEAF = 4  # edges in a leaf
 
@@ -149,7 +149,7 @@ def _rows(nodes: _Nodes) -> Float[Array, "n 3 4"]:
 def _normal(p0, p1, p2):
     """(unit normals of faces, angle by which rounding of float32 coordinates may turn them: large for slivers)."""
     side0, side1 = p1 - p0, p2 - p0
-    normal2 = jnp.cross(side0, side1)
+    normal2 = cross(side0, side1)
     area, longest = norm(normal2), norm(side0) + norm(side1)
     rounding = 4 * float(np.finfo(np.float32).eps) * jnp.maximum(jnp.abs(p0).max(-1), jnp.abs(p2).max(-1))
     return normalize(normal2), jnp.where(area > 0, rounding * longest / jnp.where(area > 0, area, 1.0), jnp.pi)

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.arrays import as_array
 from jaxdr.geometry.edge_tree import spatial_order
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import cross, dot, normalize
 
 INTERIOR = 0
 BOUNDARY = 1
@@ -92,7 +92,7 @@ def dihedral(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
     start, end = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]
     # Unit sides first: the cross product of short sides would underflow when normalize squares it.
     side = normalize(vertices[edges.opposite[:, 0]] - start)
-    normal = normalize(jnp.cross(normalize(end - start), side))
+    normal = normalize(cross(normalize(end - start), side))
     # Padding (-1) reads the last vertex: finite, and masked by the kind.
     height = dot(normal, vertices[edges.opposite[:, 1]] - start)
     return jnp.where(edges.kind == INTERIOR, height, 0.0)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jaxdr.arrays import as_array
 from jaxdr.callers_line import warn
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import cross, dot, normalize, scale
 
 
 class Mesh(eqx.Module):
@@ -162,13 +162,13 @@ def _group_normals(
     corners = vertices[faces]  # [F, 3 corners, 3]
     to_next = normalize(jnp.roll(corners, -1, axis=1) - corners)
     to_previous = normalize(jnp.roll(corners, 1, axis=1) - corners)
-    cross = jnp.cross(to_next, to_previous)
-    normals = normalize(cross)
+    crossed = cross(to_next, to_previous)
+    normals = normalize(crossed)
     # atan2 of sine and cosine, unlike arccos, is smooth at 0 and 180 degrees, but not at (0, 0): a side of length
     # zero. There the normal is zero, so any other cosine does.
-    sine, cosine = dot(normals, cross), dot(to_next, to_previous)
+    sine, cosine = dot(normals, crossed), dot(to_next, to_previous)
     angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
-    weighted = (angles[..., None] * normals).reshape(-1, 3)
+    weighted = scale(normals, angles).reshape(-1, 3)
     return normalize(jax.ops.segment_sum(weighted, normal_faces.reshape(-1), group_count))
 
 

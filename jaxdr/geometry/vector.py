@@ -2,8 +2,8 @@
 
 Coordinates are taken apart by `split`, whose transpose is one concatenation. That of a slice is a padding for each, and
 that of a product with numbers repeated along the axis a sum over it; XLA's CPU compiler makes slow programs of both.
-What it makes of one column [*n, 1] is the same as of [*n]. `jax.jit` makes each function one equation, traced,
-differentiated and lowered once per shape.
+Arithmetic is on numbers [*n]: on columns [*n, 1] its programs take three times as long. `jax.jit` makes each function
+one equation, traced, differentiated and lowered once per shape.
 """
 
 from typing import NamedTuple
@@ -13,32 +13,26 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 
-def _columns(v) -> list[Array]:
-    """Parts [*n, 1] of [*n, d]."""
-    v = jnp.asarray(v)
-    return jax.lax.split(v, (1,) * v.shape[-1], v.ndim - 1) if v.shape[-1] > 1 else [v]
-
-
-def _rows(columns) -> Array:
-    """[*n, d] of parts [*n, 1]."""
-    return jax.lax.concatenate(columns, columns[0].ndim - 1)
-
-
-def _number(column):
-    return jax.lax.squeeze(column, (column.ndim - 1,))
-
-
 def components(v: Shaped[ArrayLike, "*n d"]) -> tuple[Shaped[Array, "*n"], ...]:
     """The components over the last axis: x, y and z of vectors, or of colours red, green and blue."""
-    return tuple(_number(column) for column in _columns(v))
+    v = jnp.asarray(v)
+    parts = jax.lax.split(v, (1,) * v.shape[-1], v.ndim - 1)
+    return tuple(jax.lax.squeeze(part, (part.ndim - 1,)) for part in parts)
+
+
+def z_of(v: Shaped[ArrayLike, "*n 3"]) -> Shaped[Array, "*n"]:
+    """The third component alone: of local directions the cosine to the normal, of a camera's points the depth."""
+    v = jnp.asarray(v)
+    return jax.lax.squeeze(jax.lax.split(v, (2, 1), v.ndim - 1)[1], (v.ndim - 1,))
 
 
 def from_components(*numbers: Shaped[ArrayLike, "*#n"]) -> Shaped[Array, "*n d"]:
     """Vectors of these components."""
     arrays = jnp.broadcast_arrays(*numbers)
     dtype = jnp.result_type(*numbers)
-    arrays = [array.astype(dtype) for array in arrays]
-    return _rows([jax.lax.expand_dims(array, (array.ndim,)) for array in arrays])
+    return jax.lax.concatenate(
+        [jax.lax.expand_dims(array.astype(dtype), (array.ndim,)) for array in arrays], arrays[0].ndim
+    )
 
 
 def corners(triangles: Shaped[ArrayLike, "*n k d"]) -> tuple[Shaped[Array, "*n d"], ...]:
@@ -56,23 +50,15 @@ def dot(a: Float[ArrayLike, "*#n d"], b: Float[ArrayLike, "*#n d"]) -> Float[Arr
     Written out: XLA's CPU compiler (jaxlib 0.10.2) gets rows from 32768 on wrong where it fuses a sum over an axis of a
     product with one vector for all rows, as in the derivative by a camera's position.
     """
-    return _number(_dot(a, b))
-
-
-def _dot(a, b) -> Array:
-    """`dot` as one column [*n, 1]."""
-    first, *others = _columns(jnp.multiply(a, b))
+    first, *others = components(jnp.multiply(a, b))
     return sum(others, start=first)
 
 
 @jax.jit
 def cross(a: Float[ArrayLike, "*#n 3"], b: Float[ArrayLike, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Vector product."""
-    return _rows(_cross(_columns(a), _columns(b)))
-
-
-def _cross(a, b):
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    (ax, ay, az), (bx, by, bz) = components(a), components(b)
+    return from_components(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
 @jax.jit
@@ -81,8 +67,7 @@ def scale(v: Float[ArrayLike, "*#n d"], s: Float[ArrayLike, "*#n"]) -> Float[Arr
     v, s = jnp.asarray(v), jnp.asarray(s)
     if s.ndim == 0:
         return v * s
-    s = jax.lax.expand_dims(s, (s.ndim,))
-    return _rows([part * s for part in _columns(v)])
+    return from_components(*(part * s for part in components(v)))
 
 
 @jax.jit
@@ -96,10 +81,10 @@ def norm(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n"]:
 @jax.jit
 def normalize(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n d"]:
     """Unit vectors; zero vectors stay zero with derivative zero."""
-    squared = _dot(a, a)
+    squared = dot(a, a)
     positive = squared > 0
     inverse = jax.lax.select(positive, 1.0 / jnp.sqrt(_or_one(positive, squared)), jnp.zeros_like(squared))
-    return _rows([part * inverse for part in _columns(a)])
+    return scale(a, inverse)
 
 
 def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -109,31 +94,33 @@ def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Ar
 @jax.jit
 def interpolate(values: Float[ArrayLike, "*#n 3 d"], barycentric: Float[ArrayLike, "*#n 3"]) -> Float[Array, "*#n d"]:
     """Values between those at the corners of faces."""
-    values, weights = jnp.asarray(values), _columns(barycentric)
+    values, weights = jnp.asarray(values), components(barycentric)
     width = values.shape[-1]
-    parts = _columns(values.reshape(*values.shape[:-2], 3 * width))
+    parts = components(values.reshape(*values.shape[:-2], 3 * width))
     a, b, c = ([part * weight for part in parts[k * width : (k + 1) * width]] for k, weight in enumerate(weights))
-    return _rows([x + y + z for x, y, z in zip(a, b, c, strict=True)])
+    return from_components(*(x + y + z for x, y, z in zip(a, b, c, strict=True)))
 
 
 @jax.jit
 def transform(matrix: Float[ArrayLike, "*#n m 3"], v: Float[ArrayLike, "*#n 3"]) -> Float[Array, "*#n m"]:
     """matrix @ v for every row."""
-    matrix, (x, y, z) = jnp.asarray(matrix), _columns(v)
-    entries = _columns(matrix.reshape(*matrix.shape[:-2], -1))
-    return _rows([entries[k] * x + entries[k + 1] * y + entries[k + 2] * z for k in range(0, len(entries), 3)])
+    matrix, (x, y, z) = jnp.asarray(matrix), components(v)
+    entries = components(matrix.reshape(*matrix.shape[:-2], -1))
+    return from_components(
+        *(entries[k] * x + entries[k + 1] * y + entries[k + 2] * z for k in range(0, len(entries), 3))
+    )
 
 
 @jax.jit
 def orthonormal_basis(n: Float[ArrayLike, "*n 3"]) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
     """Two tangents that complete unit `n` to a right-handed frame (Duff et al. 2017, branchless)."""
-    x, y, z = _columns(n)
+    x, y, z = components(n)
     one = jnp.ones_like(z)
     sign = jax.lax.select(z >= 0, one, -one)
     a = -1.0 / (sign + z)
     b = x * y * a
-    s = _rows([1.0 + sign * x * x * a, sign * b, -sign * x])
-    t = _rows([b, sign + y * y * a, -y])
+    s = from_components(1.0 + sign * x * x * a, sign * b, -sign * x)
+    t = from_components(b, sign + y * y * a, -y)
     return s, t
 
 
@@ -155,11 +142,11 @@ class Frame(NamedTuple):
 
 @jax.jit
 def _to_local(frame: Frame, v):
-    return _rows([_dot(v, axis) for axis in frame])
+    return from_components(*(dot(v, axis) for axis in frame))
 
 
 @jax.jit
 def _to_world(frame: Frame, v):
-    parts = zip(_columns(v), (_columns(axis) for axis in frame), strict=True)
+    parts = zip(components(v), (components(axis) for axis in frame), strict=True)
     a, b, c = ([number * part for part in axis] for number, axis in parts)
-    return _rows([x + y + z for x, y, z in zip(a, b, c, strict=True)])
+    return from_components(*(x + y + z for x, y, z in zip(a, b, c, strict=True)))

@@ -3,13 +3,14 @@
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array, broadcast
+from jaxdr.geometry.vector import components
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     """Of linear RGB (Rec. 709 primaries)."""
-    red, green, blue = (share * rgb[..., k] for k, share in enumerate(LUMINANCE))
+    red, green, blue = (share * part for share, part in zip(LUMINANCE, components(rgb), strict=True))
     return red + green + blue
 
 

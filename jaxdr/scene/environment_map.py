@@ -14,7 +14,8 @@ from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array
-from jaxdr.geometry.vector import normalize, transform
+from jaxdr.geometry import vector
+from jaxdr.geometry.vector import components, from_components, normalize, transform
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.sampling import linear, linear_number, number_in_rows, search_sorted_rows
@@ -66,10 +67,9 @@ class EnvironmentMap(Environment):
         first, second, along = _columns(u, width)
         table = self.radiance.reshape(-1, 3)
         top, bottom = row * width, (row + 1) * width
-        along, along_row = along[..., None], along_row[..., None]
-        upper = (1 - along) * table[top + first] + along * table[top + second]
-        lower = (1 - along) * table[bottom + first] + along * table[bottom + second]
-        return self.scale * ((1 - along_row) * upper + along_row * lower)
+        upper = vector.scale(table[top + first], 1 - along) + vector.scale(table[top + second], along)
+        lower = vector.scale(table[bottom + first], 1 - along) + vector.scale(table[bottom + second], along)
+        return self.scale * (vector.scale(upper, 1 - along_row) + vector.scale(lower, along_row))
 
     def sampler(self):
         radiance, scale = stop_gradient((self.radiance, self.scale))
@@ -128,8 +128,9 @@ class LatLongSampler(DirectionSampler):
 
     def sample(self, u):
         height, width = self.corners.shape
-        row, rest_row = search_sorted_rows(self.rows[None], jnp.zeros(u.shape[:-1], jnp.int32), u[..., 1])
-        column, rest_column = search_sorted_rows(self.columns, row, u[..., 0])
+        first, second = components(u)
+        row, rest_row = search_sorted_rows(self.rows[None], jnp.zeros(u.shape[:-1], jnp.int32), second)
+        column, rest_column = search_sorted_rows(self.columns, row, first)
         (a, b), (c, d) = self._at(row, column, (column + 1) % width)
         down = linear(rest_row, a + b, c + d)
         along = linear(rest_column, a + down * (c - a), b + down * (d - b))
@@ -137,7 +138,7 @@ class LatLongSampler(DirectionSampler):
         cosine = jnp.clip((1 - down) * edges[row] + down * edges[row + 1], -1.0, 1.0)
         sine = jnp.sqrt((1.0 - cosine) * (1.0 + cosine))
         longitude = (column + 0.5 + along) * (2 * math.pi / width)
-        local = jnp.stack([sine * jnp.sin(longitude), cosine, -sine * jnp.cos(longitude)], -1)
+        local = from_components(sine * jnp.sin(longitude), cosine, -sine * jnp.cos(longitude))
         return stop_gradient(normalize(transform(self.to_world, local)))
 
     def numbers(self, direction):
@@ -150,12 +151,9 @@ class LatLongSampler(DirectionSampler):
         (a, b), (c, d) = self._at(row, column, (column + 1) % width)
         rest_row = linear_number(down, a + b, c + d)
         rest_column = linear_number(along, a + down * (c - a), b + down * (d - b))
-        return jnp.stack(
-            [
-                number_in_rows(self.columns, row, column, rest_column),
-                number_in_rows(self.rows[None], jnp.zeros_like(row), row, rest_row),
-            ],
-            -1,
+        return from_components(
+            number_in_rows(self.columns, row, column, rest_column),
+            number_in_rows(self.rows[None], jnp.zeros_like(row), row, rest_row),
         )
 
     def pdf(self, direction):
@@ -209,7 +207,7 @@ def _angles(local: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Arra
 
     Slots that hold no direction (zero) count as +y.
     """
-    x, y, z = local[..., 0], local[..., 1], local[..., 2]
+    x, y, z = components(local)
     on_axis = x * x + z * z == 0
     x, z = jnp.where(on_axis, 0.0, x), jnp.where(on_axis, -1.0, z)
     radius = jnp.where(on_axis, 0.0, jnp.sqrt(x * x + z * z))

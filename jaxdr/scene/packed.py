@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR, edge_shares
-from jaxdr.geometry.vector import dot, interpolate, norm, transform
+from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Camera
@@ -166,8 +166,8 @@ class PackedScene(eqx.Module):
 
     def face_normals(self) -> Float[Array, "F 3"]:
         """Cross product of two sides of every face: its length is twice the area."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return jnp.cross(b - a, c - a)
+        a, b, c = corners(self.vertices[self.faces])
+        return cross(b - a, c - a)
 
     def turned(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Directions to the environment, fixed in value, as they turn with it where `environment_turns`."""
@@ -386,5 +386,5 @@ def concave_edges(packed: PackedScene) -> Bool[Array, " E"]:
     """
     vertices, edges = stop_gradient(packed.vertices), packed.edges
     p0, p1 = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]
-    normal = jnp.cross(p1 - p0, vertices[edges.opposite[:, 0]] - p0)
+    normal = cross(p1 - p0, vertices[edges.opposite[:, 0]] - p0)
     return edges.interior & (dot(normal, vertices[edges.opposite[:, 1]] - p0) > 0)

@@ -6,62 +6,68 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.geometry.vector import components, from_components
+
 
 def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     """Directions around +z with density cos/pi (solid angle)."""
-    radius, angle = jnp.sqrt(u[..., 0]), 2 * math.pi * u[..., 1]
-    z = jnp.sqrt(jnp.maximum(1.0 - u[..., 0], 0.0))
-    return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), z], -1)
+    first, second = components(u)
+    radius, angle = jnp.sqrt(first), 2 * math.pi * second
+    z = jnp.sqrt(jnp.maximum(1.0 - first, 0.0))
+    return from_components(radius * jnp.cos(angle), radius * jnp.sin(angle), z)
 
 
 def uniform_disk(u: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
     """Points of the unit disk, uniform in area (Shirley and Chiu 1997, concentric squares to circles)."""
-    x, y = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
+    x, y = (2.0 * part - 1.0 for part in components(u))
     across = jnp.abs(x) > jnp.abs(y)
     radius = jnp.where(across, x, y)
     ratio = jnp.where(across, y, x) / jnp.where(radius == 0, 1.0, radius)
     angle = jnp.where(across, 0.25 * math.pi * ratio, 0.5 * math.pi - 0.25 * math.pi * ratio)
-    return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle)], -1)
+    return from_components(radius * jnp.cos(angle), radius * jnp.sin(angle))
 
 
 def uniform_sphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     """Directions with density 1/(4 pi) (solid angle)."""
-    z = 1.0 - 2.0 * u[..., 0]
-    radius, angle = jnp.sqrt(jnp.maximum(1.0 - z * z, 0.0)), 2 * math.pi * u[..., 1]
-    return jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), z], -1)
+    first, second = components(u)
+    z = 1.0 - 2.0 * first
+    radius, angle = jnp.sqrt(jnp.maximum(1.0 - z * z, 0.0)), 2 * math.pi * second
+    return from_components(radius * jnp.cos(angle), radius * jnp.sin(angle), z)
 
 
 def uniform_sphere_numbers(direction: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
     """The numbers from which `uniform_sphere` draws unit directions."""
-    turns = jnp.arctan2(direction[..., 1], direction[..., 0]) / (2 * math.pi)
-    return jnp.stack([0.5 * (1.0 - direction[..., 2]), turns - jnp.floor(turns)], -1)
+    x, y, z = components(direction)
+    turns = jnp.arctan2(y, x) / (2 * math.pi)
+    return from_components(0.5 * (1.0 - z), turns - jnp.floor(turns))
 
 
 def uniform_triangle(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     """Barycentric coordinates, uniform in area (Heitz 2019, low distortion)."""
-    x, y = u[..., 0], u[..., 1]
+    x, y = components(u)
     upper = y > x
     b0 = jnp.where(upper, 0.5 * x, x - 0.5 * y)
     b1 = jnp.where(upper, y - 0.5 * x, 0.5 * y)
-    return jnp.stack([b0, b1, 1.0 - b0 - b1], -1)
+    return from_components(b0, b1, 1.0 - b0 - b1)
 
 
 def uniform_triangle_numbers(barycentric: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
     """The numbers from which `uniform_triangle` draws barycentric coordinates."""
-    b0, b1 = barycentric[..., 0], barycentric[..., 1]
+    b0, b1, _ = components(barycentric)
     upper = b1 > b0
-    return jnp.stack([jnp.where(upper, 2.0 * b0, b0 + b1), jnp.where(upper, b0 + b1, 2.0 * b1)], -1)
+    return from_components(jnp.where(upper, 2.0 * b0, b0 + b1), jnp.where(upper, b0 + b1, 2.0 * b1))
 
 
 def choose(
     u: Float[Array, "*#n 2"], probability: Float[Array, "*#n"]
 ) -> tuple[Bool[Array, "*#n"], Float[Array, "*#n 2"]]:
     """(whether the first of two is chosen, with `probability`; uniform numbers in [0, 1)^2 that are left)."""
-    first = u[..., 0] < probability
+    number, other = components(u)
+    first = number < probability
     start, width = jnp.where(first, 0.0, probability), jnp.where(first, probability, 1.0 - probability)
-    stretched = (u[..., 0] - start) / jnp.where(width > 0, width, 1.0)
+    stretched = (number - start) / jnp.where(width > 0, width, 1.0)
     below_one = 1.0 - jnp.finfo(u.dtype).epsneg  # the quotient may round to 1
-    return first, jnp.stack([jnp.minimum(stretched, below_one), jnp.broadcast_to(u[..., 1], first.shape)], -1)
+    return first, from_components(jnp.minimum(stretched, below_one), other)
 
 
 def linear(u: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.film import Film
 
 
@@ -26,6 +27,6 @@ def splat(
     column, row = (pixel - jnp.asarray([x0, y0], points.dtype)).astype(jnp.int32).transpose(2, 0, 1)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     index = jnp.where(inside, row * width + column, width * height)
-    contributions = (weight[..., None] * values[:, None]).reshape(-1, 3)
+    contributions = scale(values[:, None], weight).reshape(-1, 3)
     image = jnp.zeros((width * height, 3), values.dtype).at[index.reshape(-1)].add(contributions, mode="drop")
     return image.reshape(height, width, 3)

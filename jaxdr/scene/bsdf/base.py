@@ -12,6 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxdr.geometry.vector import from_components, z_of
+
 
 class DeltaSample(NamedTuple):
     """One delta lobe of a BSDF: all light of one direction `wo` (unit), scattered into one direction.
@@ -89,7 +91,7 @@ class BSDF(eqx.Module):
         A matter of noise alone: how far from sampled directions line sampling looks for silhouettes. A model with
         several lobes gives the narrowest. Delta lobes don't count.
         """
-        return jnp.ones_like(wi[..., 0])
+        return jnp.ones(wi.shape[:-1], wi.dtype)
 
     def rims(self, wi: Float[Array, "*n 3"]) -> tuple[Rim, Rim]:
         """Bounds of the directions beyond the surface for which `pdf` is positive; for models that are `transmissive`.
@@ -98,8 +100,10 @@ class BSDF(eqx.Module):
         alone); at the second it may jump. Where there is more density than they say, light is lost. By default there
         is nothing but the horizon.
         """
-        far = -jnp.sign(wi[..., 2:]) * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        return Rim(far, jnp.zeros_like(wi[..., 0])), Rim(jnp.zeros_like(wi), -jnp.ones_like(wi[..., 0]))
+        z = z_of(wi)
+        zero = jnp.zeros_like(z)
+        far = from_components(zero, zero, -jnp.sign(z))
+        return Rim(far, zero), Rim(jnp.zeros_like(wi), -jnp.ones_like(z))
 
 
 class DeltaBSDF(BSDF):
@@ -111,7 +115,7 @@ class DeltaBSDF(BSDF):
         return jnp.zeros_like(wo)
 
     def pdf(self, wi, wo):
-        return jnp.zeros_like(wo[..., 0])
+        return jnp.zeros(wo.shape[:-1], wo.dtype)
 
     def sample(self, wi, u):
         return jnp.zeros_like(wi)
@@ -146,7 +150,7 @@ class TwoSided(eqx.Module):
 
 def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
     """Whether both directions are on the side of the normal."""
-    return (wi[..., 2] > 0) & (wo[..., 2] > 0)
+    return (z_of(wi) > 0) & (z_of(wo) > 0)
 
 
 def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -156,4 +160,4 @@ def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 
 def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
     """No delta lobe chosen."""
-    return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros_like(wi[..., 0]))
+    return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros(wi.shape[:-1], wi.dtype))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, from_components, z_of
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, reflect, refract
 
@@ -98,14 +98,14 @@ def compute_transmittance(distribution: str, alpha, eta, cosine, nodes=(40, 24))
     u = jnp.asarray(np.stack(np.meshgrid(first, 0.5 * second, indexing="ij"), -1).reshape(-1, 2))
     weights = jnp.asarray(np.outer(first_weight, second_weight).ravel())
     model = DISTRIBUTIONS[distribution]
-    wi = jnp.stack([jnp.sqrt(1.0 - cosine * cosine), jnp.zeros_like(cosine), cosine], -1)[..., None, :]
+    wi = from_components(jnp.sqrt(1.0 - cosine * cosine), jnp.zeros_like(cosine), cosine)[..., None, :]
     alpha, eta = alpha[..., None], eta[..., None]
     m = model.sample(wi, alpha, u)
     through, passes = refract(wi, m, eta)
     back = reflect(wi, m)
     fresnel = fresnel_dielectric(jnp.abs(dot(wi, m)), eta).reflectance
-    refracted = jnp.where(passes & (through[..., 2] < 0), (1.0 - fresnel) * -through[..., 2], 0.0)
-    reflected = jnp.where(back[..., 2] > 0, fresnel * back[..., 2], 0.0)
+    refracted = jnp.where(passes & (z_of(through) < 0), (1.0 - fresnel) * -z_of(through), 0.0)
+    reflected = jnp.where(z_of(back) > 0, fresnel * z_of(back), 0.0)
     shares = refracted * model.masking(through, alpha), reflected * model.masking(back, alpha)
     return jnp.stack([(weights * share).sum(-1) for share in shares], -1)
 

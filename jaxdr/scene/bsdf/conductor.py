@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from jaxdr.geometry.vector import z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
 from jaxdr.scene.bsdf.parameters import Color, Value, complex_index, rgb
@@ -30,7 +31,7 @@ class Conductor(DeltaBSDF):
         self.specular_reflectance = rgb(specular_reflectance, "Conductor: specular_reflectance")
 
     def sample_delta(self, wi, u):
-        above = wi[..., 2] > 0
-        reflectance = fresnel_conductor(jnp.abs(wi[..., 2]), self.eta, self.k)
+        above = z_of(wi) > 0
+        reflectance = fresnel_conductor(jnp.abs(z_of(wi)), self.eta, self.k)
         weight = jnp.where(above[..., None], self.specular_reflectance * reflectance, 0.0)
         return DeltaSample(mirror(wi), weight, jnp.where(above, 1.0, 0.0).astype(wi.dtype))

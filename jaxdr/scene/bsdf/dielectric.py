@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.vector import components, from_components, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import Interface, fresnel_dielectric
 from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
@@ -42,26 +43,26 @@ class Dielectric(SmoothInterface):
     """
 
     def sample_delta(self, wi, u):
-        interface = fresnel_dielectric(wi[..., 2], self.eta)
+        interface = fresnel_dielectric(z_of(wi), self.eta)
         reflectance, eta_ti = interface.reflectance, interface.eta_ti
         return self._lobe(wi, u, interface, (1.0 - reflectance) * eta_ti * eta_ti)
 
     def adjoint_delta(self, wi, u):
-        interface = fresnel_dielectric(wi[..., 2], self.eta)
+        interface = fresnel_dielectric(z_of(wi), self.eta)
         passes = interface.cos_t > 0
-        cosines = jnp.abs(wi[..., 2]) / jnp.where(passes, interface.cos_t, 1.0)
+        cosines = jnp.abs(z_of(wi)) / jnp.where(passes, interface.cos_t, 1.0)
         return self._lobe(wi, u, interface, jnp.where(passes, (1.0 - interface.reflectance) * cosines, 0.0))
 
     def _lobe(self, wi, u, interface: Interface, transmitted: Float[Array, "*n"]) -> DeltaSample:
         """The lobe that `u` chooses; `transmitted` is the weight of the refracted one."""
         reflectance, eta_ti = interface.reflectance, interface.eta_ti
-        reflected = u[..., 0] < reflectance
-        across = -eta_ti[..., None] * wi[..., :2]
-        refracted = jnp.concatenate([across, (-jnp.sign(wi[..., 2]) * interface.cos_t)[..., None]], -1)
+        reflected = components(u)[0] < reflectance
+        x, y, z = components(wi)
+        refracted = from_components(-eta_ti * x, -eta_ti * y, -jnp.sign(z) * interface.cos_t)
         weight = jnp.where(
             reflected[..., None],
-            self.specular_reflectance * reflectance[..., None],
-            self.specular_transmittance * transmitted[..., None],
+            scale(self.specular_reflectance, reflectance),
+            scale(self.specular_transmittance, transmitted),
         )
         wo = jnp.where(reflected[..., None], mirror(wi), refracted)
         return DeltaSample(wo, weight, jnp.where(reflected, reflectance, 1.0 - reflectance))

@@ -4,6 +4,7 @@ import math
 
 import jax.numpy as jnp
 
+from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 from jaxdr.scene.sampling import cosine_hemisphere
@@ -18,11 +19,11 @@ class Diffuse(BSDF):
         self.reflectance = rgb(reflectance, "Diffuse: reflectance", 0.0, math.inf)
 
     def eval(self, wi, wo):
-        cosine = jnp.where(both_above(wi, wo), wo[..., 2], 0.0)
-        return self.reflectance * (cosine / math.pi)[..., None]
+        cosine = jnp.where(both_above(wi, wo), z_of(wo), 0.0)
+        return scale(self.reflectance, cosine / math.pi)
 
     def pdf(self, wi, wo):
-        return jnp.where(both_above(wi, wo), wo[..., 2], 0.0) / math.pi
+        return jnp.where(both_above(wi, wo), z_of(wo), 0.0) / math.pi
 
     def sample(self, wi, u):
         return cosine_hemisphere(u)

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxdr.geometry.vector import from_components
+
 
 class Interface(NamedTuple):
     """What happens at a dielectric interface.
@@ -45,7 +47,7 @@ def fresnel_conductor(
 
     Born and Wolf, Principles of Optics, 14.2. eta = 0, k > 0 is a perfect mirror.
     """
-    cos = cosine[..., None]
+    cos = from_components(cosine, cosine, cosine)
     cos2 = cos * cos
     sin2 = 1.0 - cos2
     real = eta * eta - k * k - sin2

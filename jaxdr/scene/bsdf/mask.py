@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
@@ -37,7 +38,7 @@ class Mask(BSDF):
         return self.bsdf.tangential
 
     def eval(self, wi, wo):
-        return self.opacity[..., None] * self.bsdf.eval(wi, wo)
+        return scale(self.bsdf.eval(wi, wo), self.opacity)
 
     def pdf(self, wi, wo):
         return self.opacity * self.bsdf.pdf(wi, wo)
@@ -58,13 +59,13 @@ class Mask(BSDF):
         """A hole, or a delta lobe of the BSDF inside."""
         hole, left = choose(u, 1.0 - self.opacity)
         share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
-        through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones_like(wi[..., 0]))
+        through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones(wi.shape[:-1], wi.dtype))
         inside = sample(wi, left)
         wo, weight = (
             jnp.where(hole[..., None], a, b) for a, b in ((through.wo, inside.wo), (through.weight, inside.weight))
         )
         probability = jnp.where(hole, through.probability, inside.probability)
-        return DeltaSample(wo, share[..., None] * weight, share * probability)
+        return DeltaSample(wo, scale(weight, share), share * probability)
 
     def rims(self, wi):
         return self.bsdf.rims(wi)

@@ -13,7 +13,7 @@ from jax.lax import erf_inv, stop_gradient
 from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import components, dot, from_components, norm, normalize, scale, z_of
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 
 NEWTON_STEPS = 5  # the worst angle takes four to the rounding of float32
@@ -33,14 +33,16 @@ class Distribution(NamedTuple):
 
 def _ggx_density(m: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
     """Walter et al. 2007, Eq. 33, written with x and y: 1 - cos² would lose all digits for small alpha in float32."""
-    x, y, z = m[..., 0] / alpha, m[..., 1] / alpha, m[..., 2]
+    x, y, z = components(m)
+    x, y = x / alpha, y / alpha
     stretched = x * x + y * y + z * z
     return 1.0 / (math.pi * jnp.square(alpha * stretched))
 
 
 def _ggx_masking(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
     """Walter et al. 2007, Eq. 34, over the cosine."""
-    x, y, z = alpha * v[..., 0], alpha * v[..., 1], v[..., 2]
+    x, y, z = components(v)
+    x, y = alpha * x, alpha * y
     return 2.0 / (jnp.abs(z) + jnp.sqrt(x * x + y * y + z * z))
 
 
@@ -49,18 +51,20 @@ def _ggx_sample(
 ) -> Float[Array, "*#n 3"]:
     """Heitz 2018's density by the simpler map of Dupuy and Benyoub 2023: a spherical cap, shifted by v."""
     v = _stretch(v, alpha)
-    angle = 2 * math.pi * u[..., 1]
-    up = 1.0 + v[..., 2]
-    z = (1.0 - u[..., 0]) * up  # of the sum below, without its cancellation
-    radius = jnp.sqrt(u[..., 0] * up * (2.0 - u[..., 0] * up))
-    m = jnp.stack([radius * jnp.cos(angle) + v[..., 0], radius * jnp.sin(angle) + v[..., 1], z], -1)
-    return _stretch(m, alpha)
+    first, second = components(u)
+    x, y, z = components(v)
+    angle = 2 * math.pi * second
+    up = 1.0 + z
+    raised = (1.0 - first) * up  # of the sum below, without its cancellation
+    radius = jnp.sqrt(first * up * (2.0 - first * up))
+    return _stretch(from_components(radius * jnp.cos(angle) + x, radius * jnp.sin(angle) + y, raised), alpha)
 
 
 def _beckmann_density(m: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
     """Walter et al. 2007, Eq. 25; zero where the exponential underflows in float32."""
-    z2 = jnp.square(m[..., 2])
-    slope2 = jnp.square(m[..., 0] / alpha) + jnp.square(m[..., 1] / alpha)
+    x, y, z = components(m)
+    z2 = jnp.square(z)
+    slope2 = jnp.square(x / alpha) + jnp.square(y / alpha)
     inside = slope2 < 80.0 * z2
     z2 = jnp.where(inside, z2, 1.0)
     exponent = jnp.where(inside, slope2, 0.0) / z2
@@ -72,7 +76,8 @@ def _beckmann_masking(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> F
 
     Mitsuba takes the rational approximation, which is up to 0.4 % off, and so is the density of its sampler.
     """
-    z, wide = jnp.abs(v[..., 2]), alpha * norm(v[..., :2])
+    x, y, z = components(v)
+    z, wide = jnp.abs(z), alpha * norm(from_components(x, y))
     shadows = 10.0 * wide > z  # elsewhere G1 is 1 to the last bit
     wide = jnp.where(shadows, wide, 1.0)
     a = jnp.where(shadows, z / wide, 1.0)
@@ -85,15 +90,17 @@ def _beckmann_sample(
 ) -> Float[Array, "*#n 3"]:
     """Heitz and d'Eon 2014 with the inversion of Jakob 2014: Newton's method for erf(slope)."""
     v = _stretch(v, alpha)
-    cos, sin = v[..., 2], norm(v[..., :2])
+    first, second = components(u)
+    x, y, cos = components(v)
+    sin = norm(from_components(x, y))
     tilted = sin > 0
     sin_or_one = jnp.where(tilted, sin, 1.0)
-    cos_phi, sin_phi = jnp.where(tilted, v[..., 0], 1.0) / sin_or_one, jnp.where(tilted, v[..., 1], 0.0) / sin_or_one
+    cos_phi, sin_phi = jnp.where(tilted, x, 1.0) / sin_or_one, jnp.where(tilted, y, 0.0) / sin_or_one
     steepest = jnp.where(tilted, cos / sin_or_one, 10.0)  # slope of normals perpendicular to v; 10 stands for infinity
     steepest = jnp.minimum(steepest, 10.0)
     one = 1.0 - jnp.finfo(v.dtype).epsneg
     top = jnp.minimum(erf(steepest), one)
-    share = u[..., 0] * (cos * (1.0 + top) + sin * jnp.exp(-jnp.square(steepest)) / math.sqrt(math.pi))
+    share = first * (cos * (1.0 + top) + sin * jnp.exp(-jnp.square(steepest)) / math.sqrt(math.pi))
 
     def residual(x):
         """(distribution function of slopes at erf(slope) = x, less the share; its derivative), times cos."""
@@ -102,7 +109,7 @@ def _beckmann_sample(
         return value, cos - slope * sin
 
     # The function of x is concave: from its second step on, Newton's method approaches the root from below.
-    guess = top - (1.0 + top) * erf(jnp.sqrt(-jnp.log(jnp.maximum(u[..., 0], jnp.finfo(u.dtype).tiny))))
+    guess = top - (1.0 + top) * erf(jnp.sqrt(-jnp.log(jnp.maximum(first, jnp.finfo(u.dtype).tiny))))
     fixed = stop_gradient
     x = jnp.clip(fixed(guess), -one, fixed(top))
     for _ in range(NEWTON_STEPS):
@@ -112,14 +119,17 @@ def _beckmann_sample(
     value, slope = residual(fixed(x))
     x = x - jnp.where(slope > 0, value - fixed(value), 0.0) / jnp.where(slope > 0, fixed(slope), 1.0)
 
-    along, across = erf_inv(x), erf_inv(jnp.clip(2.0 * u[..., 1] - 1.0, -one, one))
-    m = jnp.stack([-(cos_phi * along - sin_phi * across), -(sin_phi * along + cos_phi * across)], -1)
-    return _stretch(jnp.concatenate([m, jnp.ones_like(m[..., :1])], -1), alpha)
+    along, across = erf_inv(x), erf_inv(jnp.clip(2.0 * second - 1.0, -one, one))
+    m = from_components(
+        -(cos_phi * along - sin_phi * across), -(sin_phi * along + cos_phi * across), jnp.ones_like(along)
+    )
+    return _stretch(m, alpha)
 
 
 def _stretch(v: Float[Array, "*#n 3"], alpha: Float[Array, "*#n"]) -> Float[Array, "*#n 3"]:
     """Scale x and y by alpha: directions to the space where alpha is 1, and normals back from it. Unit vectors."""
-    return normalize(jnp.stack([alpha, alpha, jnp.ones_like(alpha)], -1) * v)
+    x, y, z = components(v)
+    return normalize(from_components(alpha * x, alpha * y, z))
 
 
 DISTRIBUTIONS = {
@@ -130,7 +140,7 @@ DISTRIBUTIONS = {
 
 def reflect(wi: Float[Array, "*#n 3"], m: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """`wi` mirrored at the plane with unit normal m."""
-    return 2.0 * dot(wi, m)[..., None] * m - wi
+    return scale(m, 2.0 * dot(wi, m)) - wi
 
 
 def refract(
@@ -143,7 +153,7 @@ def refract(
     cosine = dot(wi, m)
     interface = fresnel_dielectric(jnp.abs(cosine), eta)
     along = interface.eta_ti * cosine - interface.cos_t
-    return along[..., None] * m - interface.eta_ti[..., None] * wi, interface.cos_t > 0
+    return scale(m, along) - scale(wi, interface.eta_ti), interface.cos_t > 0
 
 
 def mirrored_width(alpha: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -177,6 +187,6 @@ def reflection(
     wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, up)
     half = normalize(wi + wo)
     pdf = 0.25 * model.density(half, alpha) * model.masking(wi, alpha)
-    value = pdf * wo[..., 2] * model.masking(wo, alpha)
+    value = pdf * z_of(wo) * model.masking(wo, alpha)
     zero = jnp.zeros_like(value)
     return Reflection(jnp.where(active, value, zero), jnp.where(active, pdf, zero), dot(wi, half))

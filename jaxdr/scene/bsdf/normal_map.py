@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.geometry.vector import Frame, dot, normalize, orthonormal_basis, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 
@@ -46,7 +46,7 @@ class NormalMap(BSDF):
 
     def eval(self, wi, wo):
         frame = _Frame(self.normal, wi)
-        value = self.bsdf.eval(frame.to_local(wi), frame.to_local(wo)) * frame.shadowing(wo)[..., None]
+        value = scale(self.bsdf.eval(frame.to_local(wi), frame.to_local(wo)), frame.shadowing(wo))
         return jnp.where(frame.keeps_side(wo)[..., None], value, 0.0)
 
     def pdf(self, wi, wo):
@@ -63,7 +63,7 @@ class NormalMap(BSDF):
         inside = self.bsdf.sample_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
         keeps = frame.keeps_side(wo)
-        weight = jnp.where(keeps[..., None], inside.weight * frame.shadowing(wo)[..., None], 0.0)
+        weight = jnp.where(keeps[..., None], scale(inside.weight, frame.shadowing(wo)), 0.0)
         return DeltaSample(wo, weight, inside.probability)
 
     def adjoint_delta(self, wi, u):
@@ -71,7 +71,7 @@ class NormalMap(BSDF):
         inside = self.bsdf.adjoint_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
         # Radiance is scattered from wi to wo in wo's frame.
-        weight = inside.weight * frame.shadowing(wi)[..., None]
+        weight = scale(inside.weight, frame.shadowing(wi))
         return DeltaSample(wo, jnp.where(self.delta_reverses(wi, wo)[..., None], weight, 0.0), inside.probability)
 
     def delta_reverses(self, wi, wo):
@@ -87,23 +87,23 @@ class _Frame:
 
     def __init__(self, stored: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"]):
         n = 2.0 * stored - 1.0
-        self.turned = wi[..., 2] * dot(wi, n) <= 0
+        self.turned = z_of(wi) * dot(wi, n) <= 0
         n = jnp.where(self.turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
         none = dot(n, n) == 0
         self.normal = normalize(jnp.where(none[..., None], jnp.asarray([0.0, 0.0, 1.0], n.dtype), n))
-        self.s, self.t = orthonormal_basis(self.normal)
+        self.axes = Frame(*orthonormal_basis(self.normal), self.normal)
 
     def to_local(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """From the frame of the surface."""
-        return jnp.stack([dot(w, self.s), dot(w, self.t), dot(w, self.normal)], -1)
+        return self.axes.to_local(w)
 
     def to_surface(self, v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """To the frame of the surface."""
-        return v[..., :1] * self.s + v[..., 1:2] * self.t + v[..., 2:] * self.normal
+        return self.axes.to_world(v)
 
     def keeps_side(self, w: Float[Array, "*n 3"]):
         """Whether directions are on the same side of the surface as of the mapped normal."""
-        return w[..., 2] * dot(w, self.normal) > 0
+        return z_of(w) * dot(w, self.normal) > 0
 
     def shadowing(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Estevez et al. 2019, Eq. 2 and 3: GGX masking, rougher the more the normal is turned."""
@@ -113,5 +113,5 @@ class _Frame:
 
 def _tangent2(w):
     """Squared tangent of the angle to z; large, but finite, across it."""
-    cosine2 = jnp.maximum(w[..., 2] * w[..., 2], 1e-12)
+    cosine2 = jnp.maximum(jnp.square(z_of(w)), 1e-12)
     return jnp.maximum(1.0 - cosine2, 0.0) / cosine2

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
 from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric
 from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
@@ -43,14 +44,14 @@ class Plastic(BSDF):
 
     def eval(self, wi, wo):
         above = both_above(wi, wo)
-        entering, leaving = (1.0 - fresnel_dielectric(jnp.abs(w[..., 2]), self.eta).reflectance for w in (wi, wo))
+        entering, leaving = (1.0 - fresnel_dielectric(jnp.abs(z_of(w)), self.eta).reflectance for w in (wi, wo))
         internal = diffuse_reflectance(1.0 / self.eta)
         base = coated(self.diffuse_reflectance, internal, self.nonlinear)
-        share = entering * leaving * wo[..., 2] / (math.pi * self.eta * self.eta)
-        return base * jnp.where(above, share, 0.0)[..., None]
+        share = entering * leaving * z_of(wo) / (math.pi * self.eta * self.eta)
+        return scale(base, jnp.where(above, share, 0.0))
 
     def pdf(self, wi, wo):
-        cosine = jnp.where(both_above(wi, wo), wo[..., 2], 0.0)
+        cosine = jnp.where(both_above(wi, wo), z_of(wo), 0.0)
         return (1.0 - self._mirror_probability(wi)) * cosine / math.pi
 
     def sample(self, wi, u):
@@ -58,20 +59,19 @@ class Plastic(BSDF):
 
     def sample_delta(self, wi, u):
         probability = self._mirror_probability(wi)
-        chosen = (u[..., 0] < probability) & (wi[..., 2] > 0)
-        reflectance = fresnel_dielectric(jnp.abs(wi[..., 2]), self.eta).reflectance
-        weight = self.specular_reflectance * jnp.where(chosen, reflectance, 0.0)[..., None]
+        chosen = (components(u)[0] < probability) & (z_of(wi) > 0)
+        reflectance = fresnel_dielectric(jnp.abs(z_of(wi)), self.eta).reflectance
+        weight = scale(self.specular_reflectance, jnp.where(chosen, reflectance, 0.0))
         return DeltaSample(mirror(wi), weight, jnp.where(chosen, probability, 0.0))
 
     def _mirror_probability(self, wi) -> Float[Array, "*n"]:
-        reflectance = fresnel_dielectric(jnp.abs(wi[..., 2]), self.eta).reflectance
+        reflectance = fresnel_dielectric(jnp.abs(z_of(wi)), self.eta).reflectance
         return coat_probability(reflectance, self.specular_reflectance, self.diffuse_reflectance)
 
 
 def coated(base: Float[Array, "*#n 3"], internal: Float[Array, "*#n"], nonlinear: bool) -> Float[Array, "*n 3"]:
     """Reflectance of a diffuse base with all reflections between it and a coat, which reflects the share `internal`."""
-    internal = internal[..., None]
-    return base / (1.0 - (base * internal if nonlinear else internal))
+    return base / (1.0 - scale(base, internal)) if nonlinear else scale(base, 1.0 / (1.0 - internal))
 
 
 def coat_probability(

@@ -5,6 +5,7 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxdr.geometry.vector import from_components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
@@ -43,28 +44,28 @@ class Principled(BSDF):
         above = both_above(wi, wo)
         facets = reflection("ggx", self._alpha(), wi, wo, above)
         dielectric = fresnel_dielectric(facets.cosine, self._eta()).reflectance
-        metal = self.base_color + (1.0 - self.base_color) * schlick_weight(facets.cosine)[..., None]
-        metallic = self.metallic[..., None]
-        fresnel = (1.0 - metallic) * dielectric[..., None] + metallic * metal
+        metal = self.base_color + scale(1.0 - self.base_color, schlick_weight(facets.cosine))
+        grey = (1.0 - self.metallic) * dielectric
+        fresnel = scale(metal, self.metallic) + from_components(grey, grey, grey)
         # Burley 2012, 5.3: a diffuse lobe with retro-reflection, by the factor 1 + `extreme` at grazing angles.
         extreme = 2.0 * self.roughness * facets.cosine * facets.cosine - 0.5
-        diffuse = (1.0 + extreme * schlick_weight(wi[..., 2])) * (1.0 + extreme * schlick_weight(wo[..., 2]))
-        diffuse = jnp.where(above, (1.0 - self.metallic) * diffuse * wo[..., 2] / math.pi, 0.0)
-        return fresnel * facets.value[..., None] + self.base_color * diffuse[..., None]
+        diffuse = (1.0 + extreme * schlick_weight(z_of(wi))) * (1.0 + extreme * schlick_weight(z_of(wo)))
+        diffuse = jnp.where(above, (1.0 - self.metallic) * diffuse * z_of(wo) / math.pi, 0.0)
+        return scale(fresnel, facets.value) + scale(self.base_color, diffuse)
 
     def pdf(self, wi, wo):
         above, chance = both_above(wi, wo), self._facet_probability()
         facets = reflection("ggx", self._alpha(), wi, wo, above)
-        return chance * facets.pdf + (1.0 - chance) * jnp.where(above, wo[..., 2], 0.0) / math.pi
+        return chance * facets.pdf + (1.0 - chance) * jnp.where(above, z_of(wo), 0.0) / math.pi
 
     def sample(self, wi, u):
-        facets, left = choose(u, jnp.broadcast_to(self._facet_probability(), wi[..., 2].shape))
+        facets, left = choose(u, jnp.broadcast_to(self._facet_probability(), wi.shape[:-1]))
         mirrored = reflect(wi, DISTRIBUTIONS["ggx"].sample(wi, self._alpha(), left))
         return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
 
     def lobe_width(self, wi):
         """Of the facets, whatever share of the light they reflect."""
-        return jnp.broadcast_to(mirrored_width(self._alpha()), wi[..., 2].shape)
+        return jnp.broadcast_to(mirrored_width(self._alpha()), wi.shape[:-1])
 
     def _alpha(self) -> Float[Array, "*n"]:
         return jnp.maximum(self.roughness * self.roughness, SHARPEST)

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
@@ -40,7 +41,7 @@ class RoughConductor(BSDF):
     def eval(self, wi, wo):
         facets = reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo))
         fresnel = fresnel_conductor(facets.cosine, self.eta, self.k)
-        return self.specular_reflectance * fresnel * facets.value[..., None]
+        return scale(self.specular_reflectance * fresnel, facets.value)
 
     def pdf(self, wi, wo):
         return reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo)).pdf
@@ -49,4 +50,4 @@ class RoughConductor(BSDF):
         return reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, u))
 
     def lobe_width(self, wi):
-        return jnp.broadcast_to(mirrored_width(self.alpha), wi[..., 2].shape)
+        return jnp.broadcast_to(mirrored_width(self.alpha), wi.shape[:-1])

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, normalize, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, Rim
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection, refract
@@ -55,54 +55,54 @@ class RoughDielectric(BSDF):
 
     def eval(self, wi, wo):
         wi, wo, eta = self._seen_from_above(wi, wo)
-        facets = reflection(self.distribution, self.alpha, wi, wo, (wi[..., 2] > 0) & (wo[..., 2] > 0))
+        facets = reflection(self.distribution, self.alpha, wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
         reflected = fresnel_dielectric(facets.cosine, eta).reflectance * facets.value
         transmitted = self._transmission(wi, wo, eta).value
         colours = self.specular_reflectance, self.specular_transmittance
-        return colours[0] * reflected[..., None] + colours[1] * transmitted[..., None]
+        return scale(colours[0], reflected) + scale(colours[1], transmitted)
 
     def pdf(self, wi, wo):
         wi, wo, eta = self._seen_from_above(wi, wo)
         chance = self._reflection_probability(wi, eta)
-        facets = reflection(self.distribution, self.alpha, wi, wo, (wi[..., 2] > 0) & (wo[..., 2] > 0))
+        facets = reflection(self.distribution, self.alpha, wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
         return chance * facets.pdf + (1.0 - chance) * self._transmission(wi, wo, eta).pdf
 
     def sample(self, wi, u):
-        side = jnp.where(wi[..., 2:] < 0, -1.0, 1.0).astype(wi.dtype)
+        side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
         wi, _, eta = self._seen_from_above(wi, wi)
         reflects, left = choose(u, self._reflection_probability(wi, eta))
         m = DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, left)
         mirrored = reflect(wi, m)
         refracted, passes = refract(wi, m, eta)
         # A facet may send light to the wrong side: that light is lost, and the other lobe's density is not its own.
-        valid = jnp.where(reflects, mirrored[..., 2] > 0, passes & (refracted[..., 2] < 0))
-        wo = side * jnp.where(reflects[..., None], mirrored, refracted)
+        valid = jnp.where(reflects, z_of(mirrored) > 0, passes & (z_of(refracted) < 0))
+        wo = scale(jnp.where(reflects[..., None], mirrored, refracted), side)
         return jnp.where(valid[..., None], wo, 0.0)
 
     def lobe_width(self, wi):
         """Of the narrower lobe: a facet turned by an angle turns refracted light by |1 - eta_i / eta_t| times that."""
-        relative = jnp.where(wi[..., 2] > 0, 1.0 / self.eta, self.eta)
+        relative = jnp.where(z_of(wi) > 0, 1.0 / self.eta, self.eta)
         return jnp.minimum(mirrored_width(self.alpha), self.alpha * jnp.abs(1.0 - relative))
 
     def rims(self, wi):
         """A cone around -wi, where facets are seen edge-on from one side; and where facets would have to face down."""
-        side = jnp.where(wi[..., 2] < 0, -1.0, 1.0).astype(wi.dtype)
-        eta = jnp.where(wi[..., 2] < 0, 1.0 / self.eta, self.eta)
+        side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
+        eta = jnp.where(z_of(wi) < 0, 1.0 / self.eta, self.eta)
         # A facet's normal is along ± (wi + eta wo), by Snell's law; minus where it is eta wo that is longer.
         sign = jnp.where(eta > 1, -1.0, 1.0).astype(wi.dtype)
-        up = (side * sign)[..., None] * jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        return Rim(-wi, jnp.minimum(eta, 1.0 / eta)), Rim(up, -sign * jnp.abs(wi[..., 2]) / eta)
+        up = scale(jnp.asarray([0.0, 0.0, 1.0], wi.dtype), side * sign)
+        return Rim(-wi, jnp.minimum(eta, 1.0 / eta)), Rim(up, -sign * jnp.abs(z_of(wi)) / eta)
 
     def _seen_from_above(self, wi, wo):
         """(wi, wo, index beyond the surface over that on wi's side); both mirrored at the point where wi is below."""
-        below = wi[..., 2] < 0
-        side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)[..., None]
-        return side * wi, side * wo, jnp.where(below, 1.0 / self.eta, self.eta)
+        below = z_of(wi) < 0
+        side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)
+        return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / self.eta, self.eta)
 
     def _reflection_probability(self, wi, eta) -> Float[Array, "*n"]:
         """Mean Fresnel reflectance of a few visible facets (of GGX: it need not be exact), kept away from 0 and 1."""
         pilots = jnp.asarray(PILOTS, wi.dtype)
-        above = wi[..., 2:] > 0  # the zero vector and grazing directions see no facets
+        above = (z_of(wi) > 0)[..., None]  # the zero vector and grazing directions see no facets
         wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
         m = DISTRIBUTIONS["ggx"].sample(wi, self.alpha[..., None], pilots)
         mean = fresnel_dielectric(jnp.abs(dot(wi, m)), eta[..., None]).reflectance.mean(-1)
@@ -116,18 +116,18 @@ class RoughDielectric(BSDF):
         """
         model = DISTRIBUTIONS[self.distribution]
         up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        active = (wi[..., 2] > 0) & (wo[..., 2] < 0)
+        active = (z_of(wi) > 0) & (z_of(wo) < 0)
         wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, -up)
-        half = wi + eta[..., None] * wo
+        half = wi + scale(wo, eta)
         length2 = dot(half, half)  # = (wi·m + eta wo·m)²
         active &= length2 > 0
-        m = normalize(half) * jnp.where(half[..., 2:] < 0, -1.0, 1.0).astype(wi.dtype)
+        m = scale(normalize(half), jnp.where(z_of(half) < 0, -1.0, 1.0).astype(wi.dtype))
         cos_i, cos_o = dot(wi, m), -dot(wo, m)
         active &= (cos_i > 0) & (cos_o > 0)  # a facet is seen from the sides that the surface is seen from
         m = jnp.where(active[..., None], m, up)
         density = model.density(m, self.alpha) * model.masking(wi, self.alpha) * cos_i * cos_o
         density = density / jnp.where(active, length2, 1.0)
-        passing = (1.0 - fresnel_dielectric(jnp.abs(cos_i), eta).reflectance) * -wo[..., 2]
+        passing = (1.0 - fresnel_dielectric(jnp.abs(cos_i), eta).reflectance) * -z_of(wo)
         value = density * passing * model.masking(wo, self.alpha)
         return _Transmission(jnp.where(active, value, 0.0), jnp.where(active, density * eta * eta, 0.0))
 

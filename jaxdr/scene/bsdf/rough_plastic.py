@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
@@ -55,13 +56,13 @@ class RoughPlastic(BSDF):
         coat = fresnel_dielectric(facets.cosine, self.eta).reflectance * facets.value
         internal = internal_reflectance(self.distribution, self.alpha, self.eta)
         base = coated(self.diffuse_reflectance, internal, self.nonlinear)
-        share = self._transmittance(wi) * self._transmittance(wo) * wo[..., 2] / (math.pi * self.eta * self.eta)
-        return self.specular_reflectance * coat[..., None] + base * jnp.where(above, share, 0.0)[..., None]
+        share = self._transmittance(wi) * self._transmittance(wo) * z_of(wo) / (math.pi * self.eta * self.eta)
+        return scale(self.specular_reflectance, coat) + scale(base, jnp.where(above, share, 0.0))
 
     def pdf(self, wi, wo):
         above, chance = both_above(wi, wo), self._coat_probability(wi)
         facets = reflection(self.distribution, self.alpha, wi, wo, above)
-        return chance * facets.pdf + (1.0 - chance) * jnp.where(above, wo[..., 2], 0.0) / math.pi
+        return chance * facets.pdf + (1.0 - chance) * jnp.where(above, z_of(wo), 0.0) / math.pi
 
     def sample(self, wi, u):
         facets, left = choose(u, self._coat_probability(wi))
@@ -70,10 +71,10 @@ class RoughPlastic(BSDF):
 
     def lobe_width(self, wi):
         """Of the coat, whatever share of the light it reflects."""
-        return jnp.broadcast_to(mirrored_width(self.alpha), wi[..., 2].shape)
+        return jnp.broadcast_to(mirrored_width(self.alpha), wi.shape[:-1])
 
     def _transmittance(self, w) -> Float[Array, "*n"]:
-        return transmittance(self.distribution, self.alpha, self.eta, jnp.abs(w[..., 2]))
+        return transmittance(self.distribution, self.alpha, self.eta, jnp.abs(z_of(w)))
 
     def _coat_probability(self, wi) -> Float[Array, "*n"]:
         reflected = 1.0 - self._transmittance(wi)

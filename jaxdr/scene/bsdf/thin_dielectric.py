@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaSample, mirror
 from jaxdr.scene.bsdf.dielectric import SmoothInterface
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
@@ -15,10 +16,10 @@ class ThinDielectric(SmoothInterface):
     """
 
     def sample_delta(self, wi, u):
-        single = fresnel_dielectric(jnp.abs(wi[..., 2]), self.eta).reflectance
+        single = fresnel_dielectric(jnp.abs(z_of(wi)), self.eta).reflectance
         reflectance = 2.0 * single / (1.0 + single)
-        reflected = u[..., 0] < reflectance
+        reflected = components(u)[0] < reflectance
         probability = jnp.where(reflected, reflectance, 1.0 - reflectance)
         colour = jnp.where(reflected[..., None], self.specular_reflectance, self.specular_transmittance)
         wo = jnp.where(reflected[..., None], mirror(wi), -wi)
-        return DeltaSample(wo, colour * probability[..., None], probability)
+        return DeltaSample(wo, scale(colour, probability), probability)

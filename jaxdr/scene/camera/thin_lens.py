@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array
-from jaxdr.geometry.vector import norm
+from jaxdr.geometry.vector import dot, norm, z_of
 from jaxdr.scene.camera.base import concrete
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.camera.view import PinholeView
@@ -62,9 +62,9 @@ class ThinLens(PinholeCamera):
 
     def blur(self, local):
         reach = self.pixels_per_tangent * self.aperture_radius
-        return reach * (1.0 / local[..., 2] - 1.0 / self.focus_distance)
+        return reach * (1.0 / z_of(local) - 1.0 / self.focus_distance)
 
     def turns(self, points, normal):
         # Of the plane's height over the lens points: the centre's, and how much it varies over the disk.
-        height = ((points - self.position) * normal).sum(-1)
+        height = dot(points - self.position, normal)
         return jnp.abs(height) <= self.aperture_radius * norm(normal @ self.to_world[:3, :2])

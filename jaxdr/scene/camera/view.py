@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.geometry.vector import dot, norm, normalize, transform
+from jaxdr.geometry.vector import components, cross, dot, from_components, norm, normalize, scale, transform, z_of
 from jaxdr.scene.film import Film
 
 
@@ -38,13 +38,13 @@ class View(eqx.Module):
     def determinant(self) -> Float[Array, ""]:
         """World volume per volume of the frame, signed."""
         x, y, z = self.matrix.T
-        return dot(jnp.cross(x, y), z)
+        return dot(cross(x, y), z)
 
     @property
     def inverse(self) -> Float[Array, "3 3"]:
         """Takes directions of the world to the frame."""
         x, y, z = self.matrix.T
-        return jnp.stack([jnp.cross(y, z), jnp.cross(z, x), jnp.cross(x, y)]) / self.determinant
+        return jnp.stack([cross(y, z), cross(z, x), cross(x, y)]) / self.determinant
 
     def local(self, points: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """World points in the frame (left, up, forward)."""
@@ -60,7 +60,7 @@ class View(eqx.Module):
         """Where unit rays enter what is seen, and how far it reaches from there; detached."""
         origin, direction = stop_gradient((origin, direction))
         depth = direction @ stop_gradient(self.inverse[2])
-        return origin + (self.near / depth)[..., None] * direction, (self.far - self.near) / depth
+        return origin + scale(direction, self.near / depth), (self.far - self.near) / depth
 
     def row(self, index: Int[Array, " m"]) -> "View":
         """The views of some rows, where every row has its own."""
@@ -98,22 +98,24 @@ class PinholeView(View):
 
     def rays(self, film_points):
         tangent = (self.centre - film_points) / self.pixels
-        local = jnp.concatenate([tangent, jnp.ones_like(tangent[..., :1])], -1)
+        x, y = components(tangent)
+        local = from_components(x, y, jnp.ones_like(x))
         return self.position, normalize(transform(self.matrix, local))
 
     def project_local(self, local):
-        return self.centre - self.pixels * local[..., :2] / local[..., 2:]
+        x, y, z = components(local)
+        return self.centre - self.pixels * from_components(x / z, y / z)
 
     def homogeneous(self, local):
-        return local[..., 2]
+        return z_of(local)
 
     def towards(self, points):
         return normalize(self.position - points)
 
     def film_area(self, local, normal):
         # |n · (x - o)| / depth^3 times the squared focal length, in the frame: n turns with the inverse of `matrix`.
-        facing = jnp.abs(dot(normal @ self.matrix, local))
-        return self.pixels**2 * facing / (jnp.abs(self.determinant) * local[..., 2] ** 3)
+        facing = jnp.abs(dot(transform(self.matrix.T, normal), local))
+        return self.pixels**2 * facing / (jnp.abs(self.determinant) * z_of(local) ** 3)
 
     def pixel_size(self, points):
         return norm(points - self.position) / self.pixels
@@ -128,19 +130,20 @@ class ParallelView(View):
         return origin, jnp.broadcast_to(normalize(self.matrix[:, 2]), origin.shape)
 
     def project_local(self, local):
-        return self.centre - self.pixels * local[..., :2]
+        x, y, _ = components(local)
+        return self.centre - self.pixels * from_components(x, y)
 
     def homogeneous(self, local):
-        return jnp.ones_like(local[..., 2])
+        return jnp.ones(local.shape[:-1], local.dtype)
 
     def towards(self, points):
         return jnp.broadcast_to(-normalize(self.matrix[:, 2]), points.shape)
 
     def film_area(self, local, normal):
-        facing = jnp.abs(normal @ self.matrix[:, 2])
+        facing = jnp.abs(dot(normal, self.matrix[:, 2]))
         return self.pixels**2 * facing / jnp.abs(self.determinant)
 
     def pixel_size(self, points):
         # Where x and y are scaled apart, the side of a square of the same area.
         x, y, _ = self.matrix.T
-        return jnp.broadcast_to(jnp.sqrt(norm(jnp.cross(x, y))) / self.pixels, points.shape[:-1])
+        return jnp.broadcast_to(jnp.sqrt(norm(cross(x, y))) / self.pixels, points.shape[:-1])

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array
+from jaxdr.geometry.vector import components, scale, transform, z_of
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.camera.pinhole import FOV_AXES
 from jaxdr.scene.color import luminance
@@ -73,15 +74,15 @@ class Projector(DeltaLight):
 
     def intensity_in(self, direction):
         height, width, _ = self.irradiance.shape
-        local = direction @ self.to_world[:3, :3]
-        ahead = local[..., 2] > 0
+        local = transform(self.to_world[:3, :3].T, direction)
+        ahead = z_of(local) > 0
         local = jnp.where(ahead[..., None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
         point = self.camera.project_local(local)
         size = jnp.asarray([width, height], point.dtype)
         inside = ahead & ((point >= 0) & (point <= size)).all(-1)
         value = self._texture(jnp.where(inside[..., None], point, 0.5 * size))
         # The image is per area of the screen at distance 1; cos^3 of that is a solid angle.
-        value = math.pi * self.scale * value / local[..., 2:] ** 3
+        value = scale(value, math.pi * self.scale / z_of(local) ** 3)
         return jnp.where(inside[..., None], value, 0.0)
 
     def _texture(self, point):
@@ -89,11 +90,13 @@ class Projector(DeltaLight):
         height, width, _ = self.irradiance.shape
         low = jnp.floor(stop_gradient(point) - 0.5)
         along = point - 0.5 - low
-        column, row = (low[..., k].astype(jnp.int32) for k in (0, 1))
+        column, row = (part.astype(jnp.int32) for part in components(low))
         columns, rows = (self._wrapped(c, n) for c, n in ((column, width), (row, height)))
-        table, a, b = self.irradiance.reshape(-1, 3), along[..., :1], along[..., 1:]
-        upper, lower = ((1 - a) * table[row * width + columns[0]] + a * table[row * width + columns[1]] for row in rows)
-        return (1 - b) * upper + b * lower
+        table, (a, b) = self.irradiance.reshape(-1, 3), components(along)
+        upper, lower = (
+            scale(table[row * width + columns[0]], 1 - a) + scale(table[row * width + columns[1]], a) for row in rows
+        )
+        return scale(upper, 1 - b) + scale(lower, b)
 
     def _wrapped(self, index, count: int):
         both = (index, index + 1)
@@ -114,11 +117,11 @@ class Projector(DeltaLight):
         height, width, _ = self.irradiance.shape
         camera = stop_gradient(self.camera)
         local = stop_gradient(direction) @ camera.to_world[:3, :3]
-        ahead = local[..., 2] > 0
+        ahead = z_of(local) > 0
         local = jnp.where(ahead[..., None], local, jnp.asarray([0.0, 0.0, 1.0], local.dtype))
         point = camera.project_local(local)
         inside = ahead & ((point >= 0) & (point <= jnp.asarray([width, height], point.dtype))).all(-1)
-        density = camera.pixels_per_tangent**2 / (width * height * local[..., 2] ** 3)
+        density = camera.pixels_per_tangent**2 / (width * height * z_of(local) ** 3)
         return jnp.where(inside, density, 0.0)
 
     def borders(self):

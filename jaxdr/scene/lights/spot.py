@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, on_host
-from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.geometry.vector import Frame, components, dot, from_components, normalize, orthonormal_basis, scale
 from jaxdr.scene.color import as_rgb, luminance
 from jaxdr.scene.lights.base import DeltaLight, vector
 
@@ -65,7 +65,7 @@ class SpotLight(DeltaLight):
         fades = lit & ~within
         angle = jnp.arccos(jnp.where(fades, jnp.clip(cosine, -1.0, 1.0), 0.0))
         share = jnp.where(fades, (cutoff - angle) / (cutoff - beam), jnp.where(within, 1.0, 0.0))
-        return self.intensity * share[..., None]
+        return scale(self.intensity, share)
 
     def power(self, radius):
         del radius
@@ -75,11 +75,12 @@ class SpotLight(DeltaLight):
     def sample(self, u):
         axis = stop_gradient(normalize(self.direction))
         # 1 - cos, exact for narrow cones.
-        height = u[..., 0] * self._opening()
-        radius, angle = jnp.sqrt(height * (2.0 - height)), 2.0 * math.pi * u[..., 1]
+        first, second = components(u)
+        height = first * self._opening()
+        radius, angle = jnp.sqrt(height * (2.0 - height)), 2.0 * math.pi * second
         s, t = orthonormal_basis(axis)
-        across = (radius * jnp.cos(angle))[..., None] * s + (radius * jnp.sin(angle))[..., None] * t
-        return across + (1.0 - height)[..., None] * axis
+        local = from_components(radius * jnp.cos(angle), radius * jnp.sin(angle), 1.0 - height)
+        return Frame(s, t, axis).to_world(local)
 
     def pdf(self, direction):
         axis, opening = stop_gradient(normalize(self.direction)), self._opening()

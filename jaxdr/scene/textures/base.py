@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, broadcast, on_host
+from jaxdr.geometry.vector import components, from_components, transform
 
 
 class TexturePoint(NamedTuple):
@@ -75,7 +76,7 @@ class Texture(eqx.Module):
     def values(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N *C"]:
         """What takes the texture's place at every point: numbers [N] or RGB [N, 3]."""
         found = self.lookup(row, point)
-        return found[:, 0] if found.shape[-1] == 1 else found
+        return components(found)[0] if found.shape[-1] == 1 else found
 
 
 def textures_in(tree: Any) -> list[tuple[str, Texture]]:
@@ -108,10 +109,9 @@ class ImageTexture(Texture):
     def image_point(self, row: Int[Array, " N"], point: TexturePoint) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
         """Coordinates in the image, (0, 0) at its top left and (1, 1) at its lower right, before any wrapping."""
         assert point.uv is not None
-        u, v = point.uv[:, 0], point.uv[:, 1]
+        u, v = components(point.uv)
         if self.to_uv is not None:
-            matrix = self.to_uv[row]
-            u, v = (matrix[:, i, 0] * u + matrix[:, i, 1] * v + matrix[:, i, 2] for i in (0, 1))
+            u, v = components(transform(self.to_uv[row], from_components(u, v, jnp.ones_like(u))))
         return u, 1.0 - v
 
 

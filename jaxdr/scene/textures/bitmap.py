@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.geometry.vector import scale
 from jaxdr.images import load_image
 from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
 
@@ -77,10 +78,10 @@ class Bitmap(ImageTexture):
             return self._pixel(row, jnp.floor(x), jnp.floor(y))
         x, y = x - 0.5, y - 0.5
         left, top = jnp.floor(x), jnp.floor(y)
-        right, below = (x - left)[:, None], (y - top)[:, None]
-        upper = (1.0 - right) * self._pixel(row, left, top) + right * self._pixel(row, left + 1, top)
-        lower = (1.0 - right) * self._pixel(row, left, top + 1) + right * self._pixel(row, left + 1, top + 1)
-        return (1.0 - below) * upper + below * lower
+        right, below = x - left, y - top
+        upper = scale(self._pixel(row, left, top), 1.0 - right) + scale(self._pixel(row, left + 1, top), right)
+        lower = scale(self._pixel(row, left, top + 1), 1.0 - right) + scale(self._pixel(row, left + 1, top + 1), right)
+        return scale(upper, 1.0 - below) + scale(lower, below)
 
     def _pixel(self, row, x, y) -> Float[Array, "N C"]:
         height, width = self.pixels.shape[-3:-1]
