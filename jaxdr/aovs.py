@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.compilation import unfolded
 from jaxdr.geometry.vector import norm
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
@@ -84,7 +85,7 @@ def render_aovs(
 
 @partial(jax.jit, static_argnums=0)
 def _render(settings: _Settings, scene: Scene, key) -> dict[str, Array]:
-    packed = pack(_without_derivative(scene))
+    packed = pack(unfolded(_without_derivative(scene)))
     images = {}
     if any(name in FLOATS for name in settings.names):
         images |= _averages(settings, packed, key)

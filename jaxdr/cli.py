@@ -1,5 +1,6 @@
 """Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr plan`, `jaxdr optimize`, `jaxdr chart`.
 
+Compiled programs are kept in the user's cache folder, which each command says first, in a line on stderr.
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
 exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
 """
@@ -33,6 +34,7 @@ from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import read_toml, split_assignment
 from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan
+from jaxdr.program_cache import keep_programs, leave_out, user_folder
 from jaxdr.render import render
 from jaxdr.scene.gltf import is_gltf, load_gltf
 from jaxdr.scene.mitsuba import load_mitsuba
@@ -52,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warp.config.log_level = warp.LOG_WARNING  # no banner and compilation notes between a command's own lines
     try:
         options = _parser().parse_args(arguments)
+        _keep_programs(options)
         return options.command(options)
     except (_UsageError, ValueError, OSError, ImportError) as problem:
         if "options" in locals() and options.debug:
@@ -65,6 +68,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("jaxdr: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _keep_programs(options) -> None:
+    """Compiled programs are kept for the next command, unless the user does not want it or the folder can't be used."""
+    if options.no_cache:
+        leave_out()
+        return
+    try:
+        folder = keep_programs(user_folder() / "programs")
+    except OSError as problem:
+        print(f"jaxdr: warning: compiled programs are not kept: {problem}", file=sys.stderr)
+    else:
+        print(f"jaxdr: compiled programs are kept in {folder} (--no-cache leaves that out)", file=sys.stderr)
 
 
 def _render(options) -> int:
@@ -308,6 +324,8 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value; repeatable"
         )
+        what = "neither keep compiled programs in the user's cache folder nor use them"
+        command.add_argument("--no-cache", action="store_true", help=what)
         command.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return command
 

@@ -33,3 +33,12 @@ def compiler_options(backend: str) -> dict[str, Any] | None:
     except jax.errors.JaxRuntimeError:
         return None
     return CPU_OPTIONS
+
+
+def unfolded(tree: Any) -> Any:
+    """The tree of arrays, out of reach of XLA's constant folding: for what a jitted function may close over.
+
+    XLA would compute tables of a scene (sums, gathers, sorts) when it compiles, by an interpreter: minutes for large
+    ones. A barrier is taken out after that, so it costs nothing when the program runs.
+    """
+    return jax.lax.optimization_barrier(tree)

@@ -15,6 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.texture_jumps import check_still_maps
+from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
 from jaxdr.integrators.defaults import default_integrator
 from jaxdr.integrators.known_failures import warn_of_known_failure
@@ -109,6 +110,7 @@ def _render_jvp(program, primals, tangents):
 
 @partial(jax.jit, static_argnums=0)
 def _image(program: Program, floats, others, arrays, key):
+    floats, others, arrays = unfolded((floats, others, arrays))
     integrator = eqx.combine(program.integrator, arrays)
     terms = _estimate(_join(program, floats, others), key, program.spp, integrator, None)
     return terms["interior"]
@@ -116,9 +118,10 @@ def _image(program: Program, floats, others, arrays, key):
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _derivative_image(program: Program, active, at, floats, others, arrays, key):
+    others, arrays = unfolded((others, arrays))
     integrator = eqx.combine(program.integrator, arrays)
     at = iter(at)
-    floats = [next(at) if a else jax.lax.stop_gradient(f) for f, a in zip(floats, active, strict=True)]
+    floats = [next(at) if a else unfolded(jax.lax.stop_gradient(f)) for f, a in zip(floats, active, strict=True)]
     flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
     if integrator.boundary is not None:
         check_still_maps(flags)

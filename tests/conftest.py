@@ -34,6 +34,14 @@ install_import_hook(
     "tests.type_checker.check",
 )
 
+
+def pytest_configure(config):
+    """Compiled programs are kept in pytest's cache folder (`pytest --cache-clear` empties it); workers share it."""
+    from jaxdr.program_cache import keep_programs
+
+    keep_programs(config.cache.mkdir("programs"))
+
+
 MAPPINGS = Path("/proc/self/maps")
 MOST_MAPPINGS = 30_000  # Linux gives a process 65530, and XLA's compiler crashes without
 

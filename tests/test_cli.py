@@ -55,6 +55,7 @@ def workplace(tmp_path, monkeypatch):
     (tmp_path / "scene.xml").write_text(SCENE)
     (tmp_path / "run.toml").write_text(CONFIG)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_keep_programs", lambda options: None)  # tests/test_program_cache.py
     return tmp_path
 
 
@@ -314,7 +315,7 @@ def test_nan_ends_with_exit_code_1(workplace, monkeypatch, capsys):
 
 def test_module_runs_as_a_program():
     done = subprocess.run(
-        [sys.executable, "-m", "jaxdr.cli", "optimize", "nothing.toml"],
+        [sys.executable, "-m", "jaxdr.cli", "optimize", "nothing.toml", "--no-cache"],
         capture_output=True,
         text=True,
         cwd=cli.__file__[:-13],

@@ -44,3 +44,12 @@ def test_a_version_that_does_not_know_them(options):
 def test_for_the_outermost_function_only():
     with pytest.raises(ValueError, match="top-level"):
         jax.grad(jd.jit(lambda x: x**2))(1.0)
+
+
+def test_what_a_jitted_function_closes_over_is_not_folded():
+    table = jnp.arange(1000.0)
+    program = jax.jit(lambda i: jnp.cumsum(compilation.unfolded(table))[i]).lower(3).compile().as_text()
+    folded = jax.jit(lambda i: jnp.cumsum(table)[i]).lower(3).compile().as_text()
+    assert "reduce-window" in program and "reduce-window" not in folded
+    slope = jax.jit(jax.grad(lambda x: (compilation.unfolded(x) ** 2).sum()))
+    np.testing.assert_array_equal(slope(table), 2 * table)
