@@ -137,13 +137,18 @@ def find_crossings(
 ) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
     """(crossings of chords with visible edges of the rank `needed`, weight of the thinning, their number)."""
     packed, group = lines.packed, lines.prepared.group
-    vertex, table = jnp.maximum(chosen.vertex, 0), packed.edges
+    vertex = jnp.maximum(chosen.vertex, 0)
     needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
     found = queries.sector_crossings(
-        edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, group,
-        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
-    )  # fmt: skip
+        packed.geometry,
+        queries.EdgeSet.of(packed.edges, edges.rank, edges.tree),
+        group,
+        queries.SectorQuery(apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group),
+        jax.random.randint(key, (), 0, 1 << 30),
+        HIDES,
+        room,
+        lines.settings.rays,
+    )
     valid = found.chord >= 0
     chord = jnp.where(valid, found.chord, 0)
     crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)

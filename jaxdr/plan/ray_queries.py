@@ -42,10 +42,10 @@ def time_rays(scene: Scene) -> RayChoice:
     key_start, key_towards = jax.random.split(jax.random.key(0))
     start = low + (high - low) * jax.random.uniform(key_start, (RAYS, 3))
     towards = jax.random.normal(key_towards, (RAYS, 3))
-    reach = jnp.full(RAYS, 1e30)
+    rays = queries.Rays(start, towards, jnp.full(RAYS, 1e30))
     programs, seconds = {}, {}
     for name in ("auto", "jax"):
-        programs[name] = jit(lambda v, name=name: queries.closest_hit(v, packed.faces, start, towards, reach, name))
+        programs[name] = jit(lambda v, name=name: queries.closest_hit(packed.geometry._replace(vertices=v), rays, name))
         jax.block_until_ready(programs[name](packed.vertices))
         seconds[name] = []
     for turn in range(TURNS):

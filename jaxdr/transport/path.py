@@ -253,7 +253,7 @@ def _emitter_connection(packed, scatterer, throughput, u, settings, near):
     start = scatterer.leave(towards)
     end = jnp.where(infinite, start + 2.0 * packed.size() * towards, leave(sample.point, -towards))
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
-    seen = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
+    seen = reachable & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), settings.rays)
     # Narrow lobes have one form: it has no geometric term that grows, and MIS bounds that of the emitter samples.
     narrow = _narrow(scatterer, settings)
     far = sample.infinite if narrow is None else sample.infinite | narrow

@@ -1,4 +1,4 @@
-"""Closest hit, occlusion and all hits: `warp` and `jax` against each other, Embree and float64 arithmetic."""
+"""Closest hit and occlusion: `warp` and `jax` against each other, Embree and float64 arithmetic."""
 
 import sys
 
@@ -18,7 +18,6 @@ from tests.geometry.query_meshes import (
     affine,
     arrays,
     ask,
-    every_crossing,
     make,
     random_rays,
 )
@@ -26,9 +25,14 @@ from tests.geometry.query_meshes import (
 SCALES = {"unit": affine(), "tiny": affine(1e-3), "far away": affine(1.0, FAR_AWAY)}
 
 
+def ask_rays(query, vertices, faces, *rays, implementation):
+    """One of the two queries of rays, on host arrays."""
+    return ask(query, queries.Geometry(vertices, faces), queries.Rays(*rays), implementation=implementation)
+
+
 def closest(vertices, faces, origin, direction, implementation, t_max=FAR):
     reach = np.broadcast_to(np.float32(t_max), len(origin))
-    return ask(queries.closest_hit, vertices, faces, origin, direction, reach, implementation=implementation)
+    return ask_rays(queries.closest_hit, vertices, faces, origin, direction, reach, implementation=implementation)
 
 
 def embree(vertices, faces, origin, direction):
@@ -86,7 +90,7 @@ def test_occluded_agrees_with_the_closest_hit(name, implementation):
     # Rays that end well before or well after what they meet first; some have no length at all.
     reach = np.where(face >= 0, t * rng.choice([0.0, 0.5, 0.9, 1.1, 2.0], count), 1e30).astype(np.float32)
     expected = (face >= 0) & (t < reach)
-    blocked = ask(queries.occluded, vertices, faces, origin, direction, reach, implementation=implementation)
+    blocked = ask_rays(queries.occluded, vertices, faces, origin, direction, reach, implementation=implementation)
     assert 0.05 < expected.mean() < 0.95
     differs = blocked != expected
     exact = Crossing(vertices, faces[face[differs]], origin[differs], direction[differs])
@@ -100,52 +104,7 @@ def test_rays_of_no_length_meet_nothing(implementation):
     for reach in (0.0, -1.0):
         assert np.all(closest(vertices, faces, origin, direction, implementation, reach)[0] == -1)
         rays = vertices, faces, origin, direction, np.full(64, reach, np.float32)
-        assert not np.any(ask(queries.occluded, *rays, implementation=implementation))
-        assert np.all(ask(queries.all_hits, *rays, capacity=4, implementation=implementation).count == 0)
-
-
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-@pytest.mark.parametrize("name", ["trefoil", "bumps, tiny", "torus, far away", "box, rotated", "plane"])
-def test_all_hits(name, implementation):
-    """Faces, order, distances and counts against every ray-face pair in float64."""
-    vertices, faces = arrays(make(name))
-    origin, direction = random_rays(vertices, 150, seed=15)
-    rays = origin, direction, np.full(150, FAR)
-    face, t, count = ask(queries.all_hits, vertices, faces, *rays, capacity=16, implementation=implementation)
-    crossing = every_crossing(vertices, faces, origin, direction)
-    near = (crossing.t > -crossing.t_error) & (crossing.inside > -4)
-    sure = (crossing.t > crossing.t_error) & (crossing.inside > 4)
-    checked = 0
-    for i in range(150):
-        kept = face[i][: count[i]]
-        assert np.all(np.diff(t[i, : count[i]]) >= 0), "not sorted by distance"
-        assert set(np.flatnonzero(sure[i])) <= set(kept) <= set(np.flatnonzero(near[i]))
-        assert len(set(kept)) == count[i] and np.all(face[i, count[i] :] == -1)
-        assert np.all(np.abs(t[i, : count[i]] - crossing.t[i, kept]) <= 2 * crossing.t_error[i, kept])
-        checked += count[i]
-    assert checked > 40
-    mesh_is_closed = name != "plane"
-    # From outside the bounding sphere a closed mesh is entered as often as left; ties at edges count twice.
-    outside = np.linalg.norm(origin - vertices.mean(0), axis=1) > np.linalg.norm(np.ptp(vertices, axis=0))
-    untied = np.all(near == sure, axis=1)
-    assert outside.sum() > 5 and (not mesh_is_closed or np.all(count[outside & untied] % 2 == 0))
-
-
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
-def test_all_hits_beyond_the_capacity_are_counted(implementation):
-    """Eight parallel planes, room for three: the nearest three are kept, all eight counted."""
-    sheet = np.array([[-1, -1, 0], [3, -1, 0], [-1, 3, 0]], np.float32)
-    order = np.array([5, 2, 7, 0, 3, 6, 1, 4])  # heights, shuffled against the face numbers
-    vertices = np.concatenate([sheet + np.float32([0, 0, h]) for h in order])
-    faces = np.arange(24).reshape(8, 3)
-    rays = np.float32([[0, 0, -1]]), np.float32([[0, 0, 1]]), np.float32([1e30])
-    result = ask(queries.all_hits, vertices, faces, *rays, capacity=3, implementation=implementation)
-    assert result.count[0] == 8
-    np.testing.assert_array_equal(order[result.face[0]], [0, 1, 2])
-    np.testing.assert_allclose(result.t[0], [1, 2, 3], rtol=1e-6)
-    rays = (*rays[:2], np.float32([2.5]))
-    short = ask(queries.all_hits, vertices, faces, *rays, capacity=3, implementation=implementation)
-    assert short.count[0] == 2 and short.face[0, 2] == -1
+        assert not np.any(ask_rays(queries.occluded, *rays, implementation=implementation))
 
 
 @pytest.mark.parametrize("matrix", SCALES.values(), ids=SCALES)
@@ -176,13 +135,11 @@ def test_watertight(shape, matrix):
         some = slice(None, None, 1 if implementation != "jax" else 7)
         n = len(origin[some])
         rays = vertices, faces, origin[some], direction[some], np.full(n, FAR)
-        face, _ = ask(queries.closest_hit, *rays, implementation=implementation)
+        face, _ = ask_rays(queries.closest_hit, *rays, implementation=implementation)
         most = 1e-3 * n if implementation == "embree" else 0  # see `embree_scene.ROBUST`
         assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
-        blocked = ask(queries.occluded, *rays, implementation=implementation)
+        blocked = ask_rays(queries.occluded, *rays, implementation=implementation)
         assert np.sum(~blocked) <= most, f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
-        count = ask(queries.all_hits, *rays, capacity=4, implementation=implementation).count
-        assert np.all(count >= 1), f"{implementation}: all_hits leaks {np.sum(count == 0)} of {n}"
 
 
 @pytest.mark.parametrize("matrix", [*SCALES.values(), affine(1e-3, (5.0, 0.0, 0.0))], ids=[*SCALES, "tiny and away"])
@@ -205,10 +162,10 @@ def test_no_self_intersection(matrix, implementation):
     fields = (np.ones(n, bool), face, barycentric, position, normal, normal, np.ones(n, np.float32), scale)
     start = np.asarray(leave(SurfacePoint(*map(jnp.asarray, fields)), jnp.asarray(towards)))
     rays = towards, np.full(n, FAR)
-    blocked = ask(queries.occluded, vertices, faces, start, *rays, implementation=implementation)
+    blocked = ask_rays(queries.occluded, vertices, faces, start, *rays, implementation=implementation)
     assert not np.any(blocked), f"{np.sum(blocked)} of {n} points hide themselves"
     # Without the offset they do: the test can fail.
-    assert np.any(ask(queries.occluded, vertices, faces, position, *rays, implementation=implementation))
+    assert np.any(ask_rays(queries.occluded, vertices, faces, position, *rays, implementation=implementation))
 
 
 def test_unknown_implementation():
