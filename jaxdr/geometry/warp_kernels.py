@@ -23,13 +23,13 @@ def closest_hit(
     t: wp.array(dtype=float),
 ):
     i = start + wp.tid()
-    query = wp.mesh_query_ray(mesh, rays.origin[i], rays.direction[i], rays.reach[i])
-    if query.result:
-        face[i] = query.face
-        t[i] = query.t
-    else:
-        face[i] = -1
-        t[i] = MISS
+    face[i] = -1
+    t[i] = MISS
+    if rays.reach[i] > 0.0:
+        query = wp.mesh_query_ray(mesh, rays.origin[i], rays.direction[i], rays.reach[i])
+        if query.result:
+            face[i] = query.face
+            t[i] = query.t
 
 
 @wp.kernel
@@ -40,7 +40,9 @@ def occluded(
     result: wp.array(dtype=int),
 ):
     i = start + wp.tid()
-    result[i] = int(wp.mesh_query_ray_anyhit(mesh, rays.origin[i], rays.direction[i], rays.reach[i]))
+    result[i] = 0
+    if rays.reach[i] > 0.0:
+        result[i] = int(wp.mesh_query_ray_anyhit(mesh, rays.origin[i], rays.direction[i], rays.reach[i]))
 
 
 @wp.func

@@ -43,10 +43,8 @@ def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
         trace("occluded", geometry, rays, [result])
 
     inputs = [records.Geometry, records.Rays]
-    hit_call, occluded_call = (
-        Call(closest_hit_of, inputs, [WHOLE, REAL], module),
-        Call(occluded_of, inputs, [WHOLE], module),
-    )
+    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL], module)
+    occluded_call = Call(occluded_of, inputs, [WHOLE], module)
 
     def closest_hit(geometry, rays):
         """(face, t): the nearest face in front of each ray, -1 and a huge t on a miss."""
