@@ -65,7 +65,7 @@ def pieces(scene, settings, samples):
         start = scatterer.leave(to_light)
         far = start + 2.0 * packed.size() * to_light
         end = jnp.where(emitter.infinite[:, None], far, leave(emitter.point, -to_light))
-        return queries.occluded(packed.vertices, packed.faces, start, end - start, point.valid * 1.0, RAYS)
+        return queries.occluded(packed.geometry, queries.Rays(start, end - start, point.valid * 1.0), RAYS)
 
     timed("shadow rays", shadow, packed, emitter, point, to_light)
 

@@ -48,15 +48,15 @@ def ours(triangles, implementation, rays, calls):
     import jax.numpy as jnp
 
     import jaxdr as jd
-    from jaxdr.geometry.queries import closest_hit
+    from jaxdr.geometry.queries import Geometry, Rays, closest_hit
 
     mesh = mesh_of(triangles)
     origin, direction = (jnp.asarray(a) for a in random_rays(rays))
-    t_max = jnp.full(rays, 1e6, jnp.float32)
+    rays_there = Rays(origin, direction, jnp.full(rays, 1e6, jnp.float32))
 
     @jd.jit
     def trace(vertices):
-        return closest_hit(vertices, mesh.faces, origin, direction, t_max, implementation=implementation)
+        return closest_hit(Geometry(vertices, mesh.faces), rays_there, implementation)
 
     compiled = trace.lower(mesh.vertices).compile()
     hit, first = common.seconds_of(compiled, mesh.vertices)

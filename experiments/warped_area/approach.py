@@ -67,7 +67,7 @@ def boundary_points(packed, floor, light, count, seed=0):
     def hidden(origin, target):
         reach = jnp.full(len(origin), 0.9989, origin.dtype)
         start = origin + 1e-4 * (target - origin)
-        return queries.closest_hit(packed.vertices, packed.faces, start, target - origin, reach).face >= 0
+        return queries.closest_hit(packed.geometry, queries.Rays(start, target - origin, reach)).face >= 0
 
     def is_hidden(origin, target):
         return np.asarray(hidden(*(jnp.asarray(a, jnp.float32) for a in (origin, target))))

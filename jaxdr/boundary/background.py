@@ -176,7 +176,7 @@ def background_point(
     length = jnp.where(valid, norm(offset), 1.0)
     direction = offset / length[:, None]
     reach = jnp.where(valid, 1e30, 0.0).astype(length.dtype)
-    hit = queries.closest_hit(packed.vertices, packed.faces, start, direction, reach, settings.rays)
+    hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), settings.rays)
     found = hit.face >= 0
     face = jnp.where(found, hit.face, 0)
     barycentric = detached_barycentric(packed, start, direction, face)

@@ -84,7 +84,7 @@ def detect(
     carries = (joined.value != 0).any(-1)
     reach = jnp.where(carries, 1.0, 0.0).astype(throughput.dtype)
     offset = joined.end - joined.start
-    seen = carries & ~queries.occluded(packed.vertices, packed.faces, joined.start, offset, reach, settings.rays)
+    seen = carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), settings.rays)
     value = jnp.where(seen[:, None], joined.value, 0.0).reshape(bounces, -1, 3)
     return stop_gradient(Detected(value, film_point.reshape(bounces, -1, 2), lens))
 

@@ -150,7 +150,7 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
         end = leave(source, -drawn.towards)
         offset = jnp.where(source.valid[:, None], end - start, 2.0 * packed.size() * drawn.towards)
         reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
-        hidden = queries.occluded(packed.vertices, packed.faces, start, offset, reach, rays)
+        hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
     detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)
     apart = norm(detector.position - drawn.position) > APART * beside
     return SegmentEnds(detector, source, active & ~hidden & detector.valid & apart)
@@ -158,7 +158,7 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
 
 def _hit(packed: PackedScene, start, direction, active, rays: str) -> SurfacePoint:
     reach = jnp.where(active, 1e30, 0.0).astype(start.dtype)
-    hit = queries.closest_hit(packed.vertices, packed.faces, start, direction, reach, rays)
+    hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), rays)
     found = hit.face >= 0
     face = jnp.where(found, hit.face, 0)
     return material_point(packed, face, detached_barycentric(packed, start, direction, face), found)

@@ -122,8 +122,8 @@ def draw_auxiliary(
     depth = jnp.where(active & ~ends.infinite, kernel.depth * length, 0.0)
     depth = jnp.minimum(depth, packed.size())
     depth, shape = (jnp.repeat(a, samples) for a in (depth, packed.face_shape[ends.face]))
-    table = packed.vertices, packed.faces, packed.face_shape
-    found = queries.projections(*table, flat, along, depth, shape, capacity, rays)
+    lines = queries.Lines(flat, along, depth, shape)
+    found = queries.projections(packed.geometry, packed.face_shape, lines, capacity, rays)
     there = found.face >= 0
     face = jnp.where(there, found.face, 0).reshape(-1)
     origin, direction = jnp.repeat(flat, capacity, axis=0), jnp.repeat(along, capacity, axis=0)

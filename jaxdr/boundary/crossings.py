@@ -122,10 +122,15 @@ def silhouette_crossings(
     needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
     edges, table = prepared.edges, packed.edges
     found = queries.sector_crossings(
-        edges.tree, packed.vertices, packed.faces, table.vertices, table.faces, edges.rank, prepared.group,
-        apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group,
-        jax.random.randint(key, (), 0, 1 << 30), HIDES, room, lines.settings.rays,
-    )  # fmt: skip
+        packed.geometry,
+        queries.EdgeSet.of(table, edges.rank, edges.tree),
+        prepared.group,
+        queries.SectorQuery(apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group),
+        jax.random.randint(key, (), 0, 1 << 30),
+        HIDES,
+        room,
+        lines.settings.rays,
+    )
     valid = found.chord >= 0
     chord = jnp.where(valid, found.chord, 0)
     crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)

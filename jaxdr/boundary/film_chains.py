@@ -343,7 +343,7 @@ def _jumps(packed, table: EdgeTable, crossings: Crossings, valid, key, settings)
 
 
 class _Side(NamedTuple):
-    """What camera rays beside a crossing hit, on which side of the edge the chain passes, and whether in clear sight."""
+    """What rays beside a crossing hit, on which side of the edge the chain passes, and whether in clear sight."""
 
     first: SurfacePoint
     direction: Float[Array, "C 3"]

@@ -13,6 +13,6 @@ SMOOTH = 0.1  # interpolated normals agree at an edge; how much of its fold is l
 
 def fold_tree(packed: PackedScene, rank: Float[Array, " E"], rays: str) -> EdgeTree:
     """The tree over all edges of positive `rank`, whichever way their faces look."""
-    edges = packed.edges
-    cone = jnp.zeros_like(edges.interior)  # of the faces' normals: none
-    return queries.edge_tree(packed.vertices, edges.vertices, edges.opposite, cone, rank, packed.edge_counts, rays)
+    edges = queries.EdgeSet.of(packed.edges, rank)
+    edges = edges._replace(interior=jnp.zeros_like(edges.interior))  # no cones of the faces' normals
+    return queries.edge_tree(packed.geometry, edges, packed.edge_counts, rays)

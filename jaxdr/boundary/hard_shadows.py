@@ -199,11 +199,11 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
     beside = past_edge(still, still, lines.dark)
     to_light = jnp.where(infinite, 2.0 * packed.size() * source, source - beside)
     reach = jnp.where(lines.used & ~lines.border, 1.0, 0.0).astype(still.dtype)
-    hidden = queries.occluded(detached.vertices, detached.faces, beside, to_light, reach, settings.rays)
+    hidden = queries.occluded(detached.geometry, queries.Rays(beside, to_light, reach), settings.rays)
     towards = normalize(to_light)
     origin = jnp.where(lines.border[:, None], source, beside)
     reach = jnp.where(lines.used & ~hidden, 1e30, 0.0).astype(still.dtype)
-    hit = queries.closest_hit(detached.vertices, detached.faces, origin, -towards, reach, settings.rays)
+    hit = queries.closest_hit(detached.geometry, queries.Rays(origin, -towards, reach), settings.rays)
     found = hit.face >= 0
     face = jnp.where(found, hit.face, 0)
 
@@ -345,7 +345,7 @@ def _visible(detached: PackedScene, points: ShadowPoints, seen: _OnFilm, setting
         origin, direction = detached.camera.rays(stop_gradient(seen.film_point) + side * aside)
         origin = jnp.broadcast_to(origin, direction.shape)
         reach = jnp.where(visible, 1e30, 0.0).astype(direction.dtype)
-        hit = queries.closest_hit(detached.vertices, detached.faces, origin, direction, reach, settings.rays)
+        hit = queries.closest_hit(detached.geometry, queries.Rays(origin, direction, reach), settings.rays)
         slope = dot(point.normal, direction)
         expected = dot(point.normal, point.position - origin) / jnp.where(slope == 0, 1.0, slope)
         normal = normalize(detached.face_normals()[jnp.maximum(hit.face, 0)])
@@ -384,7 +384,7 @@ def scattered_shadow_term(
     for side in (1.0, -1.0):
         end = leave(point, -towards) + side * beside
         reach = jnp.where(visible, 1.0, 0.0).astype(start.dtype)
-        visible &= ~queries.occluded(detached.vertices, detached.faces, start, end - start, reach, settings.rays)
+        visible &= ~queries.occluded(detached.geometry, queries.Rays(start, end - start, reach), settings.rays)
     across = jnp.cross(point.normal, points.tangent)
     across = across * jnp.sign(dot(across, points.lit))[:, None]
     material = material_point(packed, point.face, point.barycentric, point.valid)

@@ -149,10 +149,8 @@ class KernelDensity(eqx.Module):
         radius = self.radius * packed.shape_sizes()[packed.edges.shape]
         if not self.concave_edges:
             radius = jnp.where(never_silhouettes(packed), 0.0, radius)
-        edges = packed.edges
-        tree = queries.edge_tree(
-            packed.vertices, edges.vertices, edges.opposite, edges.interior, radius, packed.edge_counts, settings.rays
-        )
+        edges = queries.EdgeSet.of(packed.edges, radius)
+        tree = queries.edge_tree(packed.geometry, edges, packed.edge_counts, settings.rays)
         group = emitter_groups(packed) if packed.glow else None
         # Every edge may bound what moving surfaces see, only moving ones what still surfaces see of still ones.
         apart = self.kernel == "edge" and any(moving) and not all(moving)
@@ -318,20 +316,20 @@ class KernelDensity(eqx.Module):
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
         radius = prepared.radius
-        table = (packed.vertices, packed.edges.vertices, packed.edges.opposite)
-        segments = (ends.apex, ends.target, ends.normal, scale, widest, seed)
+        every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
+        strips = queries.StripQuery(ends.apex, ends.target, ends.normal, scale, widest)
         options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
         if self.kernel == "edge":
             if still is None:
-                pairs = queries.edge_candidates(prepared.tree, *table, radius, *segments, **options)
+                pairs = queries.edge_candidates(packed.geometry, every, strips, seed, **options)
             else:
-                query = (ends.apex, ends.target, ends.normal, scale, widest, still)
-                pairs = apart_candidates(packed, prepared.tree, radius, prepared.moving, *query, key_seed, options)
+                pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
             return pairs, pairs.element, None, None
         edges, along, length = self._edge_points(packed, radius, key_points)
         segment = stop_gradient(packed.vertices)[packed.edges.vertices[edges]]
         points = segment[:, 0] + along[:, None] * (segment[:, 1] - segment[:, 0])
-        pairs = queries.point_candidates(*table, points, edges, radius[edges], *segments, **options)
+        points = queries.EdgePoints(points, edges, radius[edges])
+        pairs = queries.point_candidates(packed.geometry, every, points, strips, seed, **options)
         return pairs, edges[pairs.element], along[pairs.element], length / self.points
 
     def _edge_points(self, packed: PackedScene, radius, key):
@@ -410,4 +408,4 @@ def _sees_past_edge(
     short = r / jnp.maximum(norm(reach), r)
     stop = jnp.where(whole_face, 1.0 - 1e-4, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
     stop = jnp.where(valid, stop, 0.0)
-    return ~queries.occluded(packed.vertices, packed.faces, start, reach, stop, rays)
+    return ~queries.occluded(packed.geometry, queries.Rays(start, reach, stop), rays)

@@ -95,10 +95,8 @@ class LineSampling(eqx.Module):
         edges, flags = packed.edges, jnp.asarray(moving)
         rank = jnp.where(flags[edges.shape], MOVES, BOUNDS)
         rank = jnp.where(never_silhouettes(packed), HIDES, rank).astype(packed.vertices.dtype)
-        tree = queries.edge_tree(
-            packed.vertices, edges.vertices, edges.opposite, edges.interior, rank, packed.edge_counts,
-            context.settings.rays,
-        )  # fmt: skip
+        ranked = queries.EdgeSet.of(edges, rank)
+        tree = queries.edge_tree(packed.geometry, ranked, packed.edge_counts, context.settings.rays)
         faces = np.diff(packed.first_face)
         still = faces[~np.asarray(moving)].sum()
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)

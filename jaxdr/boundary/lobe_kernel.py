@@ -50,10 +50,14 @@ def lobe_edges(
     reach = 2.0 * packed.size()
     seed = jax.random.randint(key_pairs, (), 0, 1 << 30)
     pairs = queries.edge_candidates(
-        tree, packed.vertices, packed.edges.vertices, packed.edges.opposite, radius,
-        origin, origin + reach * direction, direction, scale, jnp.full_like(scale, WIDEST * reach), seed,
-        capacity=capacity, both_sides=True, implementation=settings.rays,
-    )  # fmt: skip
+        packed.geometry,
+        queries.EdgeSet.of(packed.edges, radius, tree),
+        queries.StripQuery(origin, origin + reach * direction, direction, scale, jnp.full_like(scale, WIDEST * reach)),
+        seed,
+        capacity=capacity,
+        both_sides=True,
+        implementation=settings.rays,
+    )
     used = (pairs.segment >= 0).sum()
 
     def look(block, number):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.queries import Candidates
+from jaxdr.geometry.queries import Candidates, EdgeSet, Geometry, StripQuery
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
 
@@ -31,23 +31,18 @@ def moving_edges(
     packed: PackedScene, moving: tuple[bool, ...], radius: Float[Array, " E"], settings: PathSettings
 ) -> MovingEdges:
     """The edges of the `moving` shapes (not all of them, and one at least), of kernel radii `radius`."""
-    number, edges = packed.edges_of(moving), packed.edges
+    number = packed.edges_of(moving)
+    edges = jax.tree.map(lambda table: table[number], queries.EdgeSet.of(packed.edges, radius))
     counts = [count for count, moves in zip(packed.edge_counts, moving, strict=True) if moves]
-    tables = edges.vertices[number], edges.opposite[number], edges.interior[number], radius[number]
-    tree = queries.edge_tree(packed.vertices, *tables, counts, settings.rays)
+    tree = queries.edge_tree(packed.geometry, edges, counts, settings.rays)
     return MovingEdges(jnp.asarray(moving), number, tree)
 
 
 def apart_candidates(
-    packed: PackedScene,
-    tree: EdgeTree,
-    radius: Float[Array, " E"],
+    geometry: Geometry,
+    edges: EdgeSet,
     moving: MovingEdges,
-    apex: Float[Array, "N 3"],
-    target: Float[Array, "N 3"],
-    normal: Float[Array, "N 3"],
-    scale: Float[Array, " N"],
-    widest: Float[Array, " N"],
+    strips: StripQuery,
     still: Bool[Array, " N"],
     key: PRNGKeyArray,
     options: dict[str, Any],
@@ -56,21 +51,17 @@ def apart_candidates(
 
     Weights are one a pair.
     """
-    edges, number = packed.edges, moving.edge
     key_all, key_moving, key_kept = jax.random.split(key, 3)
 
-    def found(key, tree, vertices, opposite, radius, scale):
+    def found(key, edges, scale):
         seed = jax.random.randint(key, (), 0, 1 << 30)
-        tables = (packed.vertices, vertices, opposite, radius)
-        return queries.edge_candidates(tree, *tables, apex, target, normal, scale, widest, seed, **options)
+        return queries.edge_candidates(geometry, edges, strips._replace(scale=scale), seed, **options)
 
-    scale = stop_gradient(scale)
-    every = found(key_all, tree, edges.vertices, edges.opposite, radius, jnp.where(still, 0.0, scale))
-    few = found(
-        key_moving, moving.tree, edges.vertices[number], edges.opposite[number], radius[number],
-        jnp.where(still, scale, 0.0),
-    )  # fmt: skip
-    return _joined(every, few._replace(element=number[few.element]), key_kept)
+    scale = stop_gradient(strips.scale)
+    every = found(key_all, edges, jnp.where(still, 0.0, scale))
+    some = jax.tree.map(lambda table: table[moving.edge], edges._replace(tree=None))._replace(tree=moving.tree)
+    few = found(key_moving, some, jnp.where(still, scale, 0.0))
+    return _joined(every, few._replace(element=moving.edge[few.element]), key_kept)
 
 
 def _joined(one: Candidates, two: Candidates, key: PRNGKeyArray) -> Candidates:

@@ -89,7 +89,7 @@ def find_occluders(
     start = leave(origin, offset)
     end = jnp.where(infinite[:, None], start + 2.0 * packed.size() * normalize(offset), end)
     reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
-    hit = queries.closest_hit(packed.vertices, packed.faces, start, end - start, reach, rays).face
+    hit = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays).face
     hidden = hit >= 0
     hit = jnp.where(hidden, hit, 0)
     at = detached_barycentric(packed, start, end - start, hit)

@@ -5,6 +5,8 @@ The structure in the snippets is RTCRayHit16 of Embree 4, which begins with RTCR
 
 import warp as wp
 
+from jaxdr.geometry.warp_records import Rays
+
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
 PACKET = 16
@@ -19,11 +21,11 @@ _FILL = """
     };
     RayHit16 ray;
     alignas(64) signed valid[16];
-    const signed size = origin.shape[0] - first < 16 ? origin.shape[0] - first : 16;
+    const signed size = rays.reach.shape[0] - first < 16 ? rays.reach.shape[0] - first : 16;
     for (signed k = 0; k < 16; ++k) {
         const signed i = first + (k < size ? k : 0);
-        const wp::vec3 o = *wp::address(origin, i), d = *wp::address(direction, i);
-        const float reach = *wp::address(t_max, i);
+        const wp::vec3 o = *wp::address(rays.origin, i), d = *wp::address(rays.direction, i);
+        const float reach = *wp::address(rays.reach, i);
         ray.ox[k] = o[0]; ray.oy[k] = o[1]; ray.oz[k] = o[2];
         ray.dx[k] = d[0]; ray.dy[k] = d[1]; ray.dz[k] = d[2];
         ray.tnear[k] = 0.0f; ray.tfar[k] = reach; ray.time[k] = 0.0f;
@@ -49,9 +51,7 @@ def _intersect(
     function: wp.uint64,
     scene: wp.uint64,
     first: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
 ): ...
@@ -68,9 +68,7 @@ def _occluded(
     function: wp.uint64,
     scene: wp.uint64,
     first: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     result: wp.array(dtype=int),
 ): ...
 
@@ -80,13 +78,11 @@ def closest_hit(
     function: wp.uint64,
     scene: wp.uint64,
     start: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
 ):
-    _intersect(function, scene, PACKET * (start + wp.tid()), origin, direction, t_max, face, t)
+    _intersect(function, scene, PACKET * (start + wp.tid()), rays, face, t)
 
 
 @wp.kernel
@@ -94,9 +90,7 @@ def occluded(
     function: wp.uint64,
     scene: wp.uint64,
     start: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     result: wp.array(dtype=int),
 ):
-    _occluded(function, scene, PACKET * (start + wp.tid()), origin, direction, t_max, result)
+    _occluded(function, scene, PACKET * (start + wp.tid()), rays, result)

@@ -3,8 +3,6 @@
 On other devices these two are Warp's as well.
 """
 
-import warp as wp
-
 from jaxdr.geometry import embree_kernels as kernels
 from jaxdr.geometry import warp_queries
 from jaxdr.geometry.bvh_cache import BVHCache
@@ -21,15 +19,16 @@ from jaxdr.geometry.warp_queries import (  # noqa: F401
 _scenes = BVHCache(lambda moving, topology: EmbreeScene(moving[0], topology[0]), lambda scene, m: scene.refit(m[0]))
 
 
-def _trace(kernel: str, vertices: wp.array, faces: wp.array, arrays: list) -> None:
+def _trace(kernel: str, geometry, rays, outputs: list) -> None:
+    vertices, faces = geometry.vertices, geometry.faces
     if not vertices.device.is_cpu:
-        return warp_queries.trace(kernel, vertices, faces, arrays)
+        return warp_queries.trace(kernel, geometry, rays, outputs)
     function = library().intersect if kernel == "closest_hit" else library().occluded
     with _scenes.lock:
         scene = _scenes.find([on_host(vertices)], [on_host(faces)])
-        packets = -(-arrays[0].shape[0] // kernels.PACKET)
-        leading = [function, scene.handle]
-        launch(getattr(kernels, kernel), packets, leading, arrays, vertices.device, SLICE // kernels.PACKET)
+        packets = -(-rays.reach.shape[0] // kernels.PACKET)
+        leading, rest = [function, scene.handle], [rays, *outputs]
+        launch(getattr(kernels, kernel), packets, leading, rest, vertices.device, SLICE // kernels.PACKET)
 
 
 closest_hit, occluded = warp_queries.hit_queries(_trace, kernels)

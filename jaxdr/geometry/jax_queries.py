@@ -6,6 +6,7 @@ Faces (edges) are visited in blocks by a loop, so memory is rays x block and not
 import jax
 import jax.numpy as jnp
 
+from jaxdr.geometry.jax_sector import sector_crossings  # noqa: F401
 from jaxdr.geometry.vector import dot, norm
 
 BLOCK = 32
@@ -30,7 +31,7 @@ def _edge_function(p, q, i, j):
     return jnp.where(swap, -1.0, 1.0) * (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def _crossings(vertices, faces, origin, direction, t_max):
+def _crossings(vertices, faces, origin, direction, reach):
     """t [N, BLOCK] of every ray with every face of a block; MISS where there is none.
 
     Watertight (Woop et al. 2013): corners are sheared into the plane across the ray one by one, so that the faces
@@ -57,45 +58,46 @@ def _crossings(vertices, faces, origin, direction, t_max):
     normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[None]
     slope = dot(direction[:, None], normal)
     t = dot(corners[None, :, 0] - origin[:, None], normal) / jnp.where(slope == 0, 1.0, slope)
-    hit = inside & (u0 + u1 + u2 != 0) & (slope != 0) & (t > 0) & (t < t_max[:, None])
+    hit = inside & (u0 + u1 + u2 != 0) & (slope != 0) & (t > 0) & (t < reach[:, None])
     return jnp.where(hit, t, MISS)
 
 
-def closest_hit(vertices, faces, origin, direction, t_max):
+def closest_hit(geometry, rays):
     """(face, t): the nearest face in front of each ray."""
 
     def visit(best, block):
         index, _, (f,) = block
-        t = _crossings(vertices, f, origin, direction, t_max)
+        t = _crossings(geometry.vertices, f, *rays)
         nearest = jnp.argmin(t, axis=1)
         t = jnp.take_along_axis(t, nearest[:, None], 1)[:, 0]
         closer = t < best[1]
         return (jnp.where(closer, index[nearest], best[0]), jnp.where(closer, t, best[1])), None
 
-    n = origin.shape[0]
+    n = rays.reach.shape[0]
     start = (jnp.full(n, -1, jnp.int32), jnp.full(n, MISS, jnp.float32))
-    return jax.lax.scan(visit, start, _blocks(faces))[0]
+    return jax.lax.scan(visit, start, _blocks(geometry.faces))[0]
 
 
-def occluded(vertices, faces, origin, direction, t_max):
-    """Whether anything lies on the ray before `t_max`."""
+def occluded(geometry, rays):
+    """Whether anything lies on the ray before its reach."""
 
     def visit(found, block):
-        return found | (_crossings(vertices, block[2][0], origin, direction, t_max) < MISS).any(1), None
+        return found | (_crossings(geometry.vertices, block[2][0], *rays) < MISS).any(1), None
 
-    return jax.lax.scan(visit, jnp.zeros(origin.shape[0], bool), _blocks(faces))[0]
+    return jax.lax.scan(visit, jnp.zeros(rays.reach.shape[0], bool), _blocks(geometry.faces))[0]
 
 
-def projections(vertices, faces, face_shape, point, normal, depth, shape, capacity):
+def projections(geometry, face_shape, lines, capacity):
     """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
+    point, normal, depth, shape = lines
     begin = point - depth[:, None] * normal
 
     def crossings(block):
         face, of = block
-        t = _crossings(vertices, face, begin, normal, 2.0 * depth)
+        t = _crossings(geometry.vertices, face, begin, normal, 2.0 * depth)
         return jnp.where((t < MISS) & (of[None] == shape[:, None]), t - depth[:, None], MISS)
 
-    return _nearest(crossings, _blocks(faces, face_shape), point.shape[0], capacity)
+    return _nearest(crossings, _blocks(geometry.faces, face_shape), point.shape[0], capacity)
 
 
 def _nearest(crossings, blocks, lines, capacity):
@@ -182,10 +184,9 @@ def _candidates(near_block, blocks, seed, capacity):
     return state[2], state[3], state[1], 1.0 / probability
 
 
-def edge_candidates(
-    vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides=False
-):
-    """(segment, edge, count, weight): see `queries.edge_candidates`."""
+def edge_candidates(geometry, edges, strips, seed, capacity, both_sides):
+    """(segment, edge, count, weight): see `queries.edge_candidates`. Every edge is tried: no tree."""
+    vertices, (apex, target, normal, scale, widest) = geometry.vertices, strips
     height = dot(normal, target - apex)
     b, n = target[:, None], normal[:, None]
 
@@ -209,36 +210,22 @@ def edge_candidates(
         opposite_side = (side * dot(plane, b - apex[:, None]) < 0) | (both_sides & (side != 0))
         return between & opposite_side & (reach > 0) & (s >= 0) & (s < length) & (distance < reach)
 
-    return _candidates(near_block, _blocks(edges, opposite, radius), seed, capacity)
+    return _candidates(near_block, _blocks(edges.ends, edges.opposite, edges.rank), seed, capacity)
 
 
-def point_candidates(
-    vertices,
-    edges,
-    opposite,
-    point,
-    point_edge,
-    radius,
-    apex,
-    target,
-    normal,
-    scale,
-    widest,
-    seed,
-    capacity,
-    both_sides=False,
-):
+def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides):
     """(segment, point, count, weight): see `queries.point_candidates`."""
+    vertices, (apex, target, normal, scale, widest) = geometry.vertices, strips
     height = dot(normal, target - apex)
 
     def near_block(p, e, r):
-        p0, p1 = vertices[edges[e, 0]][None], vertices[edges[e, 1]][None]
+        p0, p1 = vertices[edges.ends[e, 0]][None], vertices[edges.ends[e, 1]][None]
         plane = jnp.cross(p0 - apex[:, None], p1 - p0)
-        side = _side_of_faces(vertices, opposite[e], p0[0], p1[0], plane, apex)
+        side = _side_of_faces(vertices, edges.opposite[e], p0[0], p1[0], plane, apex)
         f, projected = _project(p[None], apex, height, normal)
         reach = _reach(r[None] * scale[:, None], 1.0 / jnp.where(f == 0, 1.0, f), widest)
         opposite_side = (side * dot(plane, (target - apex)[:, None]) < 0) | (both_sides & (side != 0))
         near = norm(projected - target[:, None]) < reach
         return (f > 1e-6) & (f <= 1.0) & opposite_side & (reach > 0) & near
 
-    return _candidates(near_block, _blocks(point, point_edge, radius), seed, capacity)
+    return _candidates(near_block, _blocks(*points), seed, capacity)

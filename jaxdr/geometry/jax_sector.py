@@ -13,12 +13,10 @@ BESIDE = 1.2e-5
 BATCH = 64  # chords at once
 
 
-def sector_crossings(
-    vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group, seed, least_layer,
-    capacity,
-):  # fmt: skip
+def sector_crossings(geometry, edge_set, face_group, sectors, seed, least_layer, capacity):
     """(segment [C], edge [C], along [C], counts [5], weight): see `queries.sector_crossings`."""
-    del centre, least_layer  # layers are not counted here
+    del least_layer  # layers are not counted here
+    (vertices, faces), edges, edge_faces, rank = geometry, edge_set.ends, edge_set.faces, edge_set.rank
     most = min(MOST, edges.shape[0])
     ends = jnp.arange(3)
     runs = edges[:, None, None]  # a face runs along its edge or against it
@@ -64,7 +62,7 @@ def sector_crossings(
         hidden = _blocked(q, past, jnp.where(bounded, 1.0, 0.999), (face_group == group) & (group >= 0))
         return chosen, share[chosen], found & ~hidden, jnp.maximum(count - most, 0)
 
-    rows = (apex, first, last, needed, group)
+    rows = (sectors.apex, sectors.first, sectors.last, sectors.needed, sectors.group)
     edge, share, found, lost = jax.lax.map(lambda row: chord(*row), rows, batch_size=BATCH)
     total = found.sum(dtype=jnp.int32)
     room = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity)

@@ -8,63 +8,33 @@ becomes one larger batch of rays.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
-from jaxdr.geometry import embree_scene, jax_queries, jax_sector
+from jaxdr.geometry import embree_scene, jax_queries
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
+from jaxdr.geometry.query_records import (  # noqa: F401
+    NO_GROUP,
+    UNBOUNDED,
+    Candidates,
+    Crossings,
+    EdgePoints,
+    EdgeSet,
+    Geometry,
+    Hit,
+    Lines,
+    Projections,
+    Rays,
+    SectorQuery,
+    StripQuery,
+)
 
 IMPLEMENTATIONS = ("embree", "warp", "jax")
 CHOICES = ("auto", *IMPLEMENTATIONS)
-
-
-class Hit(NamedTuple):
-    """Nearest crossing: `face` [N] (-1 for a miss) and ray parameter `t` [N] (meaningless for a miss)."""
-
-    face: Int[Array, " N"]
-    t: Float[Array, " N"]
-
-
-class Projections(NamedTuple):
-    """Where lines through points cross a shape: `face`, -1 for none, and signed `height` over the point.
-
-    The nearest to the point, sorted; `count` counts all of them, also those beyond the capacity.
-    """
-
-    face: Int[Array, "N C"]
-    height: Float[Array, "N C"]
-    count: Int[Array, " N"]
-
-
-class Candidates(NamedTuple):
-    """Compacted (segment, element) pairs; unused slots have `segment` -1.
-
-    `count` is the number of pairs found. When it exceeds the capacity the pairs are thinned at random without bias and
-    `weight` is the inverse of the survival probability, else 1; of two lists that were joined each pair has its own.
-    """
-
-    segment: Int[Array, " C"]
-    element: Int[Array, " C"]
-    count: Int[Array, ""]
-    weight: Float[Array, "*n"]
-
-
-class Crossings(NamedTuple):
-    """Compacted (chord, edge) pairs with the fraction of the way `along` the edge; unused slots have `chord` -1.
-
-    `weight` as in `Candidates`. `counts`: all crossings found, chords whose layers could not be counted consistently,
-    chords of too many crossings (`jax`: crossings left out), nodes of the tree visited, rays cast.
-    """
-
-    chord: Int[Array, " C"]
-    edge: Int[Array, " C"]
-    along: Float[Array, " C"]
-    counts: Int[Array, "5"]
-    weight: Float[Array, ""]
 
 
 def _module(implementation: str) -> Any:
@@ -84,120 +54,86 @@ def _module(implementation: str) -> Any:
     raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(CHOICES)}")
 
 
-def _discrete(*arrays):
+def _discrete(records):
     """Detached, float32 (int32) copies of the inputs of a query."""
 
     def convert(a):
         a = jax.lax.stop_gradient(jnp.asarray(a))
         return a.astype(jnp.float32 if jnp.issubdtype(a.dtype, jnp.floating) else jnp.int32)
 
-    return tuple(convert(a) for a in arrays)
+    return jax.tree.map(convert, records)
 
 
-def _over_rays(query: Callable, geometry_count: int) -> Callable:
-    """`query(*geometry, *rays)` whose batches over rays are flattened into one call; other batches run one by one."""
+def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> Any:
+    """`query(*fixed, *rows, **options)`, records of arrays. Under `vmap` batches of `rows` alone become longer ones.
+
+    Other batches, and those of a query without `rows`, run one by one.
+    """
 
     @custom_vmap
-    def call(*args):
-        return query(*args)
+    def call(fixed, rows):
+        return query(*fixed, *rows, **options)
 
     @call.def_vmap
-    def batched(size, is_batched, *args):
-        geometry, rays = args[:geometry_count], args[geometry_count:]
-        if any(is_batched[:geometry_count]):
-            return _one_by_one(call, size, is_batched, args)
-        rays = [
-            r if b else jnp.broadcast_to(r, (size, *r.shape))
-            for r, b in zip(rays, is_batched[geometry_count:], strict=True)
-        ]
-        flat = [r.reshape(-1, *r.shape[2:]) for r in rays]
-        results = call(*geometry, *flat)
-        results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
+    def batched(size, is_batched, fixed, rows):
+        if any(jax.tree.leaves(is_batched[0])):
+            batches, tree = jax.tree.flatten((fixed, rows))
+            every = jax.tree.leaves(is_batched)
+
+            def one(i):
+                return call(*tree.unflatten([a[i] if b else a for a, b in zip(batches, every, strict=True)]))
+
+            results = jax.lax.map(one, jnp.arange(size))
+        else:
+
+            def flat(a, b):
+                a = a if b else jnp.broadcast_to(a, (size, *a.shape))
+                return a.reshape(-1, *a.shape[2:])
+
+            results = call(fixed, jax.tree.map(flat, rows, is_batched[1]))
+            results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
         return results, jax.tree.map(lambda _: True, results)
 
-    return call
+    return call(*_discrete((fixed, rows)))
 
 
-def _sequential(query: Callable) -> Callable:
-    """`query` that runs one by one under `vmap`."""
-
-    @custom_vmap
-    def call(*args):
-        return query(*args)
-
-    @call.def_vmap
-    def batched(size, is_batched, *args):
-        return _one_by_one(call, size, is_batched, args)
-
-    return call
+def closest_hit(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Hit:
+    """The nearest face on each ray; t counts in lengths of `direction`."""
+    return Hit(*_asked(_module(implementation).closest_hit, (geometry,), (rays,)))
 
 
-def _one_by_one(call, size, is_batched, args):
-    def one(i):
-        return call(*(a[i] if b else a for a, b in zip(args, is_batched, strict=True)))
-
-    results = jax.lax.map(one, jnp.arange(size))
-    return results, jax.tree.map(lambda _: True, results)
-
-
-def closest_hit(
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    origin: Float[Array, "N 3"],
-    direction: Float[Array, "N 3"],
-    t_max: Float[Array, " N"],
-    implementation: str = "auto",
-) -> Hit:
-    """The nearest face on each ray `origin + t direction`, 0 < t < `t_max`; t counts in lengths of `direction`."""
-    query = _over_rays(_module(implementation).closest_hit, 2)
-    return Hit(*query(*_discrete(vertices, faces, origin, direction, t_max)))
-
-
-def occluded(
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    origin: Float[Array, "N 3"],
-    direction: Float[Array, "N 3"],
-    t_max: Float[Array, " N"],
-    implementation: str = "auto",
-) -> Bool[Array, " N"]:
-    """Whether any face lies on each ray before `t_max`; a ray with `t_max` <= 0 is free."""
-    query = _over_rays(_module(implementation).occluded, 2)
-    return query(*_discrete(vertices, faces, origin, direction, t_max))
+def occluded(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Bool[Array, " N"]:
+    """Whether any face lies on each ray; a ray of no `reach` is free."""
+    return _asked(_module(implementation).occluded, (geometry,), (rays,))
 
 
 def projections(
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    face_shape: Int[Array, " F"],
-    point: Float[Array, "N 3"],
-    normal: Float[Array, "N 3"],
-    depth: Float[Array, " N"],
-    shape: Int[Array, " N"],
-    capacity: int,
-    implementation: str = "auto",
+    geometry: Geometry, face_shape: Int[Array, " F"], lines: Lines, capacity: int, implementation: str = "auto"
 ) -> Projections:
-    """All projections of points onto the faces of a shape along unit normals, no further away than `depth`.
+    """All projections of points onto the faces of a shape, by its number in `face_shape`.
 
-    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more. `shape`
-    is the number in `face_shape`; a depth of zero leaves a point out.
+    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more.
     """
-    module = _module(implementation)
-    query = _over_rays(lambda *args: tuple(module.projections(*args, capacity)), 3)
-    return Projections(*query(*_discrete(vertices, faces, face_shape, point, normal, depth, shape)))
+    query = _module(implementation).projections
+    return Projections(*_asked(query, (geometry, face_shape), (lines,), capacity=capacity))
+
+
+def edge_tree(
+    geometry: Geometry, edges: EdgeSet, counts: Sequence[int] | None = None, implementation: str = "auto"
+) -> EdgeTree:
+    """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
+    vertices = geometry.vertices
+    if implementation == "jax":
+        return build_edge_tree(vertices, edges.ends, edges.opposite, edges.interior, edges.rank, counts)
+    slots = leaf_edges(counts or [edges.ends.shape[0]])
+    node = _asked(_module(implementation).edge_tree, (geometry, edges), slots=slots)
+    return EdgeTree(jnp.asarray(slots), node.astype(vertices.dtype))
 
 
 def edge_candidates(
-    tree: EdgeTree,
-    vertices: Float[Array, "V 3"],
-    edges: Int[Array, "E 2"],
-    opposite: Int[Array, "E K"],
-    radius: Float[Array, " E"],
-    apex: Float[Array, "N 3"],
-    target: Float[Array, "N 3"],
-    normal: Float[Array, "N 3"],
-    scale: Float[Array, " N"],
-    widest: Float[Array, " N"],
+    geometry: Geometry,
+    edges: EdgeSet,
+    strips: StripQuery,
     seed: Int[Array, ""],
     capacity: int,
     both_sides: bool = False,
@@ -205,58 +141,21 @@ def edge_candidates(
 ) -> Candidates:
     """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
 
-    An edge counts for a segment when all its faces (their vertices `opposite`, -1 padded) lie on one side of the plane
-    through apex and edge and the target on the other (or anywhere, with `both_sides`), it lies between the apex and the
-    target's plane, and the foot of the perpendicular from the target onto its projection is on the projection, less
-    than the kernel radius away.
-    That is r = `radius[edge] * scale[segment]` (scene units) at the edge, magnified by the projection but to no more
-    than `widest[segment]` (to none where that is zero). A radius or scale of zero leaves an edge or a segment out.
-    `tree` is `edge_tree` of the same vertices, edges and radii.
+    An edge counts for a segment when all its faces lie on one side of the plane through apex and edge and the target on
+    the other (or anywhere, with `both_sides`), it lies between the apex and the target's plane, and the foot of the
+    perpendicular from the target onto its projection is on the projection, less than the kernel radius away, see
+    `StripQuery`. `rank` of an edge is its radius.
     """
-    query = _sequential(lambda *args: _edge_query(implementation, args, capacity, both_sides))
-    arrays = (*tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed)
-    return Candidates(*query(*_discrete(*arrays)))
-
-
-def _edge_query(implementation, args, capacity, both_sides):
-    module, nodes = _module(implementation), len(EdgeTree._fields)
-    tree, rest = EdgeTree(*args[:nodes]), args[nodes:]
-    if implementation == "jax":  # every edge is tried: no tree
-        return tuple(module.edge_candidates(*rest, capacity, both_sides))
-    return tuple(module.edge_candidates(tree, *rest, capacity, both_sides))
-
-
-def edge_tree(
-    vertices: Float[Array, "V 3"],
-    edges: Int[Array, "E 2"],
-    opposite: Int[Array, "E K"],
-    interior: Bool[Array, " E"],
-    radius: Float[Array, " E"],
-    counts: Sequence[int] | None = None,
-    implementation: str = "auto",
-) -> EdgeTree:
-    """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
-    if implementation == "jax":
-        return build_edge_tree(vertices, edges, opposite, interior, radius, counts)
-    slots = leaf_edges(counts or [edges.shape[0]])
-    module = _module(implementation)
-    query = _sequential(lambda *args: (module.edge_tree(*args, slots),))
-    (node,) = query(*_discrete(vertices, edges, opposite, interior, radius))
-    return EdgeTree(jnp.asarray(slots), node.astype(vertices.dtype))
+    query = _module(implementation).edge_candidates
+    options = {"capacity": capacity, "both_sides": both_sides}
+    return Candidates(*_asked(query, (geometry, edges, strips, seed), **options))
 
 
 def point_candidates(
-    vertices: Float[Array, "V 3"],
-    edges: Int[Array, "E 2"],
-    opposite: Int[Array, "E K"],
-    point: Float[Array, "M 3"],
-    point_edge: Int[Array, " M"],
-    radius: Float[Array, " M"],
-    apex: Float[Array, "N 3"],
-    target: Float[Array, "N 3"],
-    normal: Float[Array, "N 3"],
-    scale: Float[Array, " N"],
-    widest: Float[Array, " N"],
+    geometry: Geometry,
+    edges: EdgeSet,
+    points: EdgePoints,
+    strips: StripQuery,
     seed: Int[Array, ""],
     capacity: int,
     both_sides: bool = False,
@@ -266,33 +165,16 @@ def point_candidates(
 
     As `edge_candidates`, with a disc around the projected point in place of a strip along the projected edge.
     """
-    module = _module(implementation)
-    query = _sequential(lambda *args: tuple(module.point_candidates(*args, capacity, both_sides)))
-    return Candidates(
-        *query(
-            *_discrete(vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, seed)
-        )
-    )
-
-
-# Groups of faces that a chord looks past, beside those of `face_group` (0, 1, ...).
-NO_GROUP, UNBOUNDED = -1, -2
+    query = _module(implementation).point_candidates
+    options = {"capacity": capacity, "both_sides": both_sides}
+    return Candidates(*_asked(query, (geometry, edges, points, strips, seed), **options))
 
 
 def sector_crossings(
-    tree: EdgeTree,
-    vertices: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    edges: Int[Array, "E 2"],
-    edge_faces: Int[Array, "E K"],
-    rank: Float[Array, " E"],
+    geometry: Geometry,
+    edges: EdgeSet,
     face_group: Int[Array, " F"],
-    apex: Float[Array, "N 3"],
-    first: Float[Array, "N 3"],
-    last: Float[Array, "N 3"],
-    centre: Float[Array, " N"],
-    needed: Float[Array, " N"],
-    group: Int[Array, " N"],
+    sectors: SectorQuery,
     seed: Int[Array, ""],
     least_layer: int,
     capacity: int,
@@ -308,8 +190,8 @@ def sector_crossings(
     missing, and crossings between it and the centre may be judged wrongly.
 
     - `rank` of an edge: 0 for edges that are left out, up to `least_layer` for those that only hide others, above
-      for those that count. `needed` of a chord: the rank from which on edges count for it, 0 to leave it out. Where
-      `needed` is larger than `least_layer` lower edges are not even looked at, and a ray past each edge decides.
+      for those that count. Where `needed` of a chord is larger than `least_layer` lower edges are not even looked at,
+      and a ray past each edge decides.
     - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
       for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
       ones being told by rays that stop short of the edge.
@@ -317,14 +199,6 @@ def sector_crossings(
     `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which rounding
     may cause, are resolved by rays past each edge.
     """
-    query = _sequential(lambda *args: _sector_query(implementation, args, least_layer, capacity))
-    arrays = (*tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group)
-    return Crossings(*query(*_discrete(*arrays, seed)))
-
-
-def _sector_query(implementation, args, least_layer, capacity):
-    nodes = len(EdgeTree._fields)
-    tree, rest = EdgeTree(*args[:nodes]), args[nodes:]
-    if implementation == "jax":
-        return tuple(jax_sector.sector_crossings(*rest, least_layer=least_layer, capacity=capacity))
-    return tuple(_module(implementation).sector_crossings(tree, *rest, least_layer, capacity))
+    query = _module(implementation).sector_crossings
+    options = {"least_layer": least_layer, "capacity": capacity}
+    return Crossings(*_asked(query, (geometry, edges, face_group, sectors, seed), **options))

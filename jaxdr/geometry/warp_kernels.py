@@ -6,6 +6,7 @@ Every kernel works on the slice that starts at `start`, so that a CPU launch can
 import warp as wp
 
 from jaxdr.geometry import edge_tree
+from jaxdr.geometry.warp_records import EdgePoints, EdgeSet, EdgeTree, Geometry, Lines, Rays, StripQuery
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
@@ -17,33 +18,31 @@ LEAF = wp.constant(edge_tree.LEAF)
 def closest_hit(
     mesh: wp.uint64,
     start: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
 ):
     i = start + wp.tid()
-    query = wp.mesh_query_ray(mesh, origin[i], direction[i], t_max[i])
-    if query.result:
-        face[i] = query.face
-        t[i] = query.t
-    else:
-        face[i] = -1
-        t[i] = MISS
+    face[i] = -1
+    t[i] = MISS
+    if rays.reach[i] > 0.0:
+        query = wp.mesh_query_ray(mesh, rays.origin[i], rays.direction[i], rays.reach[i])
+        if query.result:
+            face[i] = query.face
+            t[i] = query.t
 
 
 @wp.kernel
 def occluded(
     mesh: wp.uint64,
     start: int,
-    origin: wp.array(dtype=wp.vec3),
-    direction: wp.array(dtype=wp.vec3),
-    t_max: wp.array(dtype=float),
+    rays: Rays,
     result: wp.array(dtype=int),
 ):
     i = start + wp.tid()
-    result[i] = int(wp.mesh_query_ray_anyhit(mesh, origin[i], direction[i], t_max[i]))
+    result[i] = 0
+    if rays.reach[i] > 0.0:
+        result[i] = int(wp.mesh_query_ray_anyhit(mesh, rays.origin[i], rays.direction[i], rays.reach[i]))
 
 
 @wp.func
@@ -58,12 +57,12 @@ def directed_volume(d: wp.vec3d, p: wp.vec3d, q: wp.vec3d, i: int, j: int):
 
 
 @wp.func
-def crossing(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), f: int, o: wp.vec3d, d: wp.vec3d):
+def crossing(geometry: Geometry, f: int, o: wp.vec3d, d: wp.vec3d):
     """Ray parameter where the line (o, d) crosses a face, MISS where it does not."""
-    v = faces[f]
-    a = wp.vec3d(vertices[v[0]]) - o
-    b = wp.vec3d(vertices[v[1]]) - o
-    c = wp.vec3d(vertices[v[2]]) - o
+    v = geometry.faces[f]
+    a = wp.vec3d(geometry.vertices[v[0]]) - o
+    b = wp.vec3d(geometry.vertices[v[1]]) - o
+    c = wp.vec3d(geometry.vertices[v[2]]) - o
     u0 = directed_volume(d, b, c, v[1], v[2])
     u1 = directed_volume(d, c, a, v[2], v[0])
     u2 = directed_volume(d, a, b, v[0], v[1])
@@ -88,6 +87,39 @@ def keep_nearest(face: wp.array2d(dtype=int), at: wp.array2d(dtype=float), i: in
     if slot < capacity:
         at[i, slot] = t
         face[i, slot] = f
+
+
+@wp.kernel
+def projections(
+    bvh: wp.uint64,
+    start: int,
+    geometry: Geometry,
+    face_shape: wp.array(dtype=int),
+    lines: Lines,
+    face: wp.array2d(dtype=int),
+    height: wp.array2d(dtype=float),
+    count: wp.array(dtype=int),
+):
+    """Faces of a shape that a line crosses within `depth` of a point; the nearest are kept, sorted."""
+    i = start + wp.tid()
+    count[i] = 0
+    depth = lines.depth[i]
+    if depth <= 0.0:
+        return
+    normal = lines.normal[i]
+    begin = lines.point[i] - depth * normal
+    o = wp.vec3d(begin)
+    d = wp.vec3d(normal)
+    found = int(0)
+    f = int(0)
+    query = wp.bvh_query_ray(bvh, begin, normal)
+    while wp.bvh_query_next(query, f, 2.0 * depth):
+        if face_shape[f] == lines.shape[i]:
+            h = crossing(geometry, f, o, d) - depth
+            if wp.abs(h) < depth:
+                keep_nearest(face, height, i, found, f, h)
+                found += 1
+    count[i] = found
 
 
 @wp.func
@@ -242,17 +274,10 @@ def may_hold_silhouettes(
 @wp.kernel
 def edge_candidates(
     start: int,
-    leaf_edge: wp.array(dtype=int),
-    table: wp.array2d(dtype=wp.vec4),
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    radius: wp.array(dtype=float),
-    apex: wp.array(dtype=wp.vec3),
-    target: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=float),
-    widest: wp.array(dtype=float),
+    geometry: Geometry,
+    edges: EdgeSet,
+    tree: EdgeTree,
+    strips: StripQuery,
     both_sides: int,
     seed: int,
     probability: float,
@@ -262,39 +287,40 @@ def edge_candidates(
 ):
     """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
 
-    `radius` of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
+    `rank` (radius) of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
     `found` = [kept, all]. The tree is walked without a stack: from node n (counted from 1, children 2n and 2n + 1)
     the next subtree is that of n + 1 without its trailing zeros.
     """
     i = start + wp.tid()
-    if scale[i] <= 0.0:
+    if strips.scale[i] <= 0.0:
         return
-    a = apex[i]
-    b = target[i]
-    n = normal[i]
+    a = strips.apex[i]
+    b = strips.target[i]
+    n = strips.normal[i]
+    widest = strips.widest[i]
     height = wp.dot(n, b - a)
     length = wp.length(b - a)
     along = (b - a) / length
-    nodes = table.shape[0]
+    nodes = tree.node.shape[0]
     leaves = nodes // 2
     node = int(1)
     while node > 0:
         inside = bool(False)
-        box = table[node, 1]
+        box = tree.node[node, 1]
         if box[3] > 0.0:
-            middle = table[node, 0]
-            cone = table[node, 2]
+            middle = tree.node[node, 0]
+            cone = tree.node[node, 2]
             inside = may_hold_silhouettes(
                 part(middle),
                 middle[3],
                 part(box),
                 part(cone),
                 cone[3],
-                box[3] * scale[i],
+                box[3] * strips.scale[i],
                 a,
                 along,
                 length,
-                widest[i],
+                widest,
             )
         if inside and node < leaves:
             node = 2 * node
@@ -302,12 +328,25 @@ def edge_candidates(
             if inside:
                 first = (node - leaves) * LEAF
                 for k in range(LEAF):
-                    e = leaf_edge[first + k]
+                    e = tree.edge[first + k]
                     if e >= 0:
-                        p0 = vertices[edges[e][0]]
-                        p1 = vertices[edges[e][1]]
-                        r = radius[e] * scale[i]
-                        if near_silhouette(vertices, opposite, e, p0, p1, a, b, n, height, r, widest[i], both_sides):
+                        p0 = geometry.vertices[edges.ends[e][0]]
+                        p1 = geometry.vertices[edges.ends[e][1]]
+                        r = edges.rank[e] * strips.scale[i]
+                        if near_silhouette(
+                            geometry.vertices,
+                            edges.opposite,
+                            e,
+                            p0,
+                            p1,
+                            a,
+                            b,
+                            n,
+                            height,
+                            r,
+                            widest,
+                            both_sides,
+                        ):
                             wp.atomic_add(found, 1, 1)
                             if keeps(i, e, seed, probability):
                                 j = wp.atomic_add(found, 0, 1)
@@ -325,17 +364,10 @@ def edge_candidates(
 def point_candidates(
     bvh: wp.uint64,
     start: int,
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    point: wp.array(dtype=wp.vec3),
-    point_edge: wp.array(dtype=int),
-    radius: wp.array(dtype=float),
-    apex: wp.array(dtype=wp.vec3),
-    target: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=float),
-    widest: wp.array(dtype=float),
+    geometry: Geometry,
+    edges: EdgeSet,
+    points: EdgePoints,
+    strips: StripQuery,
     both_sides: int,
     seed: int,
     probability: float,
@@ -345,25 +377,25 @@ def point_candidates(
 ):
     """Points on silhouette edges whose projection onto the target's plane lies in the disc around the target."""
     i = start + wp.tid()
-    if scale[i] <= 0.0:
+    if strips.scale[i] <= 0.0:
         return
-    a = apex[i]
-    b = target[i]
-    n = normal[i]
+    a = strips.apex[i]
+    b = strips.target[i]
+    n = strips.normal[i]
     height = wp.dot(n, b - a)
     j = int(0)
     query = wp.bvh_query_ray(bvh, a, b - a)
     while wp.bvh_query_next(query, j, 1.0):
-        e = point_edge[j]
-        r = radius[j] * scale[i]
-        p0 = vertices[edges[e][0]]
-        p1 = vertices[edges[e][1]]
+        e = points.edge[j]
+        r = points.radius[j] * strips.scale[i]
+        p0 = geometry.vertices[edges.ends[e][0]]
+        p1 = geometry.vertices[edges.ends[e][1]]
         plane = wp.cross(p0 - a, p1 - p0)
-        side = all_on_one_side(vertices, opposite, e, p0, p1, plane, a)
+        side = all_on_one_side(geometry.vertices, edges.opposite, e, p0, p1, plane, a)
         if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
-            f = wp.dot(n, point[j] - a) / height
+            f = wp.dot(n, points.position[j] - a) / height
             if f > 1.0e-6 and f <= 1.0:
-                if wp.length(a + (point[j] - a) / f - b) < kernel_reach(r, 1.0 / f, widest[i]):
+                if wp.length(a + (points.position[j] - a) / f - b) < kernel_reach(r, 1.0 / f, strips.widest[i]):
                     wp.atomic_add(found, 1, 1)
                     if keeps(i, j, seed, probability):
                         k = wp.atomic_add(found, 0, 1)

@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 import warp as wp
-from warp import JaxCallableGraphMode, jax_callable
 
 THREADS = os.cpu_count() or 1
 # Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
@@ -104,20 +103,3 @@ def _run(kernel, leading, rest, total, seed, probability, lists, counts, device)
         joined = np.concatenate([part[0][index] for part in parts])[:capacity] if parts else np.zeros(0)
         target.numpy()[: len(joined)] = joined
     return sum((part[1] for part in parts), np.zeros(counts, np.int64))
-
-
-class Call:
-    """A `jax_callable` whose lowered form does not depend on how often it was traced before.
-
-    Warp numbers the traced calls and writes the number into the program, which would defeat JAX's compilation cache.
-    The number only tells static arguments apart, and these callables have none. `kernels` is the Python module of the
-    kernels that `function` launches.
-    """
-
-    def __init__(self, function, num_outputs: int, kernels):
-        function.__module__ = kernels.__name__  # Warp loads the module of the function: let it be the kernels' own
-        self.call = jax_callable(function, num_outputs=num_outputs, graph_mode=JaxCallableGraphMode.NONE)
-
-    def __call__(self, *args, output_dims):
-        self.call.call_id = 0
-        return self.call(*args, output_dims=output_dims)

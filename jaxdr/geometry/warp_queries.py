@@ -1,9 +1,10 @@
 """Ray queries by Warp, on CPU (batches sliced over threads) and CUDA, called from JAX through `warp.jax_callable`.
 
-The callables below receive the geometry with every call and look its BVH up by content (see `bvh_cache`), so a
+The functions below receive the geometry with every call and look its BVH up by content (see `bvh_cache`), so a
 query is a pure function of its arguments. They do host work and therefore run outside CUDA graphs.
 """
 
+import contextlib
 import warnings
 from collections.abc import Callable
 
@@ -12,251 +13,180 @@ import numpy as np
 import warp as wp
 
 from jaxdr.geometry import warp_kernels as kernels
+from jaxdr.geometry import warp_records as records
 from jaxdr.geometry import warp_sector_kernels as sector_kernels
 from jaxdr.geometry import warp_tree_kernels as tree_kernels
 from jaxdr.geometry.edge_tree import LEAF
-from jaxdr.geometry.warp_launch import Call, compact, launch, on_host
-from jaxdr.geometry.warp_projections import projections  # noqa: F401
+from jaxdr.geometry.warp_launch import compact, launch, on_host
+from jaxdr.geometry.warp_records import Call, Numbers
 from jaxdr.geometry.warp_structures import structure_cache
 
+WHOLE, REAL = wp.array(dtype=int), wp.array(dtype=float)
+WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)
 
-def hit_queries(trace, module) -> tuple[Callable, Callable]:
-    """`closest_hit` and `occluded`, by `trace(kernel, vertices, faces, arrays)` for the kernels of those names."""
 
-    def _closest_hit(
-        vertices: wp.array(dtype=wp.vec3),
-        faces: wp.array(dtype=wp.vec3i),
-        origin: wp.array(dtype=wp.vec3),
-        direction: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=float),
-        face: wp.array(dtype=int),
-        t: wp.array(dtype=float),
-    ):
-        trace("closest_hit", vertices, faces, [origin, direction, t_max, face, t])
+@contextlib.contextmanager
+def structure(kind: str, device, moving: list, topology: list):
+    """The id of a structure over arrays, nobody else's as long as it is in use."""
+    cache = structure_cache(kind, device)
+    with cache.lock:
+        yield cache.find([on_host(a) for a in moving], [on_host(a) for a in topology]).id
 
-    def _occluded(
-        vertices: wp.array(dtype=wp.vec3),
-        faces: wp.array(dtype=wp.vec3i),
-        origin: wp.array(dtype=wp.vec3),
-        direction: wp.array(dtype=wp.vec3),
-        t_max: wp.array(dtype=float),
-        result: wp.array(dtype=int),
-    ):
-        trace("occluded", vertices, faces, [origin, direction, t_max, result])
 
-    closest_hit_call, occluded_call = Call(_closest_hit, 2, module), Call(_occluded, 1, module)
+def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
+    """`closest_hit` and `occluded`, by `trace(kernel, geometry, rays, outputs)` for the kernels of those names."""
 
-    def closest_hit(vertices, faces, origin, direction, t_max):
+    def closest_hit_of(geometry, rays, face, t):
+        trace("closest_hit", geometry, rays, [face, t])
+
+    def occluded_of(geometry, rays, result):
+        trace("occluded", geometry, rays, [result])
+
+    inputs = [records.Geometry, records.Rays]
+    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL], module)
+    occluded_call = Call(occluded_of, inputs, [WHOLE], module)
+
+    def closest_hit(geometry, rays):
         """(face, t): the nearest face in front of each ray, -1 and a huge t on a miss."""
-        return closest_hit_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
+        n = rays.reach.shape[0]
+        return hit_call(geometry, rays, dims=[n, n])
 
-    def occluded(vertices, faces, origin, direction, t_max):
-        """Whether anything lies on the ray before `t_max`."""
-        (result,) = occluded_call(vertices, faces, origin, direction, t_max, output_dims=origin.shape[0])
+    def occluded(geometry, rays):
+        """Whether anything lies on the ray before its reach."""
+        (result,) = occluded_call(geometry, rays, dims=[rays.reach.shape[0]])
         return result != 0
 
     return closest_hit, occluded
 
 
-def trace(kernel: str, vertices: wp.array, faces: wp.array, arrays: list) -> None:
-    """Run one of the two kernels over the rays of `arrays`."""
-    cache = structure_cache("mesh", vertices.device)
-    with cache.lock:
-        mesh = cache.find([on_host(vertices)], [on_host(faces)])
-        launch(getattr(kernels, kernel), arrays[0].shape[0], [mesh.id], arrays, vertices.device)
+def trace(kernel: str, geometry, rays, outputs: list) -> None:
+    """Run one of the two kernels."""
+    device = geometry.vertices.device
+    with structure("mesh", device, [geometry.vertices], [geometry.faces]) as mesh:
+        launch(getattr(kernels, kernel), rays.reach.shape[0], [mesh], [rays, *outputs], device)
 
 
 closest_hit, occluded = hit_queries(trace, kernels)
 
 
-def _edge_candidates(
-    leaf_edge: wp.array(dtype=int),
-    table: wp.array2d(dtype=wp.vec4),
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    radius: wp.array(dtype=float),
-    apex: wp.array(dtype=wp.vec3),
-    target: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=float),
-    widest: wp.array(dtype=float),
-    options: wp.array(dtype=int),
-    segment: wp.array(dtype=int),
-    edge: wp.array(dtype=int),
-    count: wp.array(dtype=int),
-    weight: wp.array(dtype=float),
-):
+def _projections(geometry, face_shape, lines, face, height, count):
+    face.fill_(-1)
+    height.fill_(kernels.MISS)
+    device, lines_there = geometry.vertices.device, lines.depth.shape[0]
+    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
+        launch(kernels.projections, lines_there, [bvh], [geometry, face_shape, lines, face, height, count], device)
+    over = int(np.count_nonzero(on_host(count) > face.shape[1]))
+    if over:
+        warnings.warn(
+            f"jaxdr: {over} of {lines_there} auxiliary points have more projections onto their shape than the "
+            f"{face.shape[1]} that there is room for; the furthest were left out. More room avoids it.",
+            stacklevel=2,
+        )
+
+
+_projections_call = Call(
+    _projections, [records.Geometry, Numbers, records.Lines], [WHOLE_ROWS, REAL_ROWS, WHOLE], kernels
+)
+
+
+def projections(geometry, face_shape, lines, capacity):
+    """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
+    n = lines.depth.shape[0]
+    return _projections_call(geometry, face_shape, lines, dims=[(n, capacity), (n, capacity), n])
+
+
+def _edge_tree(slots, geometry, edges, table):
+    device, count = table.device, table.shape[0]
+    nodes = wp.empty(count, dtype=tree_kernels.Node, device=device)
+    first = count // 2
+    table.zero_()  # row 0 is no node
+    launch(tree_kernels.tree_leaves, first, [], [slots, geometry, edges, nodes, table], device)
+    while first > 1:
+        first //= 2
+        launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
+
+
+_edge_tree_call = Call(
+    _edge_tree, [Numbers, records.Geometry, records.EdgeSet], [wp.array2d(dtype=wp.vec4)], tree_kernels
+)
+
+
+def edge_tree(geometry, edges, slots):
+    """Nodes of the tree over edges, [n, 3, 4]; see `edge_tree.build_edge_tree`."""
+    (table,) = _edge_tree_call(jnp.asarray(slots), geometry, edges, dims=[(2 * len(slots) // LEAF, 3)])
+    return table
+
+
+def _counted(found, inverse, counts, weight) -> None:
+    counts.assign(found.astype(np.int32))
+    weight.assign(np.array([inverse], np.float32))
+
+
+def _edge_candidates(geometry, edges, tree, strips, options, segment, element, count, weight):
     seed, both_sides = (int(option) for option in on_host(options))
-    rest = [leaf_edge, table, vertices, edges, opposite, radius, apex, target, normal, scale, widest, both_sides]
-    found, inverse = compact(
-        kernels.edge_candidates, [], rest, apex.shape[0], seed, [segment, edge], 2, vertices.device
-    )
-    count.assign(found[1:2].astype(np.int32))
-    weight.assign(np.array([inverse], np.float32))
+    rest, lists = [geometry, edges, tree, strips, both_sides], [segment, element]
+    device = segment.device
+    found, inverse = compact(kernels.edge_candidates, [], rest, strips.scale.shape[0], seed, lists, 2, device)
+    _counted(found[1:2], inverse, count, weight)
 
 
-def _point_candidates(
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    point: wp.array(dtype=wp.vec3),
-    point_edge: wp.array(dtype=int),
-    radius: wp.array(dtype=float),
-    apex: wp.array(dtype=wp.vec3),
-    target: wp.array(dtype=wp.vec3),
-    normal: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=float),
-    widest: wp.array(dtype=float),
-    options: wp.array(dtype=int),
-    segment: wp.array(dtype=int),
-    element: wp.array(dtype=int),
-    count: wp.array(dtype=int),
-    weight: wp.array(dtype=float),
-):
-    cache = structure_cache("points", vertices.device)
-    with cache.lock:
-        bvh = cache.find([on_host(point), on_host(radius)], [])
-        seed, both_sides = (int(option) for option in on_host(options))
-        rest = [vertices, edges, opposite, point, point_edge, radius, apex, target, normal, scale, widest, both_sides]
-        total, device = apex.shape[0], vertices.device
-        found, inverse = compact(kernels.point_candidates, [bvh.id], rest, total, seed, [segment, element], 2, device)
-    count.assign(found[1:2].astype(np.int32))
-    weight.assign(np.array([inverse], np.float32))
+def _point_candidates(geometry, edges, points, strips, options, segment, element, count, weight):
+    seed, both_sides = (int(option) for option in on_host(options))
+    rest, lists = [geometry, edges, points, strips, both_sides], [segment, element]
+    device = segment.device
+    with structure("points", device, [points.position, points.radius], []) as bvh:
+        found, inverse = compact(kernels.point_candidates, [bvh], rest, strips.scale.shape[0], seed, lists, 2, device)
+    _counted(found[1:2], inverse, count, weight)
 
 
-def _sector_crossings(
-    leaf_edge: wp.array(dtype=int),
-    table: wp.array2d(dtype=wp.vec4),
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    edges: wp.array(dtype=wp.vec2i),
-    edge_faces: wp.array2d(dtype=int),
-    rank: wp.array(dtype=float),
-    face_group: wp.array(dtype=int),
-    apex: wp.array(dtype=wp.vec3),
-    first: wp.array(dtype=wp.vec3),
-    last: wp.array(dtype=wp.vec3),
-    centre: wp.array(dtype=float),
-    needed: wp.array(dtype=float),
-    group: wp.array(dtype=int),
-    options: wp.array(dtype=int),
-    segment: wp.array(dtype=int),
-    edge: wp.array(dtype=int),
-    along: wp.array(dtype=float),
-    counts: wp.array(dtype=int),
-    weight: wp.array(dtype=float),
-):
-    cache, device = structure_cache("faces", vertices.device), vertices.device
-    with cache.lock:
-        bvh = cache.find([on_host(vertices)], [on_host(faces)])
-        seed, least_layer = (int(option) for option in on_host(options))
-        rest = [
-            leaf_edge, table, vertices, faces, edges, edge_faces, rank, face_group,
-            apex, first, last, centre, needed, group, float(least_layer),
-        ]  # fmt: skip
-        lists, total = [segment, edge, along], apex.shape[0]
-        found, inverse = compact(sector_kernels.sector_crossings, [bvh.id], rest, total, seed, lists, 6, device)
+def _sector_crossings(geometry, edges, tree, face_group, sectors, options, segment, element, along, counts, weight):
+    seed, least_layer = (int(option) for option in on_host(options))
+    rest, lists = [geometry, edges, tree, face_group, sectors, float(least_layer)], [segment, element, along]
+    device, total = segment.device, sectors.needed.shape[0]
+    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
+        found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, seed, lists, 6, device)
     if found[2] > 1e-3 * found[5]:
         warnings.warn(
             f"jaxdr: before some of {total} chords surfaces could not be counted (something that pierces an emitter, "
             "or rounding); rays past each edge decided there",
             stacklevel=2,
         )
-    counts.assign(found[1:].astype(np.int32))
-    weight.assign(np.array([inverse], np.float32))
+    _counted(found[1:], inverse, counts, weight)
 
 
-def _edge_tree(
-    slots: wp.array(dtype=int),
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    interior: wp.array(dtype=int),
-    radius: wp.array(dtype=float),
-    table: wp.array2d(dtype=wp.vec4),
-):
-    device, count = vertices.device, table.shape[0]
-    nodes = wp.empty(count, dtype=tree_kernels.Node, device=device)
-    first = count // 2
-    table.zero_()  # row 0 is no node
-    rest = [slots, vertices, edges, opposite, interior, radius, nodes, table]
-    launch(tree_kernels.tree_leaves, first, [], rest, device)
-    while first > 1:
-        first //= 2
-        launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
+_over_edges = [records.Geometry, records.EdgeSet]
+_pairs = [WHOLE, WHOLE, WHOLE, REAL]
+_edge_candidates_call = Call(
+    _edge_candidates, [*_over_edges, records.EdgeTree, records.StripQuery, Numbers], _pairs, kernels
+)
+_point_candidates_call = Call(
+    _point_candidates, [*_over_edges, records.EdgePoints, records.StripQuery, Numbers], _pairs, kernels
+)
+_sector_crossings_call = Call(
+    _sector_crossings,
+    [*_over_edges, records.EdgeTree, Numbers, records.SectorQuery, Numbers],
+    [WHOLE, WHOLE, REAL, WHOLE, REAL],
+    sector_kernels,
+)
 
 
-_edge_candidates_call = Call(_edge_candidates, 4, kernels)
-_point_candidates_call = Call(_point_candidates, 4, kernels)
-_sector_crossings_call = Call(_sector_crossings, 5, sector_kernels)
-_edge_tree_call = Call(_edge_tree, 1, tree_kernels)
-
-
-def edge_tree(vertices, edges, opposite, interior, radius, slots):
-    """Nodes of the tree over edges, [n, 3, 4]; see `edge_tree.build_edge_tree`."""
-    count = 2 * len(slots) // LEAF
-    slots, interior = jnp.asarray(slots), interior.astype(jnp.int32)
-    (table,) = _edge_tree_call(slots, vertices, edges, opposite, interior, radius, output_dims=(count, 3))
-    return table
-
-
-def edge_candidates(
-    tree, vertices, edges, opposite, radius, apex, target, normal, scale, widest, seed, capacity, both_sides
-):
+def edge_candidates(geometry, edges, strips, seed, capacity, both_sides):
     """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
-    dims = {"segment": capacity, "edge": capacity, "count": 1, "weight": 1}
-    table = (*tree, vertices, edges, opposite, radius)
-    options = jnp.stack([seed, jnp.int32(both_sides)])
-    call = _edge_candidates_call(*table, apex, target, normal, scale, widest, options, output_dims=dims)
-    segment, edge, count, weight = call
-    return segment, edge, count[0], weight[0]
+    options, dims = jnp.stack([seed, jnp.int32(both_sides)]), [capacity, capacity, 1, 1]
+    *lists, count, weight = _edge_candidates_call(geometry, edges, edges.tree, strips, options, dims=dims)
+    return *lists, count[0], weight[0]
 
 
-def point_candidates(
-    vertices,
-    edges,
-    opposite,
-    point,
-    point_edge,
-    radius,
-    apex,
-    target,
-    normal,
-    scale,
-    widest,
-    seed,
-    capacity,
-    both_sides,
-):
+def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides):
     """(segment [C], point [C], count, weight): points on silhouette edges near segments."""
-    dims = {"segment": capacity, "element": capacity, "count": 1, "weight": 1}
-    args = (
-        vertices,
-        edges,
-        opposite,
-        point,
-        point_edge,
-        radius,
-        apex,
-        target,
-        normal,
-        scale,
-        widest,
-        jnp.stack([seed, jnp.int32(both_sides)]),
-    )
-    segment, element, count, weight = _point_candidates_call(*args, output_dims=dims)
-    return segment, element, count[0], weight[0]
+    options, dims = jnp.stack([seed, jnp.int32(both_sides)]), [capacity, capacity, 1, 1]
+    *lists, count, weight = _point_candidates_call(geometry, edges, points, strips, options, dims=dims)
+    return *lists, count[0], weight[0]
 
 
-def sector_crossings(
-    tree, vertices, faces, edges, edge_faces, rank, face_group, apex, first, last, centre, needed, group, seed,
-    least_layer, capacity,
-):  # fmt: skip
+def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):
     """(segment [C], edge [C], along [C], counts [5], weight): see `queries.sector_crossings`."""
-    dims = {"segment": capacity, "edge": capacity, "along": capacity, "counts": 5, "weight": 1}
-    table = (*tree, vertices, faces, edges, edge_faces, rank, face_group)
-    options = jnp.stack([seed, jnp.int32(least_layer)])
+    options, dims = jnp.stack([seed, jnp.int32(least_layer)]), [capacity, capacity, capacity, 5, 1]
     call = _sector_crossings_call
-    *lists, counts, weight = call(*table, apex, first, last, centre, needed, group, options, output_dims=dims)
+    *lists, counts, weight = call(geometry, edges, edges.tree, face_group, sectors, options, dims=dims)
     return *lists, counts, weight[0]

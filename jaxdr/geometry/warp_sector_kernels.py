@@ -10,6 +10,7 @@ import warp as wp
 
 from jaxdr.geometry import edge_tree
 from jaxdr.geometry.warp_kernels import faces_all_alike, keeps, part
+from jaxdr.geometry.warp_records import EdgeSet, EdgeTree, Geometry, SectorQuery
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
@@ -24,20 +25,19 @@ _Capacity = wp.constant(MOST)
 
 
 @wp.func
-def oriented_volume(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), face: int, apex: wp.vec3d):
+def oriented_volume(geometry: Geometry, face: int, apex: wp.vec3d):
     """Six times the volume over a face, seen from the apex: its sign tells which side of the face the apex is on."""
-    v = faces[face]
-    p = wp.vec3d(vertices[v[0]]) - apex
-    q = wp.vec3d(vertices[v[1]]) - apex
-    r = wp.vec3d(vertices[v[2]]) - apex
+    v = geometry.faces[face]
+    p = wp.vec3d(geometry.vertices[v[0]]) - apex
+    q = wp.vec3d(geometry.vertices[v[1]]) - apex
+    r = wp.vec3d(geometry.vertices[v[2]]) - apex
     return wp.dot(p, wp.cross(q, r))
 
 
 @wp.func
 def faces_on_side(
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    edge_faces: wp.array2d(dtype=int),
+    geometry: Geometry,
+    edges: EdgeSet,
     edge: int,
     v0: int,
     v1: int,
@@ -49,12 +49,12 @@ def faces_on_side(
     """
     positive = int(0)
     negative = int(0)
-    for k in range(edge_faces.shape[1]):
-        f = edge_faces[edge, k]
+    for k in range(edges.faces.shape[1]):
+        f = edges.faces[edge, k]
         if f >= 0:
-            v = faces[f]
+            v = geometry.faces[f]
             along = (v[0] == v0 and v[1] == v1) or (v[1] == v0 and v[2] == v1) or (v[2] == v0 and v[0] == v1)
-            ahead = oriented_volume(vertices, faces, f, apex) >= wp.float64(0.0)
+            ahead = oriented_volume(geometry, f, apex) >= wp.float64(0.0)
             if along == ahead:
                 positive += 1
             else:
@@ -65,8 +65,7 @@ def faces_on_side(
 @wp.func
 def layers(
     bvh: wp.uint64,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
+    geometry: Geometry,
     face_group: wp.array(dtype=int),
     group: int,
     origin: wp.vec3,
@@ -83,10 +82,10 @@ def layers(
     query = wp.bvh_query_ray(bvh, origin, direction)
     while count < most and wp.bvh_query_next(query, f, reach):
         if group < 0 or face_group[f] != group:
-            v = faces[f]
-            a = wp.vec3d(vertices[v[0]]) - o
-            b = wp.vec3d(vertices[v[1]]) - o
-            c = wp.vec3d(vertices[v[2]]) - o
+            v = geometry.faces[f]
+            a = wp.vec3d(geometry.vertices[v[0]]) - o
+            b = wp.vec3d(geometry.vertices[v[1]]) - o
+            c = wp.vec3d(geometry.vertices[v[2]]) - o
             # Edge by edge in the order of the vertices, so that both faces at an edge agree.
             u0 = wp.where(v[1] < v[2], wp.dot(d, wp.cross(b, c)), -wp.dot(d, wp.cross(c, b)))
             u1 = wp.where(v[2] < v[0], wp.dot(d, wp.cross(c, a)), -wp.dot(d, wp.cross(a, c)))
@@ -126,20 +125,11 @@ def may_cross(
 def sector_crossings(
     bvh: wp.uint64,
     start: int,
-    leaf_edge: wp.array(dtype=int),
-    table: wp.array2d(dtype=wp.vec4),
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array(dtype=wp.vec3i),
-    edges: wp.array(dtype=wp.vec2i),
-    edge_faces: wp.array2d(dtype=int),
-    rank: wp.array(dtype=float),
+    geometry: Geometry,
+    edges: EdgeSet,
+    tree: EdgeTree,
     face_group: wp.array(dtype=int),
-    apex: wp.array(dtype=wp.vec3),
-    first: wp.array(dtype=wp.vec3),
-    last: wp.array(dtype=wp.vec3),
-    centre: wp.array(dtype=float),
-    needed: wp.array(dtype=float),
-    group: wp.array(dtype=int),
+    sectors: SectorQuery,
     least_layer: float,
     seed: int,
     probability: float,
@@ -154,12 +144,12 @@ def sector_crossings(
     The tree is walked without a stack, as in `warp_kernels.edge_candidates`.
     """
     i = start + wp.tid()
-    if needed[i] <= 0.0:
+    if sectors.needed[i] <= 0.0:
         return
-    a = apex[i]
+    a = sectors.apex[i]
     ad = wp.vec3d(a)
-    u0 = first[i] - a
-    u1 = last[i] - a
+    u0 = sectors.first[i] - a
+    u1 = sectors.last[i] - a
     plane = wp.cross(u0, u1)
     if wp.length(plane) == 0.0:
         return
@@ -169,7 +159,7 @@ def sector_crossings(
     far = wp.normalize(wp.cross(u1 - u0, plane))
     reach = wp.dot(far, u0)
     bounded = bool(True)
-    if group[i] < -1:
+    if sectors.group[i] < -1:
         bounded = bool(False)
         reach = 3.0e38
     # In double precision: what decides on which side of the sector's plane a vertex lies.
@@ -181,7 +171,7 @@ def sector_crossings(
     area2 = wp.dot(normal, normal)
     magnitude = wp.max(wp.abs(a))
 
-    nodes = table.shape[0]
+    nodes = tree.node.shape[0]
     leaves = nodes // 2
     places = _Places()
     crossed = _Edges()
@@ -193,10 +183,10 @@ def sector_crossings(
     # Where that number comes out wrong, or not all edges are looked at, each crossing is resolved by a ray of its own.
     by_rays = bool(False)
     least = least_layer
-    if not bounded or needed[i] > least_layer:
+    if not bounded or sectors.needed[i] > least_layer:
         by_rays = bool(True)
-        least = needed[i]
-    middle = wp.float64(centre[i])
+        least = sectors.needed[i]
+    middle = wp.float64(sectors.centre[i])
     done_place = wp.float64(-1.0)
     done_edge = int(-1)
     now = int(0)
@@ -210,13 +200,13 @@ def sector_crossings(
         while node > 0:
             visited += 1
             inside = bool(False)
-            box = table[node, 1]
+            box = tree.node[node, 1]
             if box[3] >= least:
-                ball = table[node, 0]
+                ball = tree.node[node, 0]
                 center = part(ball) - a
                 rounding = 1.0e-6 * (magnitude + wp.max(wp.abs(center)))
                 if may_cross(center, part(box), plane, side0, side1, far, reach, rounding):
-                    cone = table[node, 2]
+                    cone = tree.node[node, 2]
                     inside = not faces_all_alike(center, ball[3], part(cone), cone[3])
             if inside and node < leaves:
                 node = 2 * node
@@ -224,13 +214,13 @@ def sector_crossings(
                 if inside:
                     begin = (node - leaves) * LEAF
                     for k in range(LEAF):
-                        e = leaf_edge[begin + k]
+                        e = tree.edge[begin + k]
                         if e >= 0:
-                            if rank[e] >= least:
-                                v0 = edges[e][0]
-                                v1 = edges[e][1]
-                                p0 = wp.vec3d(vertices[v0]) - ad
-                                p1 = wp.vec3d(vertices[v1]) - ad
+                            if edges.rank[e] >= least:
+                                v0 = edges.ends[e][0]
+                                v1 = edges.ends[e][1]
+                                p0 = wp.vec3d(geometry.vertices[v0]) - ad
+                                p1 = wp.vec3d(geometry.vertices[v1]) - ad
                                 h0 = wp.dot(normal, p0)
                                 h1 = wp.dot(normal, p1)
                                 if (h0 >= zero) != (h1 >= zero):
@@ -242,13 +232,13 @@ def sector_crossings(
                                     if bounded:
                                         ends_there = bool(alpha + beta >= one)
                                     if alpha > zero and beta > zero and not ends_there:
-                                        sides = faces_on_side(vertices, faces, edge_faces, e, v0, v1, ad)
+                                        sides = faces_on_side(geometry, edges, e, v0, v1, ad)
                                         own = bool(False)
-                                        if group[i] >= 0:
-                                            for m in range(edge_faces.shape[1]):
-                                                f = edge_faces[e, m]
+                                        if sectors.group[i] >= 0:
+                                            for m in range(edges.faces.shape[1]):
+                                                f = edges.faces[e, m]
                                                 if f >= 0:
-                                                    if face_group[f] == group[i]:
+                                                    if face_group[f] == sectors.group[i]:
                                                         own = bool(True)
                                         place = beta / (alpha + beta)
                                         ahead = place > done_place or (place == done_place and e > done_edge)
@@ -257,7 +247,7 @@ def sector_crossings(
                                                 # Only where all faces are on one side can the other be seen past the
                                                 # edge.
                                                 past_it = bool(sides[0] == 0 or sides[1] == 0)
-                                                if past_it and rank[e] >= needed[i]:
+                                                if past_it and edges.rank[e] >= sectors.needed[i]:
                                                     edge_normal = wp.normalize(wp.vec3(wp.cross(p0, p1)))
                                                     if sides[0] > 0:
                                                         edge_normal = -edge_normal
@@ -270,7 +260,7 @@ def sector_crossings(
                                                         ray_end = 1.0
                                                     cast += 1
                                                     hidden = layers(
-                                                        bvh, vertices, faces, face_group, group[i], a, past, ray_end, 1
+                                                        bvh, geometry, face_group, sectors.group[i], a, past, ray_end, 1
                                                     )
                                                     if hidden == 0:
                                                         wp.atomic_add(found, 1, 1)
@@ -320,9 +310,9 @@ def sector_crossings(
         if count > 0 and not by_rays:
             if walks == 0:
                 # Quantitative invisibility: layers before the chord's centre, and from there those at its first end.
-                towards = (1.0 - centre[i]) * u0 + centre[i] * u1
+                towards = (1.0 - sectors.centre[i]) * u0 + sectors.centre[i] * u1
                 cast += 1
-                now = layers(bvh, vertices, faces, face_group, group[i], a, towards, 1.0, 1000000) - before_middle
+                now = layers(bvh, geometry, face_group, sectors.group[i], a, towards, 1.0, 1000000) - before_middle
             walks += 1
             stored = wp.min(count, _Capacity)
             lowest = int(now)
@@ -339,13 +329,13 @@ def sector_crossings(
                     before = int(now)
                     now += steps[k]
                     e = crossed[k]
-                    if (before == 0) != (now == 0) and rank[e] >= needed[i]:
+                    if (before == 0) != (now == 0) and edges.rank[e] >= sectors.needed[i]:
                         wp.atomic_add(found, 1, 1)
                         if keeps(i, e, seed, probability):
                             j = wp.atomic_add(found, 0, 1)
                             if j < segment_out.shape[0]:
-                                p0 = wp.vec3d(vertices[edges[e][0]]) - ad
-                                p1 = wp.vec3d(vertices[edges[e][1]]) - ad
+                                p0 = wp.vec3d(geometry.vertices[edges.ends[e][0]]) - ad
+                                p1 = wp.vec3d(geometry.vertices[edges.ends[e][1]]) - ad
                                 h0 = wp.dot(normal, p0)
                                 h1 = wp.dot(normal, p1)
                                 segment_out[j] = i

@@ -6,6 +6,7 @@ The tree is that of `edge_tree.build_edge_tree`, a few times faster; the plain v
 import warp as wp
 
 from jaxdr.geometry import edge_tree
+from jaxdr.geometry.warp_records import EdgeSet, Geometry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -115,11 +116,8 @@ def store(nodes: wp.array(dtype=Node), rows: wp.array2d(dtype=wp.vec4), i: int, 
 def tree_leaves(
     start: int,
     slots: wp.array(dtype=int),
-    vertices: wp.array(dtype=wp.vec3),
-    edges: wp.array(dtype=wp.vec2i),
-    opposite: wp.array2d(dtype=int),
-    interior: wp.array(dtype=int),
-    radius: wp.array(dtype=float),
+    geometry: Geometry,
+    edges: EdgeSet,
     nodes: wp.array(dtype=Node),
     rows: wp.array2d(dtype=wp.vec4),
 ):
@@ -130,14 +128,14 @@ def tree_leaves(
         one = nothing()
         e = slots[leaf * LEAF + k]
         if e >= 0:
-            p0 = vertices[edges[e][0]]
-            p1 = vertices[edges[e][1]]
+            p0 = geometry.vertices[edges.ends[e][0]]
+            p1 = geometry.vertices[edges.ends[e][1]]
             q0 = p0
             q1 = p1
-            if interior[e] != 0:
-                q0 = vertices[opposite[e, 0]]
-                q1 = vertices[opposite[e, 1]]
-            one = edge_node(p0, p1, q0, q1, interior[e] != 0, radius[e])
+            if edges.interior[e] != 0:
+                q0 = geometry.vertices[edges.opposite[e, 0]]
+                q1 = geometry.vertices[edges.opposite[e, 1]]
+            one = edge_node(p0, p1, q0, q1, edges.interior[e] != 0, edges.rank[e])
         # In pairs: cones grow least where alike are merged first.
         if k % 2 == 0:
             pair = one

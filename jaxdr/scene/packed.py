@@ -18,6 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR, edge_shares
+from jaxdr.geometry.query_records import Geometry
 from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
@@ -106,6 +107,11 @@ class PackedScene(eqx.Module):
     lights: tuple[LightGroup, ...]
     choice: Float[Array, " K"] | None
     environment_turns: bool = eqx.field(static=True, default=False)
+
+    @property
+    def geometry(self) -> Geometry:
+        """The triangles, as ray queries take them."""
+        return Geometry(self.vertices, self.faces)
 
     @property
     def textured(self) -> bool:

@@ -171,4 +171,4 @@ def _visible(packed: PackedScene, joined: Connections, rays: str) -> Bool[Array,
     carries = (joined.value != 0).any(-1)
     reach = jnp.where(carries, 1.0, 0.0).astype(joined.value.dtype)
     offset = joined.end - joined.start
-    return carries & ~queries.occluded(packed.vertices, packed.faces, joined.start, offset, reach, rays)
+    return carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), rays)

@@ -139,7 +139,7 @@ def intersect(
 ) -> Int[Array, " N"]:
     """The nearest face on each active ray within `reach`, -1 for none. `rays` names the query implementation."""
     reach = jnp.where(active, reach, 0.0).astype(origin.dtype)
-    return queries.closest_hit(packed.vertices, packed.faces, origin, direction, reach, rays).face
+    return queries.closest_hit(packed.geometry, queries.Rays(origin, direction, reach), rays).face
 
 
 def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[Array, "N 3"]:

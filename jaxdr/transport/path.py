@@ -365,7 +365,7 @@ def _connect(
     end = leave(sample.point, -towards)
     end = jnp.where(sample.infinite[:, None], start + 2.0 * packed.size() * stop_gradient(towards), end)
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
-    visible = reachable & ~queries.occluded(packed.vertices, packed.faces, start, end - start, reach, settings.rays)
+    visible = reachable & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), settings.rays)
     share = None
     if seen is not None:
         far = sample.infinite if delta is None else sample.infinite | delta

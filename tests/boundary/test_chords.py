@@ -36,9 +36,15 @@ def crossings(packed, apex, chords, implementation="warp"):
     group = emitter_groups(packed) if packed.has_area_emitters else jnp.full(packed.faces.shape[0], -1)
     useful = chords.useful.astype(jnp.float32)
     found = queries.sector_crossings(
-        tree, packed.vertices, packed.faces, edges.vertices, edges.faces, rank, group, apex, chords.first, chords.last,
-        chords.centre, useful, chords.group, jnp.int32(1), 1, 4 * count, implementation,
-    )  # fmt: skip
+        packed.geometry,
+        queries.EdgeSet.of(edges, rank, tree),
+        group,
+        queries.SectorQuery(apex, chords.first, chords.last, chords.centre, useful, chords.group),
+        jnp.int32(1),
+        1,
+        4 * count,
+        implementation,
+    )
     used = np.asarray(found.chord) >= 0
     return tuple(np.asarray(x)[used] for x in (found.chord, found.edge, found.along))
 

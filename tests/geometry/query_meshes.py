@@ -60,7 +60,7 @@ def arrays(mesh: jd.Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def ask(query, *arguments, **options):
     """A query on host arrays, answered in host arrays; compiled once for all arguments of the same shapes."""
-    return jax.tree.map(np.asarray, _compiled(query, **options)(*map(jnp.asarray, arguments)))
+    return jax.tree.map(np.asarray, _compiled(query, **options)(*jax.tree.map(jnp.asarray, arguments)))
 
 
 @cache

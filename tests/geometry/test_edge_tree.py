@@ -42,8 +42,9 @@ def test_boxes_and_cones_bound_their_edges(scale, offset, implementation):
     vertices = np.asarray(mesh.vertices) * scale + np.float32(offset)
     edges, count = mesh.edges, len(mesh.edges.vertices)
     rank = jnp.asarray(np.random.default_rng(1).integers(0, 3, count), jnp.float32)
-    topology = edges.vertices, edges.opposite, edges.kind == INTERIOR
-    tree = queries.edge_tree(jnp.asarray(vertices), *topology, rank, implementation=implementation)
+    geometry = queries.Geometry(jnp.asarray(vertices), mesh.faces)
+    table = queries.EdgeSet(edges.vertices, edges.faces, edges.opposite, edges.kind == INTERIOR, rank)
+    tree = queries.edge_tree(geometry, table, implementation=implementation)
     slots, node = np.asarray(tree.edge), np.asarray(tree.node, float)
     faces, v = np.asarray(mesh.faces), vertices.astype(float)
     normal = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
@@ -80,8 +81,10 @@ def test_both_implementations_agree():
     padded = [jnp.pad(t[2], ((0, 0), (0, width - t[2].shape[1])), constant_values=-1) for t in tables]
     vertices, edges, interior = (jnp.concatenate([t[k] for t in tables]) for k in (0, 1, 3))
     rank = jnp.asarray(np.random.default_rng(2).integers(0, 3, sum(counts)), jnp.float32)
-    args = (vertices, edges, jnp.concatenate(padded), interior, rank, counts)
-    warp, plain = (queries.edge_tree(*args, implementation=name) for name in ("warp", "jax"))
+    geometry = queries.Geometry(vertices, jnp.concatenate([mesh.faces for mesh in meshes]))
+    opposite = jnp.concatenate(padded)  # faces of edges have no part in it
+    table = queries.EdgeSet(edges, opposite, opposite, interior, rank)
+    warp, plain = (queries.edge_tree(geometry, table, counts, name) for name in ("warp", "jax"))
     np.testing.assert_array_equal(warp.edge, plain.edge)
     node, expected = np.asarray(warp.node)[1:], np.asarray(plain.node)[1:]
     np.testing.assert_array_equal(node[:, 1], expected[:, 1])

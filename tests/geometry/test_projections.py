@@ -22,7 +22,7 @@ def lines(vertices, seed):
 
 
 def project(implementation, vertices, faces, of_shape, point, normal, depth, shape, capacity=16):
-    arguments = vertices, faces, of_shape, point, normal, depth, shape
+    arguments = queries.Geometry(vertices, faces), of_shape, queries.Lines(point, normal, depth, shape)
     return ask(queries.projections, *arguments, capacity=capacity, implementation=implementation)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxdr.geometry import bvh_cache, queries, warp_structures
-from jaxdr.geometry.queries import IMPLEMENTATIONS
+from jaxdr.geometry.queries import IMPLEMENTATIONS, Geometry, Lines, Rays
 from jaxdr.geometry.shapes import sphere
 
 SQUARE = jnp.asarray([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -30,7 +30,7 @@ def square(height):
 
 def height(vertices, implementation="warp", origin=ORIGIN, faces=FACES):
     """Height of the square that rays from below meet; 1e9 for a miss."""
-    hit = queries.closest_hit(vertices, faces, origin, UP, REACH, implementation)
+    hit = queries.closest_hit(Geometry(vertices, faces), Rays(origin, UP, REACH), implementation)
     return jnp.where(hit.face >= 0, origin[:, 2] + hit.t, 1e9)
 
 
@@ -106,8 +106,8 @@ def test_vmap_over_rays(implementation):
     origins = ORIGIN + jnp.arange(3.0)[:, None, None] * jnp.asarray([0.0, 0.1, 1.0])
     together = jax.jit(jax.vmap(lambda o: height(square(1.5), implementation, o)))(origins)
     assert same(together, [1.5, 1.5, 1.5])
-    args = (square(1.5), FACES, origins, UP, REACH)
-    free = jax.vmap(lambda o, t: queries.occluded(*args[:2], o, UP, t, implementation))(
+    geometry = Geometry(square(1.5), FACES)
+    free = jax.vmap(lambda o, t: queries.occluded(geometry, Rays(o, UP, t), implementation))(
         origins, jnp.asarray([[50.0], [150.0], [50.0]]) * jnp.ones(RAYS)
     )
     np.testing.assert_array_equal(free, np.array([[False], [True], [False]]) * np.ones((3, RAYS), bool))
@@ -129,11 +129,12 @@ def test_vmap_over_vertices(implementation):
 def test_other_queries_follow_their_vertices(implementation):
     @jax.jit
     def ask(h):
-        reach, none = jnp.full(RAYS, 101.5), jnp.zeros(RAYS, jnp.int32)
-        shape = none[: FACES.shape[0]]
-        lines = queries.projections(square(h), FACES, shape, ORIGIN, UP, reach, none, 2, implementation)
-        blocked = queries.occluded(square(h), FACES, ORIGIN, UP, reach, implementation)
-        return blocked, lines.height[:, 0], lines.count
+        geometry = Geometry(square(h), FACES)
+        none, depth = jnp.zeros(RAYS, jnp.int32), jnp.full(RAYS, 101.5)
+        found = queries.projections(
+            geometry, jnp.zeros(len(FACES), jnp.int32), Lines(ORIGIN, UP, depth, none), 2, implementation
+        )
+        return queries.occluded(geometry, Rays(ORIGIN, UP, depth), implementation), found.height[:, 0], found.count
 
     for h in (1.0, 2.0, 0.5, 1.0, 3.0):
         blocked, height, count = ask(h)
@@ -161,7 +162,7 @@ def test_threads_with_different_scenes():
 
     @jax.jit
     def radius(scale):
-        hit = queries.closest_hit(mesh.vertices * scale, mesh.faces, origin, directions, reach)
+        hit = queries.closest_hit(Geometry(mesh.vertices * scale, mesh.faces), Rays(origin, directions, reach))
         return hit.t.min(), hit.t.max(), hit.face.min()
 
     def work(base):

@@ -25,9 +25,14 @@ from tests.geometry.query_meshes import (
 SCALES = {"unit": affine(), "tiny": affine(1e-3), "far away": affine(1.0, FAR_AWAY)}
 
 
+def ask_rays(query, vertices, faces, *rays, implementation):
+    """One of the two queries of rays, on host arrays."""
+    return ask(query, queries.Geometry(vertices, faces), queries.Rays(*rays), implementation=implementation)
+
+
 def closest(vertices, faces, origin, direction, implementation, t_max=FAR):
     reach = np.broadcast_to(np.float32(t_max), len(origin))
-    return ask(queries.closest_hit, vertices, faces, origin, direction, reach, implementation=implementation)
+    return ask_rays(queries.closest_hit, vertices, faces, origin, direction, reach, implementation=implementation)
 
 
 def embree(vertices, faces, origin, direction):
@@ -85,7 +90,7 @@ def test_occluded_agrees_with_the_closest_hit(name, implementation):
     # Rays that end well before or well after what they meet first; some have no length at all.
     reach = np.where(face >= 0, t * rng.choice([0.0, 0.5, 0.9, 1.1, 2.0], count), 1e30).astype(np.float32)
     expected = (face >= 0) & (t < reach)
-    blocked = ask(queries.occluded, vertices, faces, origin, direction, reach, implementation=implementation)
+    blocked = ask_rays(queries.occluded, vertices, faces, origin, direction, reach, implementation=implementation)
     assert 0.05 < expected.mean() < 0.95
     differs = blocked != expected
     exact = Crossing(vertices, faces[face[differs]], origin[differs], direction[differs])
@@ -99,7 +104,7 @@ def test_rays_of_no_length_meet_nothing(implementation):
     for reach in (0.0, -1.0):
         assert np.all(closest(vertices, faces, origin, direction, implementation, reach)[0] == -1)
         rays = vertices, faces, origin, direction, np.full(64, reach, np.float32)
-        assert not np.any(ask(queries.occluded, *rays, implementation=implementation))
+        assert not np.any(ask_rays(queries.occluded, *rays, implementation=implementation))
 
 
 @pytest.mark.parametrize("matrix", SCALES.values(), ids=SCALES)
@@ -130,10 +135,10 @@ def test_watertight(shape, matrix):
         some = slice(None, None, 1 if implementation != "jax" else 7)
         n = len(origin[some])
         rays = vertices, faces, origin[some], direction[some], np.full(n, FAR)
-        face, _ = ask(queries.closest_hit, *rays, implementation=implementation)
+        face, _ = ask_rays(queries.closest_hit, *rays, implementation=implementation)
         most = 1e-3 * n if implementation == "embree" else 0  # see `embree_scene.ROBUST`
         assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
-        blocked = ask(queries.occluded, *rays, implementation=implementation)
+        blocked = ask_rays(queries.occluded, *rays, implementation=implementation)
         assert np.sum(~blocked) <= most, f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
 
 
@@ -157,10 +162,10 @@ def test_no_self_intersection(matrix, implementation):
     fields = (np.ones(n, bool), face, barycentric, position, normal, normal, np.ones(n, np.float32), scale)
     start = np.asarray(leave(SurfacePoint(*map(jnp.asarray, fields)), jnp.asarray(towards)))
     rays = towards, np.full(n, FAR)
-    blocked = ask(queries.occluded, vertices, faces, start, *rays, implementation=implementation)
+    blocked = ask_rays(queries.occluded, vertices, faces, start, *rays, implementation=implementation)
     assert not np.any(blocked), f"{np.sum(blocked)} of {n} points hide themselves"
     # Without the offset they do: the test can fail.
-    assert np.any(ask(queries.occluded, vertices, faces, position, *rays, implementation=implementation))
+    assert np.any(ask_rays(queries.occluded, vertices, faces, position, *rays, implementation=implementation))
 
 
 def test_unknown_implementation():

@@ -67,9 +67,15 @@ def crossings(mesh, rank, apex, first, last, centre, needed, group, face_group, 
     interior = edges.kind == INTERIOR
     tree = build_edge_tree(mesh.vertices, edges.vertices, edges.opposite, interior, rank)
     return queries.sector_crossings(
-        tree, mesh.vertices, mesh.faces, edges.vertices, edges.faces, rank, face_group, apex, first, last,
-        centre, needed, group, jnp.int32(7), least, capacity, implementation,
-    )  # fmt: skip
+        queries.Geometry(mesh.vertices, mesh.faces),
+        queries.EdgeSet(edges.vertices, edges.faces, edges.opposite, interior, rank, tree),
+        face_group,
+        queries.SectorQuery(apex, first, last, centre, needed, group),
+        jnp.int32(7),
+        least,
+        capacity,
+        implementation,
+    )
 
 
 def ask(mesh, apex, first, last, implementation="warp", group=NO_GROUP, rank=1.0, face_group=None, capacity=None):

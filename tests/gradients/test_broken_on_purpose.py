@@ -40,11 +40,13 @@ def test_stale_geometry(monkeypatch):
     """Queries that still see the blocker where it was a step ago."""
     fresh = queries._discrete
 
-    def stale(vertices, *rest):
-        if vertices.ndim != 2:  # an edge tree: the rays that ask what is visible are stale enough
-            return fresh(vertices, *rest)
-        blocker = (vertices[:, 2] > 0.3) & (vertices[:, 2] < 0.9)
-        return fresh(vertices + jnp.where(blocker[:, None], jnp.asarray([0.08, 0.0, 0.0]), 0.0), *rest)
+    def stale(records):
+        (geometry, *fixed), rows = records
+        if not rows:  # not rays: the rays that ask what is visible are stale enough
+            return fresh(records)
+        blocker = (geometry.vertices[:, 2] > 0.3) & (geometry.vertices[:, 2] < 0.9)
+        moved = geometry.vertices + jnp.where(blocker[:, None], jnp.asarray([0.08, 0.0, 0.0]), 0.0)
+        return fresh(((geometry._replace(vertices=moved), *fixed), rows))
 
     monkeypatch.setattr(queries, "_discrete", stale)
     with pytest.raises(AssertionError, match="is off"):
