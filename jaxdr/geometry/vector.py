@@ -83,8 +83,10 @@ def normalize(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n d"]:
     """Unit vectors; zero vectors stay zero with derivative zero."""
     squared = dot(a, a)
     positive = squared > 0
-    inverse = jax.lax.select(positive, 1.0 / jnp.sqrt(_or_one(positive, squared)), jnp.zeros_like(squared))
-    return scale(a, inverse)
+    # Divided, not times the inverse: that product and a sum after it, as in 1 + z, become one operation in some of the
+    # copies that a compiler makes and two in others, which disagree where the sum cancels. Over infinity for zero.
+    length = jax.lax.select(positive, jnp.sqrt(_or_one(positive, squared)), jnp.full_like(squared, jnp.inf))
+    return from_components(*(part / length for part in components(a)))
 
 
 def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Array, "*n"]:
