@@ -15,12 +15,13 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.texture_jumps import check_still_maps
+from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
 from jaxdr.integrators.defaults import default_integrator
 from jaxdr.integrators.known_failures import warn_of_known_failure
 from jaxdr.moving import Moving, moving_in
-from jaxdr.scene.packed import pack
+from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 
 
@@ -73,7 +74,7 @@ def derivative_terms(
     integrator = default_integrator(scene) if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
-    return _estimate(scene, key, spp, integrator, moving, apart=True)
+    return _estimate(scene, key, spp, integrator, moving)
 
 
 def _split(leaves, is_float):
@@ -100,59 +101,106 @@ def _render_jvp(program, primals, tangents):
     if not any(active):
         return image, jnp.zeros_like(image)
     moved = tuple(t for t in tangents[0] if not isinstance(t, SymbolicZero))
+    return image, _derivative(program, active, moved, floats, others, arrays, derivative_key)
+
+
+def _derivative(program: Program, active: tuple[bool, ...], moved, floats, others, arrays, key):
+    """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
+    integrator = eqx.combine(program.integrator, arrays)
+    flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
+    moving = moving_in(flags)
+    if integrator.boundary is not None:
+        check_still_maps(flags)
+    still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
+
+    def packed_leaves(at):
+        """Float arrays of the packed scene, as they depend on what is active."""
+        at = iter(at)
+        joined = [next(at) if a else f for f, a in zip(still, active, strict=True)]
+        return jax.tree.flatten(pack(_join(program, joined, others)))
+
     at = tuple(f for f, a in zip(floats, active, strict=True) if a)
+    moves = dependent(lambda at: packed_leaves(at)[0], at)
+    leaves, structure = packed_leaves(at)
+    packed = jax.tree.unflatten(structure, leaves)
 
-    def estimate(at):
-        return _derivative_image(program, active, at, floats, others, arrays, derivative_key)
+    def moving_leaves(at):
+        return [leaf for leaf, m in zip(packed_leaves(at)[0], moves, strict=True) if m]
 
-    return image, jax.jvp(estimate, (at,), (moved,))[1]
+    primal, tangent = jax.jvp(moving_leaves, (at,), (moved,))
+    prepared, key = _prepare(_join(program, floats, others), packed, integrator, moving, key)
+    fixed = [leaf for leaf, m in zip(leaves, moves, strict=True) if not m], prepared, arrays, key
+    term = _Chunk(program, moving, structure, moves)
+    _, _, width, height = packed.camera.film.window
+    out = jax.ShapeDtypeStruct((height, width, 3), packed.vertices.dtype)
+    return chunked_derivative(term, _chunks(packed, integrator, program.spp, True)[0], primal, tangent, fixed, out)
+
+
+class _Chunk(NamedTuple):
+    """The image of one chunk of samples, interior and boundary terms, as `chunked_derivative` takes it."""
+
+    program: Program
+    moving: Moving
+    structure: Any  # of the packed scene
+    moves: tuple[bool, ...]
+
+    def __call__(self, at, fixed, index):
+        rest, prepared, arrays, key = fixed
+        at, rest = iter(at), iter(rest)
+        packed = jax.tree.unflatten(self.structure, [next(at) if m else next(rest) for m in self.moves])
+        integrator, spp = eqx.combine(self.program.integrator, arrays), self.program.spp
+        images = _chunk_images(packed, integrator, prepared, self.moving, key, spp, index)
+        return sum(images.values())
 
 
 @partial(jax.jit, static_argnums=0)
 def _image(program: Program, floats, others, arrays, key):
     floats, others, arrays = unfolded((floats, others, arrays))
     integrator = eqx.combine(program.integrator, arrays)
-    terms = _estimate(_join(program, floats, others), key, program.spp, integrator, None)
-    return terms["interior"]
+    return _estimate(_join(program, floats, others), key, program.spp, integrator, None)["interior"]
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _derivative_image(program: Program, active, at, floats, others, arrays, key):
-    others, arrays = unfolded((others, arrays))
-    integrator = eqx.combine(program.integrator, arrays)
-    at = iter(at)
-    floats = [next(at) if a else unfolded(jax.lax.stop_gradient(f)) for f, a in zip(floats, active, strict=True)]
-    flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
-    if integrator.boundary is not None:
-        check_still_maps(flags)
-    terms = _estimate(_join(program, floats, others), key, program.spp, integrator, moving_in(flags))
-    return sum(terms.values())
+def _prepare(scene: Scene, packed: PackedScene, integrator: Integrator, moving: Moving, key, apart: bool = False):
+    """(what the terms of all chunks share or None, key of the chunks)."""
+    if not moving.any:
+        return None, key
+    rest, pilot_key = jax.random.split(key)
+    prepared = integrator.prepare(scene, packed, moving, pilot_key, apart)
+    if integrator.max_depth > 1 and (any(moving.seen) or moving.environment):
+        warn_of_known_failure(scene, integrator.boundary)
+    return prepared, key if prepared is None else rest
 
 
-def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None, apart: bool = False) -> dict:
-    """Sum over chunks of samples. Chunks are rematerialised: memory does not grow with the samples per pixel.
+def _chunks(packed: PackedScene, integrator: Integrator, spp: int, differentiated: bool) -> tuple[int, int]:
+    """(number of chunks, samples of every pixel in each)."""
+    _, _, width, height = packed.camera.film.window
+    chunks = min(spp, -(-spp * width * height // integrator.paths_at_once(differentiated)))
+    return chunks, -(-spp // chunks)
+
+
+def _chunk_images(
+    packed: PackedScene, integrator: Integrator, prepared, moving: Moving | None, key, spp: int, index, apart=False
+) -> dict[str, Float[Array, "H W 3"]]:
+    """Share of the image from one chunk of samples, by term."""
+    _, count = _chunks(packed, integrator, spp, moving is not None)
+    samples = index * count + jnp.arange(count)
+    key_film, key_chunks = jax.random.split(key)
+    key_chunk = jax.random.fold_in(key_chunks, index)
+    return integrator.estimate(packed, prepared, samples, key_film, key_chunk, spp, moving, apart)
+
+
+def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None) -> dict:
+    """Sum over chunks of samples, by term. Chunks are rematerialised: memory does not grow with the samples per pixel.
 
     Without `moving` the terms are those of an image that nobody differentiates: the interior's value alone.
     """
-    packed = pack(scene)
-    _, _, width, height = scene.camera.film.window
-    pixels = width * height
-    chunks = -(-spp * pixels // integrator.paths_at_once(differentiated=moving is not None))
-    chunks = min(chunks, spp)
-    per_chunk = -(-spp // chunks)
-    prepared = None
-    if moving is not None and moving.any:
-        rest, pilot_key = jax.random.split(key)
-        prepared = integrator.prepare(scene, packed, moving, pilot_key, apart)
-        if integrator.max_depth > 1 and (any(moving.seen) or moving.environment):
-            warn_of_known_failure(scene, integrator.boundary)
-        key = key if prepared is None else rest
-    key_film, key_chunks = jax.random.split(key)
+    packed, prepared = pack(scene), None
+    if moving is not None:
+        prepared, key = _prepare(scene, packed, integrator, moving, key, apart=True)
+    chunks, _ = _chunks(packed, integrator, spp, moving is not None)
 
     def chunk(packed, index):
-        samples = index * per_chunk + jnp.arange(per_chunk)
-        key_chunk = jax.random.fold_in(key_chunks, index)
-        return integrator.estimate(packed, prepared, samples, key_film, key_chunk, spp, moving)
+        return _chunk_images(packed, integrator, prepared, moving, key, spp, index, apart=True)
 
     if chunks == 1:
         return chunk(packed, 0)
@@ -161,5 +209,6 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
     def accumulate(total, index):
         return jax.tree.map(jnp.add, total, body(packed, index)), None
 
-    start = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(chunk, packed, 0))
-    return jax.lax.scan(accumulate, start, jnp.arange(chunks))[0]
+    _, _, width, height = packed.camera.film.window
+    black = jnp.zeros((height, width, 3), packed.vertices.dtype)
+    return jax.lax.scan(accumulate, dict.fromkeys(["interior", *(prepared or ())], black), jnp.arange(chunks))[0]

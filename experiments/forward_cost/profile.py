@@ -63,7 +63,7 @@ def pieces(scene, settings, samples):
     def shadow(packed, emitter, point, to_light):
         scatterer = Scatterer(packed, point, wi)
         start = scatterer.leave(to_light)
-        far = start + 2.0 * packed.size() * to_light
+        far = start + 2.0 * packed.size * to_light
         end = jnp.where(emitter.infinite[:, None], far, leave(emitter.point, -to_light))
         return queries.occluded(packed.geometry, queries.Rays(start, end - start, point.valid * 1.0), RAYS)
 

@@ -148,7 +148,7 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
     else:
         source = drawn.emitter
         end = leave(source, -drawn.towards)
-        offset = jnp.where(source.valid[:, None], end - start, 2.0 * packed.size() * drawn.towards)
+        offset = jnp.where(source.valid[:, None], end - start, 2.0 * packed.size * drawn.towards)
         reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
         hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
     detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)

@@ -120,7 +120,7 @@ def draw_auxiliary(
     flat = drawn.reshape(-1, 3)
     along = jnp.repeat(ends.normal, samples, axis=0)
     depth = jnp.where(active & ~ends.infinite, kernel.depth * length, 0.0)
-    depth = jnp.minimum(depth, packed.size())
+    depth = jnp.minimum(depth, packed.size)
     depth, shape = (jnp.repeat(a, samples) for a in (depth, packed.face_shape[ends.face]))
     lines = queries.Lines(flat, along, depth, shape)
     found = queries.projections(packed.geometry, packed.face_shape, lines, capacity, rays)

@@ -237,7 +237,7 @@ def _segment(crossings: Crossings, *tables):
 
 
 def _bundles(detached, chain: ChainSegments, rate: _Rate) -> Bundles:
-    end = jnp.where(jnp.isinf(chain.distance), 4.0 * detached.size(), chain.distance)
+    end = jnp.where(jnp.isinf(chain.distance), 4.0 * detached.size, chain.distance)
     return Bundles(chain.origin, chain.direction, rate.origin, rate.direction, end)
 
 

@@ -113,7 +113,7 @@ def shadow_distribution(
         for_film = jnp.where(seen.inside, jnp.abs(value) * norm(seen.across), 0.0)
         received = luminance(points.arriving) * jnp.abs(dot(points.point.normal, points.towards))
         received = jnp.where(moves & points.point.valid, received * norm(points.tangent), 0.0)
-        offset = jnp.where(infinite[light], packed.size(), norm(ends_of(lines) - places[light]))
+        offset = jnp.where(infinite[light], packed.size, norm(ends_of(lines) - places[light]))
         sides = lines.ends[:, 1] - lines.ends[:, 0]
         length = jnp.where(used, norm(sides) / jnp.where(offset > 0, offset, 1.0), 0.0)
         return for_film, received, length
@@ -174,7 +174,7 @@ def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n
     light, edge = jnp.where(border, 0, light), jnp.where(border, 0, edge)
     ends = packed.vertices[packed.edges.vertices[edge]]
     middle = stop_gradient(ends).mean(1)
-    apex = jnp.where(infinite[light][:, None], middle + 2.0 * packed.size() * places[light], places[light])
+    apex = jnp.where(infinite[light][:, None], middle + 2.0 * packed.size * places[light], places[light])
     dark, _ = occluded_side(packed, edge, apex, jnp.full_like(edge, -1))
     if borders is not None:
         number = jnp.clip(index - packed.light_count * count, 0, borders.light.shape[0] - 1)
@@ -197,7 +197,7 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
     still, source = stop_gradient((edge_point, place))
 
     beside = past_edge(still, still, lines.dark)
-    to_light = jnp.where(infinite, 2.0 * packed.size() * source, source - beside)
+    to_light = jnp.where(infinite, 2.0 * packed.size * source, source - beside)
     reach = jnp.where(lines.used & ~lines.border, 1.0, 0.0).astype(still.dtype)
     hidden = queries.occluded(detached.geometry, queries.Rays(beside, to_light, reach), settings.rays)
     towards = normalize(to_light)

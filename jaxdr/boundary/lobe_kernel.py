@@ -47,7 +47,7 @@ def lobe_edges(
     direction, importance = paths.table.direction, paths.table.lobe
     scale = jnp.where((importance != 0).any(-1), jnp.tile(scale, paths.count // paths.paths), 0.0)
     origin = paths.apex(jnp.arange(paths.count)).position
-    reach = 2.0 * packed.size()
+    reach = 2.0 * packed.size
     seed = jax.random.randint(key_pairs, (), 0, 1 << 30)
     pairs = queries.edge_candidates(
         packed.geometry,

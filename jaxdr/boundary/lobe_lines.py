@@ -35,7 +35,7 @@ class LobeLines:
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
-        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size()))
+        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size))
         return lobes, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:

@@ -87,7 +87,7 @@ def find_occluders(
     corners = packed.vertices[packed.faces[face]]
     end = position + (OFFSET * jnp.abs(corners).max((1, 2)) * jnp.sign(facing))[:, None] * normal
     start = leave(origin, offset)
-    end = jnp.where(infinite[:, None], start + 2.0 * packed.size() * normalize(offset), end)
+    end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
     reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays).face
     hidden = hit >= 0

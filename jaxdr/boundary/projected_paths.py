@@ -56,7 +56,7 @@ def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> Shado
     start = leave(first, towards)
     there = first.valid & sample.shines_on(towards)
     offset = leave(sample.point, -towards) - start
-    offset = jnp.where(sample.infinite[:, None], 2.0 * packed.size() * sample.direction, offset)
+    offset = jnp.where(sample.infinite[:, None], 2.0 * packed.size * sample.direction, offset)
     reach = jnp.where(there, 1.0, 0.0).astype(u.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, offset, reach), rays)
     return ShadowRays(first, sample, jnp.where(there, hit.face, -1), there)

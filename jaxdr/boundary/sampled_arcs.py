@@ -53,7 +53,7 @@ def sampled_arc(
     scatterer: Scatterer, boundary: Float[Array, "C 3"], along: Float[Array, "C 3"], reach: Float[Array, " C"]
 ) -> SampledArc:
     """Within `reach` (radians) of boundary points, on great circles along the unit tangents `along`."""
-    mu, e = scatterer.to_local(boundary), scatterer.to_local(along)
+    mu, e = scatterer.frame.to_local(boundary), scatterer.frame.to_local(along)
     side = scatterer.sampled_side(jnp.sign(mu[:, 2]))
     low, high = -reach, reach
     for rim in side:

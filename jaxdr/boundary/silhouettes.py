@@ -72,7 +72,7 @@ class PathSegments:
         self.table = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), segments)
         self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
-        self.distance_to_infinity = packed.size()
+        self.distance_to_infinity = packed.size
 
     def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
         """Which segments have two ends that do not move, from which shapes do; detached.

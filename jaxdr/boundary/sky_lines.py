@@ -73,7 +73,7 @@ class SkyLines:
         drawn = LobeChords(centre, pdf, plane, reach)
 
         apex = scatterer.leave_scattering(centre)
-        chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size()))
+        chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size))
         rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
         through = scatterer.spreads_through()
         rises = rises if through is None else rises | through

@@ -102,7 +102,7 @@ def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEn
     return SegmentEnds(
         apex=apex,
         apex_face=jnp.zeros_like(first.face),
-        target=jnp.where(far, apex + packed.size() * direction, first.position),
+        target=jnp.where(far, apex + packed.size * direction, first.position),
         normal=jnp.where(far, direction, first.normal),
         face=first.face,
         corners=packed.vertices[packed.faces[first.face]],

@@ -94,12 +94,13 @@ def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Ar
 
 
 @jax.jit
-def interpolate(values: Float[ArrayLike, "*#n 3 d"], barycentric: Float[ArrayLike, "*#n 3"]) -> Float[Array, "*#n d"]:
-    """Values between those at the corners of faces."""
-    values, weights = jnp.asarray(values), components(barycentric)
-    width = values.shape[-1]
-    parts = components(values.reshape(*values.shape[:-2], 3 * width))
-    a, b, c = ([part * weight for part in parts[k * width : (k + 1) * width]] for k, weight in enumerate(weights))
+def interpolate(
+    values: Float[ArrayLike, "*#n 3 d"] | tuple[Array, ...], barycentric: Float[ArrayLike, "*#n 3"]
+) -> Float[Array, "*#n d"]:
+    """Values between those at the three corners of faces, which may be given one by one."""
+    parts = values if isinstance(values, tuple) else corners(values)
+    weights = components(barycentric)
+    a, b, c = ([x * weight for x in components(part)] for part, weight in zip(parts, weights, strict=True))
     return from_components(*(x + y + z for x, y, z in zip(a, b, c, strict=True)))
 
 

@@ -1,8 +1,9 @@
 """What integrators share: the interfaces of estimators, and sums over samples."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -37,41 +38,43 @@ class ConnectedEstimator(Protocol):
     ) -> Float[Array, "C N 3"]: ...
 
 
-class Prepared(NamedTuple):
-    """Terms with what each of them prepared, and the context of all."""
-
-    terms: tuple[Term, ...]
-    states: tuple[Any, ...]
-    context: Context
-
-
-def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) -> Prepared:
-    """Prepare terms, detached; those that are nothing here are left out."""
+def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) -> dict[str, Any]:
+    """What terms prepare, by name; detached. Those that are nothing here are left out."""
     still = context._replace(packed=stop_gradient(context.packed))
-    states = [(term, term.prepare(still, named_key(key, term.name))) for term in terms]
-    there = [(term, stop_gradient(state)) for term, state in states if state is not None]
-    return Prepared(tuple(term for term, _ in there), tuple(state for _, state in there), context)
+    states = {term.name: term.prepare(still, named_key(key, term.name)) for term in terms}
+    return {name: stop_gradient(state) for name, state in states.items() if state is not None}
 
 
 def term_images(
-    packed: PackedScene, prepared: Prepared, chunk: Chunk, key: PRNGKeyArray
+    context: Context, terms: Sequence[Term], states: dict[str, Any], chunk: Chunk, key: PRNGKeyArray
 ) -> dict[str, Float[Array, "H W 3"]]:
-    """Images of all terms, by name: one wavefront answers the requests of all of them."""
-    context = prepared.context._replace(packed=packed)
+    """Images of the terms that have a state, by name: one wavefront answers the requests of all of them."""
+    terms = [term for term in terms if term.name in states]
     still, still_chunk = detached(context, chunk)
-    drawn = [
-        term.draw(still, state, still_chunk, named_key(key, term.name))
-        for term, state in zip(prepared.terms, prepared.states, strict=True)
-    ]
-    asked = [requests for requests, _ in drawn if requests is not None]
-    answers = []
-    if asked:
-        answers = split(radiance(still.packed, joined(asked), chunk.key, context.settings), asked)
-    images, answered = {}, iter(answers)
-    for term, state, (requests, held) in zip(prepared.terms, prepared.states, drawn, strict=True):
-        answer = None if requests is None else next(answered)
-        images[term.name] = term.image(context, state, chunk, held, answer)
-    return images
+    drawn = _drawn(still, terms, stop_gradient(states), still_chunk, key)
+    return {
+        term.name: term.image(context, states[term.name], chunk, held, answers)
+        for term, held, answers in zip(terms, *drawn, strict=True)
+    }
+
+
+def _drawn(context: Context, terms: Sequence[Term], states: dict[str, Any], chunk: Chunk, key: PRNGKeyArray):
+    """(what terms hold, the answers to their requests or None).
+
+    A program of its own: nothing in it is differentiated, so that no transformation has to look into it.
+    """
+
+    @jax.jit
+    def draw(packed, states, chunk, key):
+        here = context._replace(packed=packed)
+        drawn = [term.draw(here, states[term.name], chunk, named_key(key, term.name)) for term in terms]
+        asked = [requests for requests, _ in drawn if requests is not None]
+        answers = iter(())
+        if asked:
+            answers = iter(split(radiance(packed, joined(asked), chunk.key, context.settings), asked))
+        return [held for _, held in drawn], [None if asked is None else next(answers) for asked, _ in drawn]
+
+    return draw(context.packed, states, chunk, key)
 
 
 @runtime_checkable
@@ -92,7 +95,7 @@ class Integrator(Protocol):
         ...
 
     def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False) -> Any:
-        """What all chunks share, or None where visibility has no terms; `apart`: with more terms by name.
+        """What all chunks share, by term, or None where visibility has no terms; `apart`: with more terms by name.
 
         Raises ValueError for what can't move.
         """
@@ -107,6 +110,7 @@ class Integrator(Protocol):
         key: PRNGKeyArray,
         spp: int,
         moving: Moving | None,
+        apart: bool = False,
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero.
 

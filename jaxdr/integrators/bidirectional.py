@@ -12,7 +12,6 @@ from jaxdr.boundary.term import Chunk, Context, Term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     ConnectedEstimator,
-    Prepared,
     check_rough_glass,
     edge_points_per_sample,
     prepare_terms,
@@ -122,30 +121,38 @@ class BidirectionalPathTracer(eqx.Module):
 
     def prepare(
         self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
-    ) -> Prepared | None:
+    ) -> dict[str, Any] | None:
         """Edges in the image, and what the estimator needs; None where only the interior term is wanted."""
-        del apart  # of edges there are silhouettes alone
+        del apart
         _check_motion(packed, moving)
         if not isinstance(self.boundary, ConnectedEstimator):
             return None  # there is none
         _check_connected(scene, packed, moving)
         if not any(moving.seen):
             return None
+        return prepare_terms(self._context(packed, moving), self._terms(), key)
+
+    def _context(self, packed: PackedScene, moving: Moving) -> Context:
         settings = PathSettings(self.max_depth, True, self.rays)
-        context = Context(packed, moving, settings, "material", edge_points_per_sample(self))
-        return prepare_terms(context, [FilmEdges("silhouettes"), _Connected(self.boundary)], key)
+        return Context(packed, moving, settings, "material", edge_points_per_sample(self))
+
+    def _terms(self) -> list[Term]:
+        """What visibility brings; of edges there are silhouettes alone."""
+        return [FilmEdges("silhouettes"), _Connected(self.boundary)]
 
     def estimate(
         self,
         packed: PackedScene,
-        prepared: Prepared | None,
+        prepared: dict[str, Any] | None,
         samples: Int[Array, " n"],
         key_film: PRNGKeyArray,
         key: PRNGKeyArray,
         spp: int,
         moving: Moving | None,
+        apart: bool = False,
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
+        del apart
         material = moving is not None and any(moving.seen)
         key_path, key_radiance, key_terms = jax.random.split(key, 3)
         primary, found = bidirectional_paths(packed, samples, key_film, key_path, self.settings, material)
@@ -154,7 +161,8 @@ class BidirectionalPathTracer(eqx.Module):
         images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
             return images
-        return images | term_images(packed, prepared, Chunk(samples, share, primary, found, key_radiance), key_terms)
+        chunk = Chunk(samples, share, primary, found, key_radiance)
+        return images | term_images(self._context(packed, moving), self._terms(), prepared, chunk, key_terms)
 
 
 def _check_motion(packed: PackedScene, moving: Moving) -> None:

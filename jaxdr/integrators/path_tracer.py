@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -19,7 +19,6 @@ from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.boundary.warped_camera import WarpedCamera
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
-    Prepared,
     check_rough_glass,
     edge_points_per_sample,
     prepare_terms,
@@ -109,7 +108,7 @@ class PathTracer(eqx.Module):
 
     def prepare(
         self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
-    ) -> Prepared | None:
+    ) -> dict[str, Any] | None:
         """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
         if self.boundary is None:
             return None
@@ -134,20 +133,22 @@ class PathTracer(eqx.Module):
     def estimate(
         self,
         packed: PackedScene,
-        prepared: Prepared | None,
+        prepared: dict[str, Any] | None,
         samples: Int[Array, " n"],
         key_film: PRNGKeyArray,
         key: PRNGKeyArray,
         spp: int,
         moving: Moving | None,
+        apart: bool = False,
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         if moving is None:
             return self._image(packed, samples, key_film, key, spp)
-        if prepared is not None:
-            packed = dataclasses.replace(packed, environment_turns=moving.environment)
+        context = None if prepared is None else self._context(packed, moving)
+        settings, form = self.settings, "fixed"
+        if context is not None:
+            packed, form = context.packed, context.form
         key_path, key_radiance, key_terms = jax.random.split(key, 3)
-        settings, form = self.settings, "fixed" if prepared is None else prepared.context.form
         primary = primary_samples(packed, samples, key_film, settings.rays, form)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
@@ -155,9 +156,10 @@ class PathTracer(eqx.Module):
             radiance += near_field_term(packed, primary, record)
         weight = sample_weights(samples, spp, radiance.dtype)
         images = {"interior": pixel_sums(packed, radiance, weight)}
-        if prepared is None:
+        if context is None:
             return images
-        return images | term_images(packed, prepared, Chunk(samples, weight, primary, record, key_radiance), key_terms)
+        chunk = Chunk(samples, weight, primary, record, key_radiance)
+        return images | term_images(context, self._terms(moving, apart), prepared, chunk, key_terms)
 
     def _image(self, packed: PackedScene, samples, key_film, key, spp: int) -> dict:
         """The same in value, for images that nobody differentiates."""

@@ -8,7 +8,7 @@ with smooth shapes, texture coordinates only with textures that use them.
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR, edge_shares
 from jaxdr.geometry.query_records import Geometry
-from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, transform
+from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, normalize, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Camera
@@ -71,19 +71,33 @@ class GlowGroup(eqx.Module):
     member: Bool[Array, " S"]
 
 
+class Triangles(NamedTuple):
+    """N faces: their vertices, unit normals (zero without an area), areas and largest coordinates."""
+
+    a: Float[Array, "N 3"]
+    b: Float[Array, "N 3"]
+    c: Float[Array, "N 3"]
+    normal: Float[Array, "N 3"]
+    area: Float[Array, " N"]
+    largest: Float[Array, " N"]
+
+
 class PackedScene(eqx.Module):
     """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
 
     Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
     `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
     emitters, where there are several, is as `emitter_choice` says. `radiance` is that of emitters without a texture,
-    `glow` of those with one; `mean_luminance` of the emitting faces is there with the latter. With
+    `glow` of those with one. `emitter_cdf` and `emitter_density` (per area, zero elsewhere) say how emitting faces are
+    chosen, in proportion to their power. `table` has all `Triangles`, `size` is the scene's bounding-box diagonal. With
     `environment_turns`, directions to the environment turn with it; else they are fixed in the world, and what is seen
     in them changes.
     """
 
     vertices: Float[Array, "V 3"]
     faces: Int[Array, "F 3"]
+    table: Float[Array, "F 14"]
+    size: Float[Array, ""]
     face_shape: Int[Array, " F"]
     edges: PackedEdges
     bsdfs: tuple[BSDFGroup, ...]
@@ -99,8 +113,9 @@ class PackedScene(eqx.Module):
     uv_faces: Int[Array, "F 3"] | None
     radiance: Float[Array, "S 3"] | None
     emitter_faces: Int[Array, " L"] | None
+    emitter_cdf: Float[Array, " L"] | None
+    emitter_density: Float[Array, " F"] | None
     glow: tuple[GlowGroup, ...]
-    mean_luminance: Float[Array, " L"] | None
     camera: Camera
     environment: Environment | None
     environment_sampler: DirectionSampler | None
@@ -165,15 +180,19 @@ class PackedScene(eqx.Module):
         lower, upper = self.shape_bounds()
         return norm(upper - lower)
 
-    def size(self) -> Float[Array, ""]:
-        """Bounding-box diagonal of the whole scene (scene units), detached."""
-        points = stop_gradient(self.vertices)
-        return norm(points.max(0) - points.min(0))
+    def triangles(self, face: Int[Array, " N"]) -> Triangles:
+        """Rows of the table of faces: one look-up brings all that a point on a face depends on."""
+        a, b, c, normal, *rest = jax.lax.split(self.table[face], (3, 3, 3, 3, 1, 1), 1)
+        return Triangles(a, b, c, normal, *(jax.lax.squeeze(x, (1,)) for x in rest))
+
+    def with_vertices(self, vertices: Float[Array, "V 3"]) -> "PackedScene":
+        """The same with all that depends on the vertices; what emitters are chosen by stays."""
+        table, size = _face_table(vertices, self.faces), _size(vertices)
+        return dataclasses.replace(self, vertices=vertices, table=table, size=size)
 
     def face_normals(self) -> Float[Array, "F 3"]:
-        """Cross product of two sides of every face: its length is twice the area."""
-        a, b, c = corners(self.vertices[self.faces])
-        return cross(b - a, c - a)
+        """Unit normals of all faces."""
+        return self.table[:, 9:12]
 
     def turned(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Directions to the environment, fixed in value, as they turn with it where `environment_turns`."""
@@ -203,27 +222,42 @@ class PackedScene(eqx.Module):
                 radiance = jnp.where(group.member[shape][:, None], group.texture.values(group.row[shape], at), radiance)
         return radiance
 
-    def emitter_powers(self) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-        """(area times luminance of the radiance, area) of every emitting face; detached."""
-        area = 0.5 * norm(stop_gradient(self.face_normals())[self.emitter_faces])
-        if self.mean_luminance is not None:
-            return area * self.mean_luminance, area
-        radiance = stop_gradient(self.radiance)[self.face_shape[self.emitter_faces]]
-        return area * luminance(radiance), area
 
-    def emitter_cdf(self) -> Float[Array, " L"]:
-        """Cumulative probability of choosing each emitting face, proportional to its power; detached.
+def _face_table(vertices, faces) -> Float[Array, "F 14"]:
+    """All `Triangles`, as one table."""
+    a, b, c = triangle = corners(vertices[faces])
+    normal2 = cross(b - a, c - a)
+    largest = jnp.abs(stop_gradient(jnp.stack(triangle))).max((0, 2))
+    parts = (*triangle, normalize(normal2), 0.5 * norm(normal2)[:, None], largest[:, None])
+    return jnp.concatenate(parts, -1)
 
-        Proportional to area where all emitters are off, as an optimisation of their radiance may start. With textures
-        some of it always is: the means that they are chosen by see neither every texel nor what a black one may become.
-        """
-        power, area = self.emitter_powers()
-        if self.mean_luminance is not None:
-            total = power.sum()
-            share = (1.0 - EVENLY) / jnp.where(total > 0, total, 1.0)
-            power = power * share + area * (EVENLY / area.sum())
-        cumulative = jnp.cumsum(jnp.where(power.sum() > 0, power, area))
-        return cumulative / cumulative[-1]
+
+def _size(vertices) -> Float[Array, ""]:
+    """Bounding-box diagonal (scene units), detached."""
+    points = stop_gradient(vertices)
+    return norm(points.max(0) - points.min(0))
+
+
+def _emitter_tables(packed: PackedScene):
+    """(cumulative probability of choosing each emitting face, density per area on every face, total power); detached.
+
+    Proportional to power; to area where all emitters are off, as an optimisation of their radiance may start. With
+    textures some of it always is: the means that they are chosen by see neither every texel nor what a black one may
+    become.
+    """
+    packed = stop_gradient(packed)
+    area = packed.triangles(packed.emitter_faces).area
+    if packed.glow:
+        power = area * _mean_luminance(packed)
+        total = power.sum()
+        share = (1.0 - EVENLY) / jnp.where(total > 0, total, 1.0)
+        chosen = power * share + area * (EVENLY / area.sum())
+    else:
+        power = chosen = area * luminance(packed.radiance[packed.face_shape[packed.emitter_faces]])
+    cumulative = jnp.cumsum(jnp.where(chosen.sum() > 0, chosen, area))
+    cdf = cumulative / cumulative[-1]
+    density = jnp.diff(cdf, prepend=0.0) / jnp.where(area > 0, area, 1.0)
+    return cdf, jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(density), power.sum()
 
 
 def _rows_of(first, shapes: tuple[bool, ...]) -> Int[Array, " n"]:
@@ -248,9 +282,13 @@ def pack(scene: Scene) -> PackedScene:
     if emitting:
         radiance = _constant_radiance(glows, meshes[0].vertices.dtype)
         emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
+    vertices = jnp.concatenate([m.vertices for m in meshes])
+    faces = jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)])
     packed = PackedScene(
-        vertices=jnp.concatenate([m.vertices for m in meshes]),
-        faces=jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
+        vertices=vertices,
+        faces=faces,
+        table=_face_table(vertices, faces),
+        size=_size(vertices),
         face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
         edges=_pack_edges(meshes, first_vertex, first_face),
         bsdfs=_group(bsdfs),
@@ -266,20 +304,22 @@ def pack(scene: Scene) -> PackedScene:
         uv_faces=uv_faces,
         radiance=radiance,
         emitter_faces=emitter_faces,
+        emitter_cdf=None,
+        emitter_density=None,
         glow=_group_glow(glows),
-        mean_luminance=None,
         camera=scene.camera,
         environment=scene.environment,
         environment_sampler=scene.environment and scene.environment.sampler(),
         lights=group_lights(list(scene.lights.values())),
         choice=None,
     )
-    if packed.glow:
-        packed = dataclasses.replace(packed, mean_luminance=_mean_luminance(packed))
+    surfaces = None
+    if packed.has_area_emitters:
+        cdf, density, surfaces = _emitter_tables(packed)
+        packed = dataclasses.replace(packed, emitter_cdf=cdf, emitter_density=density)
     if (scene.environment is not None) + packed.has_area_emitters + packed.light_count < 2:
         return packed
-    surfaces = packed.emitter_powers()[0].sum() if packed.has_area_emitters else None
-    choice = emitter_choice(packed.size(), packed.environment_sampler, surfaces, packed.lights)
+    choice = emitter_choice(packed.size, packed.environment_sampler, surfaces, packed.lights)
     return dataclasses.replace(packed, choice=choice)
 
 

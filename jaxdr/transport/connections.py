@@ -109,7 +109,7 @@ def with_emitters(packed: PackedScene, camera: Ends, sample: EmitterSample, powe
     weight = stop_gradient(1.0 / (1.0 + fewer + more)).astype(found.dtype)
 
     start = scatterer.leave(towards)
-    far = start + 2.0 * packed.size() * towards
+    far = start + 2.0 * packed.size * towards
     return Connections(value, weight, start, jnp.where(infinite[:, None], far, leave(sample.point, -towards)))
 
 

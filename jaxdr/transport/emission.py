@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import dot, from_components, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import search_sorted_rows, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -166,22 +166,15 @@ def light_intensity(
 
 def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
     """(material points on area emitters, proportional to power, and their densities, per area, detached)."""
-    cdf = packed.emitter_cdf()
-    index = jnp.clip(jnp.searchsorted(cdf, u[:, 0], side="right"), 0, cdf.shape[0] - 1)
-    before = jnp.where(index > 0, cdf[index - 1], 0.0)
-    probability = cdf[index] - before
-    remapped = jnp.clip((u[:, 0] - before) / jnp.where(probability > 0, probability, 1.0), 0.0, 1.0)
-    barycentric = uniform_triangle(jnp.stack([remapped, u[:, 1]], -1))
+    index, left = search_sorted_rows(packed.emitter_cdf[None], jnp.zeros(u.shape[0], jnp.int32), u[:, 0])
+    barycentric = uniform_triangle(from_components(left, u[:, 1]))
     point = material_point(packed, packed.emitter_faces[index], barycentric, jnp.ones(index.shape, bool))
-    return point, probability / stop_gradient(point.area)
+    return point, packed.emitter_density[point.face]
 
 
 def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Array, " N"]:
     """Density (per area, detached) with which `sample_emitting_surface` would choose points."""
-    cdf = packed.emitter_cdf()
-    first = jnp.concatenate([jnp.zeros(1, cdf.dtype), cdf[:-1]])
-    probability = jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(cdf - first)
-    return probability[point.face] / stop_gradient(point.area)
+    return packed.emitter_density[point.face]
 
 
 def emitter_pdf(

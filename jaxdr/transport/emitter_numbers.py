@@ -21,7 +21,7 @@ def emitter_numbers(
     if packed.environment_sampler is not None:
         u, found = packed.environment_sampler.numbers(stop_gradient(direction)), ~point.valid
     if packed.emitter_faces is not None:
-        faces, cdf = packed.emitter_faces, packed.emitter_cdf()
+        faces, cdf = packed.emitter_faces, packed.emitter_cdf
         place = jnp.full(packed.faces.shape[0], -1).at[faces].set(jnp.arange(faces.shape[0]))[point.face]
         glows = point.valid & (place >= 0)
         inside = uniform_triangle_numbers(point.barycentric)

@@ -1,5 +1,6 @@
 """Surface points as differentiable functions of the scene: on a fixed ray, or as a material point."""
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -8,8 +9,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
-from jaxdr.scene.packed import PackedScene
+from jaxdr.geometry.vector import components, cross, dot, from_components, interpolate, normalize, scale
+from jaxdr.scene.packed import PackedScene, Triangles
 
 # Ray origins leave the surface by this share of the largest coordinate involved: some 32 float32 roundings.
 OFFSET = 4e-6
@@ -39,27 +40,25 @@ class SurfacePoint(NamedTuple):
         return self.area / stop_gradient(self.area)
 
 
-def _barycentric(corners, position, normal2):
-    """Barycentric coordinates of points on their faces; `normal2` = cross product of two sides."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    squared = dot(normal2, normal2)
-    u = dot(jnp.cross(c - b, position - b), normal2) / squared
-    v = dot(jnp.cross(a - c, position - c), normal2) / squared
-    return jnp.stack([u, v, 1.0 - u - v], -1)
+def _barycentric(triangle: Triangles, position) -> Float[Array, "N 3"]:
+    """Barycentric coordinates of points on their faces."""
+    a, b, c, normal, area, _ = triangle
+    twice = 2.0 * area
+    u = dot(cross(c - b, position - b), normal) / twice
+    v = dot(cross(a - c, position - c), normal) / twice
+    return from_components(u, v, 1.0 - u - v)
 
 
-def _surface_point(packed, valid, face, barycentric, position, corners, normal2, scale):
-    length = norm(normal2)
-    normal = normal2 / length[:, None]
+def _surface_point(packed, valid, face, barycentric, position, triangle: Triangles, largest):
     return SurfacePoint(
         valid=valid,
         face=face,
         barycentric=stop_gradient(barycentric),
         position=position,
-        normal=normal,
-        shading_normal=_shading_normal(packed, face, barycentric, normal),
-        area=0.5 * length,
-        scale=scale,
+        normal=triangle.normal,
+        shading_normal=_shading_normal(packed, face, barycentric, triangle.normal),
+        area=triangle.area,
+        scale=largest,
         on_face=barycentric if packed.textured else None,
     )
 
@@ -81,25 +80,21 @@ def on_fixed_ray(
     """
     valid = face >= 0
     face = jnp.where(valid, face, 0)
-    corners = packed.vertices[packed.faces[face]]
-    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    slope = jnp.where(valid, dot(direction, normal2), 1.0)
-    t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
-    position = origin + t[:, None] * direction
-    barycentric = _barycentric(corners, position, normal2)
-    scale = jnp.maximum(_largest(corners), _max_of_three(jnp.abs(stop_gradient(origin))))
-    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, scale)
+    triangle = packed.triangles(face)
+    slope = jnp.where(valid, dot(direction, triangle.normal), 1.0)
+    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
+    position = origin + scale(direction, t)
+    if packed.textured or packed.normals is not None:
+        barycentric = _barycentric(triangle, position)
+    else:  # nothing depends on where on its face a point is
+        barycentric = _barycentric(*stop_gradient((triangle, position)))
+    largest = jnp.maximum(triangle.largest, _largest(origin))
+    return _surface_point(packed, valid, face, barycentric, position, triangle, largest)
 
 
-def _largest(corners):
-    """Largest coordinate of the corners of each face, detached."""
-    size = jnp.abs(stop_gradient(corners))
-    return _max_of_three(jnp.maximum(jnp.maximum(size[:, 0], size[:, 1]), size[:, 2]))
-
-
-def _max_of_three(v: Float[Array, "N 3"]) -> Float[Array, " N"]:
-    """Written out, see `vector.interpolate`."""
-    return jnp.maximum(jnp.maximum(v[:, 0], v[:, 1]), v[:, 2])
+def _largest(point):
+    """Largest coordinate of points; detached."""
+    return reduce(jnp.maximum, components(jnp.abs(stop_gradient(point))))
 
 
 def material_point(
@@ -107,21 +102,43 @@ def material_point(
 ) -> SurfacePoint:
     """Points that move with their faces: fixed barycentric coordinates (Eq. 3)."""
     barycentric = stop_gradient(barycentric)
-    corners = packed.vertices[packed.faces[face]]
-    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    position = interpolate(corners, barycentric)
-    return _surface_point(packed, valid, face, barycentric, position, corners, normal2, _largest(corners))
+    triangle = packed.triangles(face)
+    position = interpolate(triangle[:3], barycentric)
+    return _surface_point(packed, valid, face, barycentric, position, triangle, triangle.largest)
+
+
+def material_hit(
+    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], face: Int[Array, " N"]
+) -> SurfacePoint:
+    """Material points where rays meet known faces, kept inside them; `face` is -1 for a miss."""
+    valid = face >= 0
+    face = jnp.where(valid, face, 0)
+    triangle = packed.triangles(face)
+    barycentric = _hit_barycentric(*stop_gradient((triangle, origin, direction)))
+    position = interpolate(triangle[:3], barycentric)
+    return _surface_point(packed, valid, face, barycentric, position, triangle, triangle.largest)
+
+
+def _hit_barycentric(triangle: Triangles, origin, direction):
+    """Barycentric coordinates of the hits of rays, kept inside the face."""
+    slope = dot(direction, triangle.normal)
+    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
+    return _inside(_barycentric(triangle, origin + scale(direction, t)))
 
 
 def displaced(packed: PackedScene, point: SurfacePoint, moved: Float[Array, "N 3"]) -> SurfacePoint:
     """Points `moved` within the planes of their faces; shading normals and textures from as far as the faces reach."""
-    corners = packed.vertices[packed.faces[point.face]]
-    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rate = _barycentric(corners, corners[:, 0] + moved, normal2) - jnp.asarray([1.0, 0.0, 0.0], moved.dtype)
-    barycentric = jnp.maximum(point.barycentric + rate, 0.0)
-    barycentric = barycentric / barycentric.sum(-1, keepdims=True)
+    triangle = packed.triangles(point.face)
+    rate = _barycentric(triangle, triangle.a + moved) - jnp.asarray([1.0, 0.0, 0.0], moved.dtype)
+    barycentric = _inside(point.barycentric + rate)
     position = point.position + moved
-    return _surface_point(packed, point.valid, point.face, barycentric, position, corners, normal2, _largest(corners))
+    return _surface_point(packed, point.valid, point.face, barycentric, position, triangle, triangle.largest)
+
+
+def _inside(barycentric):
+    """Barycentric coordinates kept inside the face."""
+    u, v, w = (jnp.maximum(x, 0.0) for x in components(barycentric))
+    return from_components(*(x / (u + v + w) for x in (u, v, w)))
 
 
 def either(condition: Bool[Array, " N"], one: SurfacePoint, two: SurfacePoint) -> SurfacePoint:
@@ -144,32 +161,11 @@ def intersect(
 
 def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[Array, "N 3"]:
     """Barycentric coordinates of the hits of rays on known faces, detached and kept inside the face."""
-    corners = stop_gradient(packed.vertices)[packed.faces[face]]
-    normal2 = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    slope = dot(direction, normal2)
-    t = dot(corners[:, 0] - origin, normal2) / jnp.where(slope == 0, 1.0, slope)
-    barycentric = jnp.maximum(_barycentric(corners, origin + t[:, None] * direction, normal2), 0.0)
-    return barycentric / barycentric.sum(-1, keepdims=True)
+    return _hit_barycentric(*stop_gradient((packed.triangles(face), origin, direction)))
 
 
 def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
     """Detached ray origins just off the surface, on the side of `towards`; the offset scales with the coordinates."""
     position, normal = stop_gradient(point.position), stop_gradient(point.normal)
     side = jnp.where(dot(normal, stop_gradient(towards)) >= 0, OFFSET, -OFFSET)
-    return position + (side * point.scale)[:, None] * normal
-
-
-def local_frame(normal: Float[Array, "N 3"], tangents: tuple[Float[Array, "N 3"], Float[Array, "N 3"]] | None = None):
-    """Functions world -> local and local -> world for the frame around unit normals (z along the normal).
-
-    Its x and y are the `tangents`, or any where none are given.
-    """
-    s, t = orthonormal_basis(normal) if tangents is None else tangents
-
-    def to_local(w):
-        return jnp.stack([dot(w, s), dot(w, t), dot(w, normal)], -1)
-
-    def to_world(v):
-        return v[..., :1] * s + v[..., 1:2] * t + v[..., 2:] * normal
-
-    return to_local, to_world
+    return position + scale(normal, side * point.scale)

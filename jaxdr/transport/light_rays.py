@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot, norm, orthonormal_basis
+from jaxdr.geometry.vector import Frame, dot, norm, orthonormal_basis
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import cosine_hemisphere, uniform_disk
 from jaxdr.transport.emission import EmitterSample
-from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
+from jaxdr.transport.interaction import SurfacePoint, leave
 
 MARGIN = 1e-4  # of the disk beyond what covers the scene: rounding must not leave its outermost corners in the dark
 
@@ -35,8 +35,8 @@ def light_rays(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2"
     """A ray from each emitter sample."""
     direction = jnp.zeros_like(sample.direction)
     if packed.has_area_emitters:
-        _, to_world = local_frame(stop_gradient(sample.point.normal))
-        direction = to_world(cosine_hemisphere(u))
+        normal = stop_gradient(sample.point.normal)
+        direction = Frame(*orthonormal_basis(normal), normal).to_world(cosine_hemisphere(u))
     for number, here, group in _finite_lights(packed, sample):
         direction = jnp.where(here[:, None], group.at(number).sample(u), direction)
     start = leave(sample.point, direction)

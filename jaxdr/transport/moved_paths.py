@@ -130,7 +130,7 @@ def moved_contributions(packed: PackedScene, drawn: Drawn, moved: Float[Array, "
 
     Over the densities that the paths were drawn with, and in the measure in which they were drawn: `moved` are offsets
     in the planes of the targets' faces, where the targets are infinitely far away in planes across, at the distance
-    `packed.size()`. Of a `drawn` that is detached, as a function of `moved`.
+    `packed.size`. Of a `drawn` that is detached, as a function of `moved`.
     """
     of = layers(drawn)
     paths, inner, power = moved.shape[1], of.inner, 1
@@ -162,7 +162,7 @@ def _alone(packed: PackedScene, vertex: Subpath, paths: int) -> Ends:
 
 
 def _moved_direction(packed: PackedScene, direction, moved):
-    return normalize(packed.size() * direction + moved)
+    return normalize(packed.size * direction + moved)
 
 
 def _moved_sample(packed: PackedScene, sample: EmitterSample, moved) -> EmitterSample:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import components, dot, from_components
 from jaxdr.scene.camera import View
 from jaxdr.transport.interaction import SurfacePoint
 
@@ -71,8 +71,8 @@ def film_importance(camera: View, point: SurfacePoint, centre: Float[Array, "N 2
     Where W_e is constant on a pixel, its derivative is the flux through the border, which is not counted here.
     """
     local = camera.local(point.position)
-    depth = jnp.where(point.valid, local[:, 2], 1.0)
-    local = jnp.concatenate([local[:, :2], depth[:, None]], -1)
+    x, y, depth = components(local)
+    local = from_components(x, y, jnp.where(point.valid, depth, 1.0))
     importance = 1.0
     if camera.film.filter.smooth:
         importance = camera.film.filter.pdf(camera.project_local(local) - centre)

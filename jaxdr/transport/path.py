@@ -27,11 +27,10 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import (
     SurfacePoint,
-    detached_barycentric,
     either,
     intersect,
     leave,
-    material_point,
+    material_hit,
     on_fixed_ray,
 )
 from jaxdr.transport.near_field import Footprint, NearField, footprint
@@ -306,17 +305,15 @@ def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: 
     """(what sampled rays hit: material points, behind delta lobes sliding ones; the directions as they move)."""
     origin = scatterer.leave(sampled.direction)
     face = intersect(packed, origin, sampled.direction, sampled.active, settings.rays)
-    hit = face >= 0
-    face = jnp.where(hit, face, 0)
-    barycentric = detached_barycentric(packed, origin, sampled.direction, face)
-    target, direction = material_point(packed, face, barycentric, hit), sampled.direction
+    target, direction = material_hit(packed, origin, sampled.direction, face), sampled.direction
+    hit = target.valid
     if packed.environment_turns:
         direction = jnp.where(hit[:, None], direction, packed.turned(direction))
     if sampled.delta is not None:
         slides = sampled.chosen & hit
         direction = jnp.where(sampled.chosen[:, None], sampled.delta.wo, direction)
         sliding = on_fixed_ray(packed, at.point.position, direction, jnp.where(slides, face, -1))
-        target = either(slides, sliding._replace(barycentric=barycentric), target)
+        target = either(slides, sliding._replace(barycentric=target.barycentric), target)
     return target, direction
 
 
@@ -363,7 +360,7 @@ def _connect(
     reachable = point.valid & facing & (stop_gradient(transfer.value) != 0).any(-1)
     start = scatterer.leave(towards)
     end = leave(sample.point, -towards)
-    end = jnp.where(sample.infinite[:, None], start + 2.0 * packed.size() * stop_gradient(towards), end)
+    end = jnp.where(sample.infinite[:, None], start + 2.0 * packed.size * stop_gradient(towards), end)
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
     visible = reachable & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), settings.rays)
     share = None

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaSample, Rim, no_delta, only_delta, spreads_through
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import SurfacePoint, leave, local_frame
+from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
 HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
@@ -57,15 +57,26 @@ class Scatterer:
         packed, point = self._packed, self.point
         behind = stop_gradient(dot(point.normal, wi)) < 0
         turned = behind & self._two_sided
-        flip = jnp.where(turned, -1.0, 1.0)[:, None].astype(wi.dtype)
-        self.normal = flip * point.normal
-        tangents = tangents_along_u(packed, point) if packed.tangential else None
-        self.to_local, self.to_world = local_frame(flip * point.shading_normal, tangents)
-        self.wi, self._mirrored = self.to_local(wi), None
+        flip = jnp.where(turned, -1.0, 1.0).astype(wi.dtype)
+        self.normal = scale(point.normal, flip)
+        normal = self.normal if packed.normals is None else scale(point.shading_normal, flip)
+        tangents = tangents_along_u(packed, point) if packed.tangential else orthonormal_basis(normal)
+        self.frame = Frame(*tangents, normal)
+        self.wi, self._mirrored, self._still = self.frame.to_local(wi), None, None
         if packed.normals is not None:
-            below = (self.wi[:, 2:] < 0) != (behind & ~turned)[:, None]
-            self._mirrored = below[:, 0]
-            self.wi = jnp.where(below, self.wi * jnp.asarray([1.0, 1.0, -1.0], wi.dtype), self.wi)
+            x, y, z = components(self.wi)
+            self._mirrored = (z < 0) != (behind & ~turned)
+            self.wi = from_components(x, y, jnp.where(self._mirrored, -z, z))
+
+    @property
+    def still(self) -> "Scatterer":
+        """The same, detached: neither what is sampled nor how densely is differentiated."""
+        if self._still is None:
+            still = copy.copy(self)
+            tables = stop_gradient((self.groups, self.frame, self.wi, self.normal))
+            still.groups, still.frame, still.wi, still.normal = tables
+            still._still = self._still = still
+        return self._still
 
     def seen_from(self, wi: Float[Array, "N 3"]) -> "Scatterer":
         """The same points for other directions `wi`."""
@@ -92,18 +103,19 @@ class Scatterer:
 
     def eval(self, wo: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
         """f_s |cos| for world directions `wo`."""
-        local = self.to_local(wo)
+        local = self.frame.to_local(wo)
         return self._combine([bsdf.eval(self.wi, local) for bsdf, _ in self.groups])
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
-        local = self.to_local(wo)
-        return stop_gradient(self._combine([bsdf.pdf(self.wi, local) for bsdf, _ in self.groups]))
+        still = self.still
+        local = still.frame.to_local(stop_gradient(wo))
+        return self._combine([bsdf.pdf(still.wi, local) for bsdf, _ in still.groups])
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions drawn from `pdf`, detached."""
-        local = self._combine([bsdf.sample(self.wi, u) for bsdf, _ in self.groups])
-        return stop_gradient(self.to_world(local))
+        still = self.still
+        return still.frame.to_world(self._combine([bsdf.sample(still.wi, u) for bsdf, _ in still.groups]))
 
     def sample_delta(self, u: Float[Array, "N 2"]) -> DeltaSample:
         """The delta lobes that `u` chooses, world directions; differentiable."""
@@ -116,14 +128,14 @@ class Scatterer:
     def _chosen(self, samples: list[DeltaSample | None]) -> DeltaSample:
         chosen = [no_delta(self.wi) if sample is None else sample for sample in samples]
         local = DeltaSample(*(self._combine(list(values)) for values in zip(*chosen, strict=True)))
-        return local._replace(wo=self.to_world(local.wo))
+        return local._replace(wo=self.frame.to_world(local.wo))
 
     def delta_reverses(self, onwards: "Scatterer", wo: Float[Array, "N 3"]) -> Bool[Array, " N"]:
         """Whether delta lobes from `wi` to `wo` are also lobes from `wo` to `wi`; `onwards` is this, seen from `wo`.
 
         They are not where an interpolated normal faces away from either direction.
         """
-        local = self.to_local(wo)
+        local = self.frame.to_local(wo)
         found = [bsdf.delta_reverses(self.wi, local) for bsdf, _ in self.groups]
         reverses = self._combine([r.astype(wo.dtype) for r in found]) > 0
         if self._mirrored is None or onwards._mirrored is None:
@@ -139,16 +151,16 @@ class Scatterer:
 
     def spreads(self) -> Bool[Array, " N"]:
         """Whether BSDFs scatter any light into more than single directions."""
-        one = jnp.ones_like(self.wi[:, 0])
+        one = jnp.ones(self.wi.shape[:1], self.wi.dtype)
         return self._combine([one * (not only_delta(bsdf)) for bsdf, _ in self.groups]) > 0
 
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""
-        return stop_gradient(self._combine([bsdf.lobe_width(self.wi) for bsdf, _ in self.groups]))
+        return self._combine([bsdf.lobe_width(self.still.wi) for bsdf, _ in self.still.groups])
 
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""
-        return self.to_local(w)[:, 2]
+        return dot(w, self.frame.z)
 
     def above_horizon(self, position: Float[Array, "N 3"]) -> Bool[Array, " N"]:
         """Whether positions are above the tangent planes by more than rounding.
@@ -156,7 +168,7 @@ class Scatterer:
         Edges of the surface itself are not, and what rounding makes of their cosine, times the speed at which an edge
         close by moves across the view, would be noise. Below is as good as above where light goes through.
         """
-        height = self.cosine(position - stop_gradient(self.point.position)) * jnp.sign(self.wi[:, 2])
+        height = self.cosine(position - stop_gradient(self.point.position)) * jnp.sign(z_of(self.wi))
         through = self.spreads_through()
         if through is not None:
             height = jnp.where(through, jnp.abs(height), height)
@@ -172,9 +184,10 @@ class Scatterer:
 
         In scenes where light goes through some surface.
         """
-        horizon = Rim(side[:, None] * jnp.asarray([0.0, 0.0, 1.0], self.wi.dtype), jnp.zeros_like(side))
+        zero = jnp.zeros_like(side)
+        horizon = Rim(from_components(zero, zero, side), zero)
         unbounded = Rim(jnp.zeros_like(self.wi), -jnp.ones_like(side))
-        beyond = side * self.wi[:, 2] < 0
+        beyond = side * z_of(self.wi) < 0
         first, second = [], []
         for bsdf, _ in self.groups:
             rims = bsdf.rims(self.wi) if spreads_through(bsdf) else (horizon, unbounded)

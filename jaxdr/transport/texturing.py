@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.geometry.vector import components, corners, cross, dot, normalize, orthonormal_basis, scale
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
@@ -29,15 +29,14 @@ def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Ar
     Any two where the UVs of a face tell no direction.
     """
     normal = point.shading_normal
-    corners, uv = packed.vertices[packed.faces[point.face]], packed.uvs[packed.uv_faces[point.face]]
-    sides, steps = corners[:, 1:] - corners[:, :1], uv[:, 1:] - uv[:, :1]
-    area = steps[:, 0, 0] * steps[:, 1, 1] - steps[:, 0, 1] * steps[:, 1, 0]
-    along = steps[:, 1, 1, None] * sides[:, 0] - steps[:, 0, 1, None] * sides[:, 1]
-    along = normalize(along) * jnp.sign(area)[:, None]  # dp/du at constant v
-    along = normalize(along - dot(normal, along)[:, None] * normal)
+    triangle, (uv0, uv1, uv2) = packed.triangles(point.face), corners(packed.uvs[packed.uv_faces[point.face]])
+    (u1, v1), (u2, v2) = components(uv1 - uv0), components(uv2 - uv0)
+    along = scale(triangle.b - triangle.a, v2) - scale(triangle.c - triangle.a, v1)
+    along = scale(normalize(along), jnp.sign(u1 * v2 - v1 * u2))  # dp/du at constant v
+    along = normalize(along - scale(normal, dot(normal, along)))
     known = dot(along, along)[:, None] > 0
     s = jnp.where(known, along, orthonormal_basis(normal)[0])
-    return s, jnp.cross(normal, s)
+    return s, cross(normal, s)
 
 
 def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint) -> Float[Array, " N"]:

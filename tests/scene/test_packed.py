@@ -99,7 +99,7 @@ def test_emitters():
     np.testing.assert_allclose(packed.radiance, [[0, 0, 0], [0, 0, 0], [1, 2, 4], [0.5, 0.5, 0.5]])
     luminance = np.array([0.2126, 0.7152, 0.0722])
     power = np.array([3.0, 3.0, 0.5, 0.5]) * (np.array([[1, 2, 4]] * 2 + [[0.5] * 3] * 2) @ luminance)
-    np.testing.assert_allclose(packed.emitter_cdf(), np.cumsum(power) / power.sum(), rtol=1e-5)
+    np.testing.assert_allclose(packed.emitter_cdf, np.cumsum(power) / power.sum(), rtol=1e-5)
     assert packed.has_area_emitters
     dark = pack(jd.Scene({"a": jd.Shape(box())}, CAMERA))
     assert not dark.has_area_emitters and dark.emitter_faces is None and dark.radiance is None
@@ -107,7 +107,7 @@ def test_emitters():
 
 def test_emitters_that_are_off_are_chosen_by_area():
     off = scene().replace({"c.emitter.radiance": jnp.zeros(3), "d.emitter.radiance": jnp.zeros(3)})
-    np.testing.assert_allclose(pack(off).emitter_cdf(), np.cumsum([3, 3, 0.5, 0.5]) / 7, rtol=1e-5)
+    np.testing.assert_allclose(pack(off).emitter_cdf, np.cumsum([3, 3, 0.5, 0.5]) / 7, rtol=1e-5)
 
 
 def test_textured_emitters_are_chosen_by_their_mean():
@@ -121,14 +121,14 @@ def test_textured_emitters_are_chosen_by_their_mean():
     power = np.concatenate([3.0 * (colors[first] @ weights).mean(1), [0.5 * 0.5] * 2])
     area = np.array([3.0, 3.0, 0.5, 0.5])
     share = 0.9 * power / power.sum() + 0.1 * area / area.sum()
-    np.testing.assert_allclose(np.diff(packed.emitter_cdf(), prepend=0), share, rtol=1e-5)
+    np.testing.assert_allclose(np.diff(packed.emitter_cdf, prepend=0), share, rtol=1e-5)
     off = pack(jd.Scene({"c": jd.Shape(QUAD, emitter=jd.AreaEmitter(jd.VertexColors(np.zeros(4))))}, CAMERA))
-    np.testing.assert_allclose(off.emitter_cdf(), [0.5, 1.0])
+    np.testing.assert_allclose(off.emitter_cdf, [0.5, 1.0])
 
 
 def test_choice_of_emitters_is_detached():
     def total(radiance):
-        return pack(scene().replace({"c.emitter.radiance": radiance})).emitter_cdf().sum()
+        return pack(scene().replace({"c.emitter.radiance": radiance})).emitter_cdf.sum()
 
     assert np.all(np.asarray(jax.grad(total)(jnp.ones(3))) == 0)
 
@@ -136,7 +136,7 @@ def test_choice_of_emitters_is_detached():
 def test_sizes():
     packed = pack(scene())
     np.testing.assert_allclose(packed.shape_sizes()[jnp.asarray([0, 2, 3])], np.sqrt([3, 13, 2]), rtol=1e-5)
-    np.testing.assert_allclose(packed.size(), np.linalg.norm([2, 3, 2]), rtol=0.05)  # of the ball and the rectangle
+    np.testing.assert_allclose(packed.size, np.linalg.norm([2, 3, 2]), rtol=0.05)  # of the ball and the rectangle
 
 
 def test_packing_is_differentiable():

@@ -1,0 +1,184 @@
+"""The derivative of a sum over chunks: chunk by chunk in both modes, so that memory does not grow with their number.
+
+The derivative of sum_i f(at, fixed, i) is linear in the displacement of `at`. It is a primitive of its own, which is
+transposed as a whole: forward mode runs the jvp of one chunk after the other, reverse mode the vjp. So a chunk is
+traced once, and nothing of it is kept.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend import core
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array
+
+
+class _Sum(NamedTuple):
+    """What is static of a sum; hashable.
+
+    `axes` of the operands for every level of `vmap` around it, the innermost first; the result's is 0. There are
+    `count` arrays in `at`; `structure` is that of `fixed`.
+    """
+
+    term: Callable[[list[Array], Any, Array], Array]
+    chunks: int
+    count: int
+    structure: Any
+    shape: tuple[int, ...]
+    dtype: Any
+    axes: tuple[tuple[int | None, ...], ...] = ()
+
+
+def chunked_derivative(
+    term: Callable[[list[Array], Any, Array], Array],
+    chunks: int,
+    at: list[Array],
+    moved: list[Array],
+    fixed: Any,
+    out: jax.ShapeDtypeStruct,
+) -> Array:
+    """Derivative of the sum of `term(at, fixed, i)`, i = 0, ... `chunks` - 1, by `at` along `moved`; like `out`.
+
+    `term` is hashable and equal to others that compute the same; it closes over no arrays. Works under jit and vmap,
+    and with whatever is linear in `moved`. Raises NotImplementedError for derivatives by `at` or `fixed`: second ones
+    of the sum.
+    """
+    leaves, structure = jax.tree.flatten(fixed)
+    how = _Sum(term, chunks, len(at), structure, tuple(out.shape), jnp.dtype(out.dtype))
+    return _derivative.bind(*at, *leaves, *moved, how=how)
+
+
+def _split(how: _Sum, operands):
+    """(`at`, `fixed` unflattened, `moved`)."""
+    rest = len(operands) - how.count
+    return list(operands[: how.count]), operands[how.count : rest], list(operands[rest:])
+
+
+def _chunk(how: _Sum, leaves, index):
+    fixed = jax.tree.unflatten(how.structure, leaves)
+    return lambda *at: how.term(list(at), fixed, index)
+
+
+def _sum_forward(how: _Sum, *operands) -> Array:
+    """Forward mode, chunk by chunk."""
+    at, leaves, moved = _split(how, operands)
+
+    def add(total, index):
+        return total + jax.jvp(_chunk(how, leaves, index), at, moved)[1], None
+
+    zero = jnp.zeros(how.shape, how.dtype)
+    return add(zero, 0)[0] if how.chunks == 1 else jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+
+
+def _sum_backward(how: _Sum, *operands) -> list[Array]:
+    """Reverse mode, chunk by chunk; the last operand is the cotangent of the sum."""
+    *operands, cotangent = operands
+    at, leaves = list(operands[: how.count]), operands[how.count :]
+
+    def add(total, index):
+        _, pull = jax.vjp(_chunk(how, leaves, index), *at)
+        return jax.tree.map(jnp.add, total, list(pull(cotangent))), None
+
+    zero = [jnp.zeros_like(a) for a in at]
+    return add(zero, 0)[0] if how.chunks == 1 else jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+
+
+def _forward(*operands, how: _Sum) -> Array:
+    function = partial(_sum_forward, how)
+    for axes in how.axes:
+        function = jax.vmap(function, in_axes=axes)
+    return function(*operands)
+
+
+@partial(jax.jit, static_argnames="how")
+def _backward(*operands, how: _Sum) -> list[Array]:
+    function, count = partial(_sum_backward, how), how.count
+    for axes in how.axes:
+        function = _batched_backward(function, axes[:-count], axes[-count:])
+    return function(*operands)
+
+
+def _batched_backward(function, axes, moved_axes):
+    """`function` for one level of `vmap`: cotangents of what is the same for all are summed."""
+
+    def backward(*operands):
+        parts = jax.vmap(function, in_axes=(*axes, 0))(*operands)
+        return [
+            part.sum(0) if axis is None else jnp.moveaxis(part, 0, axis)
+            for part, axis in zip(parts, moved_axes, strict=True)
+        ]
+
+    return backward
+
+
+def dependent(function: Callable[[Any], list[Array]], at: Any) -> tuple[bool, ...]:
+    """Which of the arrays that `function(at)` returns may have a derivative: from its program alone."""
+    closed = jax.make_jaxpr(function)(at)
+    return tuple(_marked(closed.jaxpr, [True] * len(closed.jaxpr.invars)))
+
+
+def _marked(jaxpr: core.Jaxpr, inputs: list[bool]) -> list[bool]:
+    """Which results of a jaxpr depend on the marked inputs, but for detached ways."""
+    marked = {var for var, mark in zip(jaxpr.invars, inputs, strict=True) if mark}
+
+    def has(atom) -> bool:
+        floating = jnp.issubdtype(atom.aval.dtype, jnp.floating)
+        return floating and not isinstance(atom, core.Literal) and atom in marked
+
+    for equation in jaxpr.eqns:
+        given = [has(atom) for atom in equation.invars]
+        if not any(given) or equation.primitive.name == "stop_gradient":
+            continue
+        inner = equation.params.get("jaxpr") if equation.primitive.name in ("jit", "pjit") else None
+        marks = [True] * len(equation.outvars) if inner is None else _marked(inner.jaxpr, given)
+        marked |= {var for var, mark in zip(equation.outvars, marks, strict=True) if mark}
+    return [has(var) for var in jaxpr.outvars]
+
+
+_derivative = core.Primitive("chunked_derivative")
+_derivative.def_impl(partial(jax.jit, static_argnames="how")(_forward))
+
+
+@_derivative.def_abstract_eval
+def _abstract(*operands, how: _Sum):
+    shape = how.shape
+    # The innermost level's axis is the last that was put in front.
+    sizes = []
+    shapes = [operand.shape for operand in operands]
+    for axes in reversed(how.axes):
+        sizes.append(next(s[a] for s, a in zip(shapes, axes, strict=True) if a is not None))
+        shapes = [s if a is None else s[:a] + s[a + 1 :] for s, a in zip(shapes, axes, strict=True)]
+    return ShapedArray((*sizes, *shape), how.dtype)
+
+
+def _batch(operands, axes, how: _Sum):
+    axes = tuple(axis if isinstance(axis, int) else None for axis in axes)
+    return _derivative.bind(*operands, how=how._replace(axes=(*how.axes, axes))), 0
+
+
+def _jvp(primals, tangents, how: _Sum):
+    fixed, moved = primals[: -how.count], tangents[-how.count :]
+    if any(not isinstance(t, ad.Zero) for t in tangents[: -how.count]):
+        raise NotImplementedError(
+            "jaxdr: an image has first derivatives only: its boundary terms are right in the first derivative and zero "
+            "in value; take finite differences of jax.grad for second ones"
+        )
+    return _derivative.bind(*primals, how=how), _derivative.bind(*fixed, *map(ad.instantiate_zeros, moved), how=how)
+
+
+def _transpose(cotangent, *operands, how: _Sum):
+    fixed = operands[: -how.count]
+    none = [None] * len(fixed)
+    if isinstance(cotangent, ad.Zero):
+        return [*none, *(ad.Zero(o.aval) for o in operands[-how.count :])]
+    return [*none, *_backward(*fixed, cotangent, how=how)]
+
+
+mlir.register_lowering(_derivative, mlir.lower_fun(_forward, multiple_results=False))
+batching.primitive_batchers[_derivative] = _batch
+ad.primitive_jvps[_derivative] = _jvp
+ad.primitive_transposes[_derivative] = _transpose
