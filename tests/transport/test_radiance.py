@@ -75,13 +75,18 @@ def test_remaining_bounces_and_streams():
     primary = primary_samples(packed, jnp.arange(2), KEY, "auto", "fixed")
     count = len(primary.direction)
 
-    def gathered(bounces, remaining=None, copies=1, stream=None):
-        many = jax.tree.map(lambda x: jnp.concatenate([x] * copies), (primary.first, primary.direction, primary.u))
-        return np.asarray(radiance.gathered_radiance(packed, *many, KEY, settings, bounces, remaining, stream))
+    def gathered(bounces, copies=1, stream=None):
+        """Without what the points themselves emit."""
+        first, wi, u = jax.tree.map(
+            lambda x: jnp.concatenate([x] * copies), (primary.first, -primary.direction, primary.u)
+        )
+        stream = jnp.arange(len(u)) if stream is None else stream
+        asked = radiance.request(first, wi, u, bounces, stream.astype(jnp.uint32), emission=0.0)
+        return np.asarray(radiance.radiance(packed, asked, KEY, settings).total)
 
     whole, once = gathered(4), gathered(1)
     remaining = jnp.arange(count) % 3
-    some = gathered(4, remaining)
+    some = gathered(remaining)
     assert not some[remaining == 0].any()
     np.testing.assert_allclose(some[remaining == 1], once[remaining == 1], rtol=1e-5, atol=1e-6)
     assert np.all(whole >= once - 1e-5) and whole.sum() > 1.1 * once.sum()
