@@ -12,6 +12,9 @@ from jaxdr.boundary.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.reused_guides import ReusedGuides as ReusedGuides
 from jaxdr.boundary.reused_guides import build_guides as build_guides
 from jaxdr.boundary.reused_guides import refit_guides as refit_guides
+from jaxdr.boundary.term import Chunk as Chunk
+from jaxdr.boundary.term import Context as Context
+from jaxdr.boundary.term import Term as Term
 from jaxdr.boundary.warped_area import WarpedArea as WarpedArea
 from jaxdr.compilation import jit as jit
 from jaxdr.geometry import shapes as shapes
@@ -70,6 +73,8 @@ from jaxdr.scene.textures import Bitmap as Bitmap
 from jaxdr.scene.textures import Checkerboard as Checkerboard
 from jaxdr.scene.textures import Texture as Texture
 from jaxdr.scene.textures import VertexColors as VertexColors
+from jaxdr.transport.radiance import Answers as Answers
+from jaxdr.transport.radiance import Requests as Requests
 
 try:
     __version__ = _version("jaxdr")

@@ -10,8 +10,9 @@ import contextlib
 import json
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from tqdm import tqdm
 
 from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
+from jaxdr.boundary.named import OUTSIDE, estimator_class
 from jaxdr.chart.config import chart_config
 from jaxdr.chart.run import chart
 from jaxdr.compilation import jit
@@ -152,7 +154,7 @@ def _gradient(options) -> int:
     scene = _load_scene(options)
     name, value, tangent = motion(scene, options.wrt)
     spp, depth = _settings(options)
-    tracer = PathTracer(max_depth=depth, boundary=ESTIMATORS[options.boundary]())
+    tracer = PathTracer(max_depth=depth, boundary=options.boundary())
 
     @jit
     def derivative(key):
@@ -200,7 +202,7 @@ def _color_limit(options, result: np.ndarray) -> float:
 
 def _plan(options) -> int:
     scene = _load_scene(options)
-    boundary = AUTO if options.boundary == AUTO else ESTIMATORS[options.boundary]()
+    boundary = AUTO if options.boundary == AUTO else options.boundary()
     found = plan(
         scene,
         options.wrt or None,
@@ -352,7 +354,8 @@ def _parser() -> argparse.ArgumentParser:
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)
-            command.add_argument("--boundary", choices=ESTIMATORS, default="KernelDensity", help="boundary estimator")
+            what = f"boundary estimator (default KernelDensity): {', '.join(ESTIMATORS)}, {OUTSIDE}"
+            command.add_argument("--boundary", type=_estimator, default="KernelDensity", metavar="NAME", help=what)
             command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
         if name == "plan":
             _add_plan_options(command)
@@ -386,11 +389,23 @@ def _add_plan_options(command) -> None:
     command.add_argument("--wrt", action="append", default=[], metavar="NAME", help=what)
     what = "seconds of a derivative image (default 1)"
     command.add_argument("--budget", type=_positive(float), default=1.0, metavar="SECONDS", help=what)
-    what = "boundary estimator (default: measured)"
-    command.add_argument("--boundary", choices=(AUTO, *ESTIMATORS), default=AUTO, help=what)
+    what = f"boundary estimator (default: measured): {AUTO}, {', '.join(ESTIMATORS)}, {OUTSIDE}"
+    command.add_argument("--boundary", type=_estimator_or_auto, default=AUTO, metavar="NAME", help=what)
     what = f"share of light and derivative that longer paths may carry (default {DEPTH_TOLERANCE})"
     command.add_argument("--depth-tolerance", type=_positive(float), default=DEPTH_TOLERANCE, help=what)
     command.add_argument("--json", action="store_true", help="print the plan as JSON, with all figures")
+
+
+def _estimator(name: str, others: tuple[str, ...] = ()) -> Callable[..., Any]:
+    """What makes a boundary estimator."""
+    try:
+        return estimator_class(name, others)
+    except ValueError as problem:
+        raise argparse.ArgumentTypeError(str(problem)) from None
+
+
+def _estimator_or_auto(name: str) -> Any:
+    return AUTO if name == AUTO else _estimator(name, (AUTO,))
 
 
 def _positive(kind):

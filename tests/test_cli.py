@@ -249,7 +249,10 @@ def test_boundary_is_chosen(scenes):
         ),
         ("gradient scene.xml -o out.png", "the following arguments are required: --wrt"),
         ("gradient scene.xml --wrt spot.translat.x -o out.png", "did you mean 'spot.translate.x'?"),
-        ("gradient scene.xml --wrt spot.translate.x -o out.png --boundary x", "invalid choice: 'x'"),
+        (
+            "gradient scene.xml --wrt spot.translate.x -o out.png --boundary x",
+            "WarpedArea, none, got 'x' (or FILE.py:CLASS or",
+        ),
         ("gradient scene.xml --wrt spot.translate.x -o out.hdr", "out.hdr: derivatives have negative values"),
         ("optimize nothing.toml", "nothing.toml: can't be read"),
         ("optimize run.toml --set optimizer.lamb=3", "run.toml: optimizer.lamb: unknown key; did you mean 'lam'?"),

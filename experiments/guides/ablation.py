@@ -45,19 +45,22 @@ def line(case, guide, sampling, order, segments):
     import jax
 
     import jaxdr as jd
-    from jaxdr.scene.packed import pack
+    from experiments import one_term
     from jaxdr.transport.path import PathSettings
 
-    boundary = jd.GuidedEdges(guide=guide, sampling=sampling, sort=order)
-    path, scene, name = PathSettings(2, True, "auto"), case.scene, f"{case.shape}.vertices"
+    scene, name, (_, _, width, height) = case.scene, f"{case.shape}.vertices", case.scene.camera.film.window
+    boundary = jd.GuidedEdges(guide=guide, sampling=sampling, sort=order, samples=segments / (width * height))
     moving = tuple(shape == case.shape for shape in scene.shapes)
-    prepared = jd.jit(lambda scene: boundary.prepare(pack(scene), moving, path))(scene)
+
+    def context(scene):
+        return one_term.context(scene, moving, PathSettings(2, True, "auto"))
+
+    prepared = jd.jit(lambda scene: boundary.prepare(context(scene), jax.random.key(0)))(scene)
 
     @jd.jit
     def derivative(scene, prepared, key):
         def image(vertices):
-            packed = pack(scene.replace({name: vertices}))
-            return boundary.film_term(packed, prepared, segments, key, path, "fixed")
+            return one_term.image(boundary, context(scene.replace({name: vertices})), prepared, 1, key)
 
         return jax.jvp(image, (scene.parameters()[name],), (case.direction,))[1]
 

@@ -65,21 +65,25 @@ def measure(case, options, segments, keys):
     import jax.numpy as jnp
 
     import jaxdr as jd
-    from jaxdr.scene.packed import pack
+    from experiments import one_term
     from jaxdr.transport.path import PathSettings
 
     of, _ = scene_of(case)
-    boundary = jd.GuidedEdges(sampling=CASES[case][-1], **options)
-    settings = PathSettings(2, True, "auto")
+    _, _, width, height = of.camera.film.window
+    boundary = jd.GuidedEdges(sampling=CASES[case][-1], samples=segments / (width * height), **options)
     report = jd.guide_report(of, boundary, moving=("blocker",))
     moving = tuple(name == "blocker" for name in of.shapes)
-    prepared = jd.jit(lambda of: boundary.prepare(pack(of), moving, settings))(of)
+
+    def context(of):
+        return one_term.context(of, moving, PathSettings(2, True, "auto"))
+
+    prepared = jd.jit(lambda of: boundary.prepare(context(of), jax.random.key(0)))(of)
 
     @jd.jit
     def derivative(of, prepared, key):
         def mean(vertices):
-            packed = pack(of.replace({"blocker.vertices": vertices}))
-            return boundary.film_term(packed, prepared, segments, key, settings, "fixed").mean()
+            moved = context(of.replace({"blocker.vertices": vertices}))
+            return one_term.image(boundary, moved, prepared, 1, key).mean()
 
         return jax.grad(mean)(jnp.asarray(of.parameters()["blocker.vertices"]))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.boundary import ESTIMATORS
+from jaxdr.boundary.named import estimator_class
 from jaxdr.chart.scenes import check_scene_options
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.optimize.config import Vector, found_file, require
@@ -103,7 +103,9 @@ class ChartScene:
 
 @dataclass(frozen=True)
 class Estimator:
-    """A line of the chart: a `boundary` estimator by name, or "none", with `options`; in an `integrator` with its own.
+    """A line of the chart: a `boundary` estimator with `options`, in an `integrator` with its own.
+
+    Estimators go by name: of this library's, "none", or "FILE.py:CLASS" (from the current folder), "MODULE:CLASS".
 
     `samples`: its own ladder, in place of the common one.
     """
@@ -116,9 +118,11 @@ class Estimator:
     samples: tuple[int, ...] = ()
 
     def __post_init__(self):
-        known = ", ".join(ESTIMATORS)
-        require(self.boundary in ESTIMATORS, "boundary", f"expected one of {known}", self.boundary)
-        _check_options("options", ESTIMATORS[self.boundary], self.options, self.boundary)
+        try:
+            made = estimator_class(self.boundary)
+        except ValueError as problem:
+            raise ValueError(f"boundary: {problem}") from None
+        _check_options("options", made, self.options, self.boundary)
         _check_options("integrator_options", INTEGRATORS[self.integrator], self.integrator_options, self.integrator)
         for name in ("max_depth", "boundary"):
             if name in self.integrator_options:
@@ -131,12 +135,13 @@ class Estimator:
         """The label, or one made of names and options."""
         options = self.options | self.integrator_options
         settings = "".join(f", {key}={value}" for key, value in options.items())
-        return self.label or f"{'bdpt ' if self.integrator == 'bdpt' else ''}{self.boundary}{settings}"
+        kind = self.boundary.rpartition(":")[2]
+        return self.label or f"{'bdpt ' if self.integrator == 'bdpt' else ''}{kind}{settings}"
 
     def build(self, max_depth: int) -> Integrator:
         """The integrator. Raises ValueError that starts with the key that is wrong."""
         try:
-            boundary = ESTIMATORS[self.boundary](**self.options)
+            boundary = estimator_class(self.boundary)(**self.options)
             return INTEGRATORS[self.integrator](max_depth, boundary=boundary, **self.integrator_options)
         except (TypeError, ValueError) as problem:
             raise ValueError(f"options: {problem}") from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.boundary import ESTIMATORS
+from jaxdr.boundary.named import estimator_class
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import PathTracer
@@ -39,11 +39,16 @@ def _as_tuple(color: Color) -> tuple[float, ...]:
     return color if isinstance(color, tuple) else (color,)
 
 
-def _check_call(key: str, choices: dict, name: str, options: dict, options_key: str = "parameters") -> None:
-    """Check a name against a table of functions, and options against the chosen function's parameters."""
+def _check_call(key: str, choices: dict, name: str, options: dict) -> None:
+    """Check a name against a table of functions, and parameters against the chosen function's."""
     if name not in choices:
         raise ValueError(f"{key}: expected one of {', '.join(choices)}, got {name!r}")
-    known = inspect.signature(choices[name]).parameters
+    _check_options(name, choices[name], options, "parameters")
+
+
+def _check_options(name: str, function, options: dict, options_key: str) -> None:
+    """Check options against a function's parameters."""
+    known = inspect.signature(function).parameters
     for option in options:
         if option not in known:
             raise ValueError(f"{options_key}.{option}: {name} has no such parameter (known: {', '.join(known)})")
@@ -144,9 +149,10 @@ class Floor:
 
 @dataclass(frozen=True)
 class Integrator:
-    """The path tracer: see `jaxdr.PathTracer`. `boundary` names an estimator or is "none" (interior term only);
-    `boundary_options` are the estimator's arguments. With "auto" for `max_depth`, `boundary` or both `jaxdr.plan`
-    measures before the run begins; so it does for both where a file says nothing about the integrator."""
+    """The path tracer: see `jaxdr.PathTracer`. `boundary` names an estimator, also "FILE.py:CLASS" or "MODULE:CLASS",
+    or is "none" (interior term only); `boundary_options` are the estimator's arguments. With "auto" for `max_depth`,
+    `boundary` or both `jaxdr.plan` measures before the run begins; so it does for both where a file says nothing about
+    the integrator."""
 
     max_depth: int | Literal["auto"] = 2
     primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
@@ -175,12 +181,13 @@ class Integrator:
 
     def estimator(self) -> Any:
         """The boundary estimator; ValueErrors start with the key that is wrong."""
-        choices = {**ESTIMATORS, AUTO: None}
-        if self.boundary not in choices:
-            raise ValueError(f"boundary: expected one of {', '.join(choices)}, got {self.boundary!r}")
-        _check_call("boundary", ESTIMATORS, self.boundary, self.boundary_options, "boundary_options")
         try:
-            return ESTIMATORS[self.boundary](**self.boundary_options)
+            made = estimator_class(self.boundary, (AUTO,))
+        except ValueError as problem:
+            raise ValueError(f"boundary: {problem}") from None
+        _check_options(self.boundary, made, self.boundary_options, "boundary_options")
+        try:
+            return made(**self.boundary_options)
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
 

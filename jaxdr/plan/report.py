@@ -6,7 +6,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxdr.boundary import ESTIMATORS
+from jaxdr.boundary.named import estimator_class, estimator_name
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 
 INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTracer": BidirectionalPathTracer}
@@ -65,17 +65,18 @@ def integrator(table: dict[str, Any]) -> Integrator:
     estimator = options["boundary"]
     if estimator is not None:
         fields = {name: _value(value) for name, value in estimator.items() if name != "kind"}
-        options["boundary"] = ESTIMATORS[estimator["kind"]](**fields)
+        options["boundary"] = estimator_class(estimator["kind"])(**fields)
     return INTEGRATORS[table["kind"]](**options)
 
 
 def _estimator_settings(estimator: Any) -> dict[str, Any] | None:
     if estimator is None:
         return None
-    kind = type(estimator).__name__
-    if ESTIMATORS.get(kind) is not type(estimator) or not isinstance(estimator, eqx.Module):
-        raise ValueError(f"a plan keeps boundary estimators by name ({', '.join(ESTIMATORS)}), not {kind}")
-    return {"kind": kind} | {entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)}
+    if not isinstance(estimator, eqx.Module):
+        raise ValueError(f"a plan keeps the fields of an equinox.Module, which {type(estimator).__name__} is not")
+    return {"kind": estimator_name(type(estimator))} | {
+        entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)
+    }
 
 
 def _value(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray
 
 FIRST_DIMENSIONS = 6  # film point, then emitter and BSDF at the first hit
 LENS_DIMENSIONS = 2  # after those, with an aperture
@@ -39,7 +39,7 @@ def lattice(
     return _to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
 
 
-def path_numbers(key: PRNGKeyArray, number: Int[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
+def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
     """Four uniform numbers for every path at a bounce, [n, 4]: functions of the path's number, wherever its row is.
 
     The hash pcg4d of Jarzynski and Olano 2020, "Hash functions for GPU rendering", of number, bounce and two words from

@@ -4,15 +4,19 @@ Before a white sky a black polygon takes its projected area off the sum of the i
 silhouettes count. The reference clips in float64 and differentiates by central differences.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.film_edges import edge_distribution
+from experiments import one_term
+from jaxdr.boundary.film_edges import KINDS, FilmEdges, edge_distribution
 from jaxdr.geometry.shapes import box, rectangle
 from jaxdr.scene.packed import pack
+from jaxdr.transport.path import PathSettings
 from tests.references.central_differences import central
 from tests.references.polygon_shadow import irradiance
 
@@ -279,3 +283,30 @@ def test_creases_of_a_turning_box():
     assert error < 0.05 * abs(exact), (mean, error, exact)
     assert abs(mean - exact) < 4.5 * error, f"{mean} ± {error}, exactly {exact}"
     assert abs(terms["creases"].mean()) > 6 * error, {n: t.mean() for n, t in terms.items()}
+
+
+@partial(jax.jit, static_argnums=0)
+def edge_derivative(kinds, key):
+    """Derivative of the image's sum, of the edges of some kinds alone, as the box turns."""
+    term, settings = FilmEdges(*kinds), PathSettings(2, True, "auto")
+    moving = tuple(name == "box" for name in LIT_BOX.shapes)
+
+    def moved(angle):
+        return one_term.context(LIT_BOX.replace({"box.vertices": turned(angle, BOX.vertices, jnp)}), moving, settings)
+
+    state = term.prepare(moved(jnp.asarray(0.3)), jax.random.key(0))
+
+    def total(angle):
+        return one_term.image(term, moved(angle), state, 16, key).mean(-1).sum()
+
+    return jax.jvp(total, (jnp.asarray(0.3),), (jnp.asarray(1.0),))[1]
+
+
+def test_both_kinds_of_edges_add_up_to_the_one_term():
+    keys = jax.random.split(jax.random.key(2), 12)
+    rows = {kinds: [float(edge_derivative(kinds, key)) for key in keys] for kinds in ((), *((kind,) for kind in KINDS))}
+    means = {kinds: np.mean(found) for kinds, found in rows.items()}
+    error = np.sqrt(sum(np.var(found, ddof=1) / len(keys) for found in rows.values()))
+    size = max(abs(mean) for mean in means.values())
+    assert all(abs(means[(kind,)]) > 6 * error for kind in KINDS), (means, error)
+    assert error < 0.05 * size and abs(means[()] - sum(means[(kind,)] for kind in KINDS)) < 4.5 * error, (means, error)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from experiments import one_term
 from jaxdr.boundary.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.edge_lunes import edge_lunes
 from jaxdr.geometry.shapes import sphere
@@ -15,7 +16,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
 from jaxdr.transport.path import PathSettings
-from tests.gradients.floor_patch import exact
+from tests.gradients.floor_patch import FILM, exact
 from tests.gradients.floor_patch import scene as patch_scene
 from tests.gradients.floor_point import BOX, QUADRANGLE, sheet
 
@@ -105,12 +106,13 @@ def test_mis_weights_add_up():
 
 @partial(jax.jit, static_argnums=(1, 2))
 def derivatives(of, boundary, count, keys):
+    """From `count` segments of every strategy for each key."""
     vertices = jnp.asarray(of.parameters()["blocker.vertices"])
-    prepared = boundary.prepare(pack(of), (True,) * 3, SETTINGS)
+    prepared = boundary.prepare(one_term.context(of, (True,) * 3, SETTINGS), jax.random.key(0))
 
     def mean(vertices, key):
-        packed = pack(of.replace({"blocker.vertices": vertices}))
-        return boundary.film_term(packed, prepared, count, key, SETTINGS, "fixed").mean()
+        moved = one_term.context(of.replace({"blocker.vertices": vertices}), (True,) * 3, SETTINGS)
+        return one_term.image(boundary, moved, prepared, count // FILM**2, key).mean()
 
     return jax.lax.map(lambda key: jax.grad(mean)(vertices, key), keys)
 
@@ -136,4 +138,4 @@ def test_bad_options():
     of = patch_scene(BOX)
     of = jd.Scene(dict(of.shapes) | {"floor": jd.Shape(of.shapes["floor"].mesh, jd.Conductor())}, of.camera)
     with pytest.raises(ValueError, match="GuidedEdges covers no visibility changes over mirrors"):
-        jd.GuidedEdges().prepare(pack(of), (True,) * 3, SETTINGS)
+        jd.GuidedEdges().prepare(one_term.context(of, (True,) * 3, SETTINGS), jax.random.key(0))

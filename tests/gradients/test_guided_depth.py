@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.scene.packed import pack
+from experiments import one_term
 from jaxdr.transport.path import PathSettings
 from tests.gradients import floor_patch
 from tests.gradients.floor_point import LIGHT, QUADRANGLE, RADIANCE, REFLECTANCE, UP, sheet
@@ -71,13 +71,14 @@ def wall_exact(film: int = 5, nodes: int = 16) -> np.ndarray:
 
 @partial(jax.jit, static_argnames=("boundary", "count"))
 def derivatives(of, boundary, count, keys):
+    """From `count` segments of every strategy for each key."""
     vertices = jnp.asarray(of.parameters()["blocker.vertices"])
     moving = (True,) * len(of.shapes)
-    prepared = boundary.prepare(pack(of), moving, SETTINGS)
+    prepared = boundary.prepare(one_term.context(of, moving, SETTINGS), jax.random.key(0))
 
     def mean(vertices, key):
-        packed = pack(of.replace({"blocker.vertices": vertices}))
-        return boundary.film_term(packed, prepared, count, key, SETTINGS, "fixed").mean()
+        moved = one_term.context(of.replace({"blocker.vertices": vertices}), moving, SETTINGS)
+        return one_term.image(boundary, moved, prepared, count // FILM**2, key).mean()
 
     return jax.lax.map(lambda key: jax.grad(mean)(vertices, key), keys)
 

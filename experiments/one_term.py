@@ -1,0 +1,28 @@
+"""A term of the derivative by itself: no paths, no other terms, and what it prepares is made once."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxdr.boundary.term import Chunk, Context
+from jaxdr.integrators.base import Prepared, term_images
+from jaxdr.moving import Moving
+from jaxdr.scene.packed import pack
+from jaxdr.transport.path import PathRecord
+from jaxdr.transport.primary import primary_samples
+
+
+def context(scene, moving, settings):
+    """What the term shares with others, where the shapes flagged in `moving` move."""
+    return Context(pack(scene), Moving(tuple(moving), False), settings, "fixed", 1.0)
+
+
+def image(term, context, state, samples, key):
+    """Image [H, W, 3] of a term that takes nothing from paths; as of `samples` paths from every pixel."""
+    key_film, key_radiance, key_terms = jax.random.split(key, 3)
+    numbers = jnp.arange(samples)
+    primary = primary_samples(context.packed, numbers, key_film, context.settings.rays, context.form)
+    nothing = PathRecord(jnp.zeros_like(primary.direction), None, None)
+    weight = jnp.full(samples, 1.0 / samples, primary.direction.dtype)
+    chunk = Chunk(numbers, weight, primary, nothing, key_radiance)
+    prepared = Prepared((term,), (state,), context)
+    return term_images(context.packed, prepared, chunk, key_terms)[term.name]
