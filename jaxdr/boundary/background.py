@@ -12,19 +12,21 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.silhouettes import PathSegments, horizon_normal, occluded_side, past_edge
+from jaxdr.boundary.silhouettes import PathSegments, horizon_normal, occluded_side, on_face, past_edge
 from jaxdr.boundary.term import stream_of
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import between, corners, dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests, request
 from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
 
 
 class SeenEdges(NamedTuple):
-    """Points on edges as seen from the apexes of segments; only `edge_point` is differentiable.
+    """Points on edges as seen from the apexes of segments; differentiable are `edge_point`, `moving_apex`, and the
+    corners of the faces of the apexes, `apex_triangle`.
 
     `pole` is the unit normal of the plane through apex and edge, towards the occluded side; `own` marks edges of the
     face that the apex lies in (horizons).
@@ -32,7 +34,8 @@ class SeenEdges(NamedTuple):
 
     segment: Int[Array, " C"]
     apex: Float[Array, "C 3"]
-    apex_face: Int[Array, " C"]
+    moving_apex: Float[Array, "C 3"]
+    apex_triangle: Float[Array, "C 3 3"]
     edge_point: Float[Array, "C 3"]
     distance: Float[Array, " C"]
     towards: Float[Array, "C 3"]
@@ -49,14 +52,16 @@ def seen_edges(
     valid: Bool[Array, " C"],
 ) -> SeenEdges:
     """The points at the fractions `along` of edges."""
-    vertices = packed.vertices[packed.edges.vertices[edge]]
-    apex = stop_gradient(paths.apex(segment).position)
-    edge_point = (1 - along)[:, None] * vertices[:, 0] + along[:, None] * vertices[:, 1]
-    to_edge = stop_gradient(edge_point) - apex
-    distance = jnp.where(valid, norm(to_edge), 1.0)
+    ends = corners(packed.vertices[packed.edges.vertices[edge]])
+    edge_point, moving_apex = between(*ends, along), paths.position(segment)
     apex_face = paths.table.apex_face[segment]
-    pole, own = occluded_side(packed, edge, apex, apex_face)
-    return SeenEdges(segment, apex, apex_face, edge_point, distance, to_edge / distance[:, None], pole, own)
+    triangle = packed.vertices[packed.faces[apex_face]]
+    fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient((ends, edge_point, moving_apex, triangle))
+    to_edge = fixed_point - apex
+    distance = jnp.where(valid, norm(to_edge), 1.0)
+    towards = scale(to_edge, 1.0 / distance)
+    pole, own = occluded_side(packed, edge, fixed_ends, apex, apex_face, fixed_triangle)
+    return SeenEdges(segment, apex, moving_apex, triangle, edge_point, distance, towards, pole, own)
 
 
 class Behind(NamedTuple):
@@ -84,7 +89,7 @@ class BehindEdges(NamedTuple):
 
 def look_behind(
     packed: PackedScene,
-    paths: PathSegments,
+    scatterer: Scatterer,
     seen: SeenEdges,
     edge: Int[Array, " C"],
     along: Float[Array, " C"],
@@ -94,13 +99,14 @@ def look_behind(
 ) -> tuple[Behind, SurfacePoint]:
     """(boundary points with what is behind them, that as surface points). One ray each; in value alone.
 
+    `scatterer`: the BSDFs at the apexes.
     `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
     """
-    background, clear = background_point(packed, paths.apex(seen.segment), seen, valid, settings)
-    counts = (valid & clear)[:, None]
-    weight = jnp.where(counts, weight * paths.scatterer(seen.segment).eval(seen.towards), 0.0)
+    background, clear = background_point(packed, scatterer.point, seen, valid, settings)
+    counts = valid & clear
+    weight = jnp.where(counts[:, None], weight * scatterer.eval(seen.towards), 0.0)
     behind = Behind(seen.segment, edge, along, weight, background.face, background.barycentric, background.valid)
-    return behind, background._replace(valid=background.valid & counts[:, 0])
+    return behind, background._replace(valid=background.valid & counts)
 
 
 def ask_behind(
@@ -132,22 +138,23 @@ def background_values(
     """
     valid = (behind.weight != 0).any(-1)
     seen = seen_edges(packed, paths, behind.segment, behind.edge, behind.along, valid)
-    background = material_point(packed, behind.face, behind.barycentric, behind.hit)
     edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
     # The environment is seen in one direction, whatever the apex does, and is never near.
     there = behind.hit[:, None]
-    far = jnp.where(there, background.position, apex)
-    moving_apex = paths.apex_towards(seen.segment, stop_gradient(far))
-    moving_apex = jnp.where(there, moving_apex, paths.apex(seen.segment).position)
-    far_distance = jnp.where(valid & behind.hit, norm(stop_gradient(far) - apex), 1.0)
+    far = jnp.where(there, on_face(packed, behind.face, behind.barycentric), apex)
+    fixed_far = stop_gradient(far)
+    moving_apex = seen.moving_apex
+    if paths.near is not None:
+        moving_apex = jnp.where(there, paths.apex_towards(seen.segment, moving_apex, fixed_far), moving_apex)
+    far_distance = jnp.where(valid & behind.hit, norm(fixed_far - apex), 1.0)
     # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
-    horizon = -dot(horizon_normal(packed, seen.apex_face, pole), distance[:, None] * seen.towards)
-    edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex)) / distance
+    horizon = -dot(horizon_normal(seen.apex_triangle, pole), seen.towards)
+    edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex) / distance)
     sky = dot(pole, packed.turned(seen.towards)) if packed.environment_turns else 0.0
     far_moved = jnp.where(behind.hit, dot(pole, far - moving_apex) / far_distance, sky)
     displacement = edge_moved - far_moved
     displacement = displacement - stop_gradient(displacement)
-    return behind.weight * radiance * displacement[:, None]
+    return scale(behind.weight * radiance, displacement)
 
 
 def sum_behind(
@@ -174,7 +181,7 @@ def background_point(
     start = leave(point, past - point.position if through else seen.towards)
     offset = past - start
     length = jnp.where(valid, norm(offset), 1.0)
-    direction = offset / length[:, None]
+    direction = scale(offset, 1.0 / length)
     reach = jnp.where(valid, 1e30, 0.0).astype(length.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), settings.rays)
     found = hit.face >= 0

@@ -24,12 +24,13 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.boundary_segments import SegmentEnds, Segments
 from jaxdr.boundary.edge_lunes import EdgeLunes
+from jaxdr.boundary.silhouettes import on_face
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.connections import ends, with_camera
-from jaxdr.transport.interaction import material_point, on_fixed_ray
+from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import path_numbers
@@ -86,7 +87,7 @@ def detect(
     offset = joined.end - joined.start
     seen = carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), settings.rays)
     value = jnp.where(seen[:, None], joined.value, 0.0).reshape(bounces, -1, 3)
-    return stop_gradient(Detected(value, film_point.reshape(bounces, -1, 2), lens))
+    return Detected(value, film_point.reshape(bounces, -1, 2), lens)
 
 
 def moves(
@@ -115,9 +116,9 @@ def image(
     """
     film = packed.camera.film
     whole, first = _displacements(packed, lunes, drawn, ends_of, seen, form)
-    total = splat(film, seen.film_point[0], seen.value[0] * radiance[0] * first[:, None])
+    total = splat(film, seen.film_point[0], scale(seen.value[0] * radiance[0], first))
     if radiance.shape[0] > 1:
-        values = seen.value[1:] * radiance[1:] * whole[:, None]
+        values = scale(seen.value[1:] * radiance[1:], whole)
         total += splat(film, seen.film_point[1:].reshape(-1, 2), values.reshape(-1, 3))
     return total
 
@@ -129,11 +130,10 @@ def _displacements(packed: PackedScene, lunes, drawn: Segments, ends_of: Segment
     length = jnp.where(source.valid, norm(source.position - detector.position), 1.0)
     share = jnp.where(source.valid, near / jnp.where(length > 0, length, 1.0), 0.0)
     moved = dot(drawn.pole, drawn.point.moving(packed, lunes))
-    moved -= share * dot(drawn.pole, material_point(packed, source.face, source.barycentric, source.valid).position)
+    moved -= share * dot(drawn.pole, on_face(packed, source.face, source.barycentric))
     if packed.environment_turns:
         moved -= jnp.where(source.valid, 0.0, near * dot(drawn.pole, packed.turned(drawn.towards)))
-    material = material_point(packed, detector.face, detector.barycentric, detector.valid)
-    at_detector = dot(drawn.pole, material.position)
+    at_detector = dot(drawn.pole, on_face(packed, detector.face, detector.barycentric))
     whole = moved - (1 - share) * at_detector
     if form == "material":
         first = whole

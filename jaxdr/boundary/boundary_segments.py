@@ -8,7 +8,6 @@ Jacobian J_B (Eq. 5). Both maps can be inverted, so that each strategy knows the
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -25,7 +24,7 @@ from jaxdr.boundary.edge_lunes import (
 )
 from jaxdr.boundary.silhouettes import BESIDE
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
@@ -134,14 +133,14 @@ def lines_past(
     pole = occluded_side(lunes, point.row, passed)
     sine = jnp.sqrt(jnp.maximum(1.0 - passed.cosine**2, 0.0))
     position, start, side = point.position(lunes), lunes.start[point.row], lunes.side[point.row]
-    scale = jnp.maximum(jnp.abs(start), jnp.abs(start + side)).max(-1)
-    return jax.lax.stop_gradient(Segments(point, position, towards, pole, scale, sine, passed.silhouette, emitter))
+    size = jnp.maximum(jnp.abs(start), jnp.abs(start + side)).max(-1)
+    return Segments(point, position, towards, pole, size, sine, passed.silhouette, emitter)
 
 
 def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"], rays: str) -> SegmentEnds:
     """Both ends of lines past edges, from rays that start just beside them."""
     beside = BESIDE * drawn.scale
-    start = drawn.position - beside[:, None] * drawn.pole
+    start = drawn.position - scale(drawn.pole, beside)
     hidden = jnp.zeros_like(active)
     if drawn.emitter is None:
         source = _hit(packed, start, drawn.towards, active, rays)

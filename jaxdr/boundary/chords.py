@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.emitter_planes import chord_inside
 from jaxdr.boundary.sampled_arcs import on_same_side, place, sampled_arc
 from jaxdr.geometry.queries import UNBOUNDED
-from jaxdr.geometry.vector import dot, normalize, orthonormal_basis
+from jaxdr.geometry.vector import cross, dot, normalize, orthonormal_basis, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitting_surface
 from jaxdr.transport.interaction import SurfacePoint
@@ -38,7 +38,7 @@ class Chords(NamedTuple):
 
     def plane(self, apex: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
         """Unit normals of the sectors that the chords span with `apex`."""
-        across = jnp.cross(self.first - apex, self.last - apex)
+        across = cross(self.first - apex, self.last - apex)
         return normalize(jnp.where(self.useful[:, None], across, 1.0))
 
 
@@ -46,7 +46,7 @@ def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Arr
     """Unit vectors across unit `axis` vectors, whose angles are even over half a turn for even `u` in [0, 1)."""
     s, t = orthonormal_basis(axis)
     angle = math.pi * u
-    return jnp.cos(angle)[:, None] * s + jnp.sin(angle)[:, None] * t
+    return scale(s, jnp.cos(angle)) + scale(t, jnp.sin(angle))
 
 
 def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -99,8 +99,8 @@ def emitter_chords(
         useful &= part > 0
     whole = jnp.where(useful, last - first, 1.0)
     chords = Chords(
-        first=point + first[:, None] * direction,
-        last=point + last[:, None] * direction,
+        first=point + scale(direction, first),
+        last=point + scale(direction, last),
         centre=-first / whole,
         group=group[sample.face],
         useful=useful,
@@ -129,7 +129,7 @@ def emitter_rate(
     determinant d^2 / cos, which stretches the chord by m: |sin| dl dphi is det(M)^2 / m^3 times as much.
     """
     distance2, slope, usable, towards = _slope(apex, point, normal)
-    stretch2 = 1.0 + _tilt(normal, slope, jnp.cross(plane, towards)) ** 2
+    stretch2 = 1.0 + _tilt(normal, slope, cross(plane, towards)) ** 2
     area = distance2 / slope
     return jnp.where(usable, pdf * length / math.pi * area**2 / (distance2 * stretch2) ** 1.5, 0.0)
 
@@ -148,8 +148,8 @@ def angle_ratio(
     it is det(M)^2 / (m^3 l) with the names of `emitter_rate` and l, by which M stretches the boundary. Positive.
     """
     _, slope, _, towards = _slope(apex, point, normal)
-    seen = normalize(tangent - dot(tangent, towards)[:, None] * towards)
-    chord2 = 1.0 + _tilt(normal, slope, jnp.cross(plane, towards)) ** 2
+    seen = normalize(tangent - scale(towards, dot(tangent, towards)))
+    chord2 = 1.0 + _tilt(normal, slope, cross(plane, towards)) ** 2
     boundary2 = 1.0 + _tilt(normal, slope, seen) ** 2
     return 1.0 / (slope**2 * chord2**1.5 * boundary2**0.5)
 
@@ -159,7 +159,7 @@ def _slope(apex, point, normal):
     offset = point - apex
     distance2 = dot(offset, offset)
     distance2 = jnp.where(distance2 > 0, distance2, 1.0)
-    towards = offset / jnp.sqrt(distance2)[:, None]
+    towards = normalize(offset)
     slope = dot(normal, towards)
     usable = slope != 0
     return distance2, jnp.where(usable, slope, 1.0), usable, towards
@@ -183,11 +183,11 @@ class LobeChords(NamedTuple):
 
     def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
         """Sectors without an end, for the search; `far` is a distance beyond the scene."""
-        across = jnp.cross(self.plane, self.centre)
-        cosine, sine = jnp.cos(self.reach)[:, None], jnp.sin(self.reach)[:, None]
+        ahead = scale(self.centre, far * jnp.cos(self.reach))
+        aside = scale(cross(self.plane, self.centre), far * jnp.sin(self.reach))
         return Chords(
-            first=apex + far * (cosine * self.centre - sine * across),
-            last=apex + far * (cosine * self.centre + sine * across),
+            first=apex + (ahead - aside),
+            last=apex + (ahead + aside),
             centre=jnp.full_like(self.pdf, 0.5),
             group=jnp.full(self.pdf.shape, UNBOUNDED),
             useful=self.pdf > 0,
@@ -224,7 +224,7 @@ def lobe_rate(
     depend on it.
     """
     if scatterer.spreads_through() is not None:
-        arc = sampled_arc(scatterer, boundary, normalize(jnp.cross(plane, boundary)), reach)
+        arc = sampled_arc(scatterer, boundary, normalize(cross(plane, boundary)), reach)
         height, mass = arc.at(jnp.zeros_like(reach)), arc.integral()
     else:
         height = jnp.abs(scatterer.cosine(boundary))
@@ -235,7 +235,7 @@ def lobe_rate(
 
 def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]):
     """`lobe_weight` for surfaces of which some scatter to both sides."""
-    along = normalize(jnp.cross(chords.plane, boundary))
+    along = normalize(cross(chords.plane, boundary))
     arc = sampled_arc(scatterer, boundary, along, chords.reach)
     if scatterer.smooth:  # else the horizon is that of the face
         low, high = on_same_side(scatterer, boundary, along, chords.centre, arc.low, arc.high)
@@ -253,7 +253,7 @@ def _arc(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:
     """
     height = scatterer.cosine(boundary)
     side = jnp.sign(height)
-    along = normalize(jnp.cross(plane, boundary))
+    along = normalize(cross(plane, boundary))
     a, b = jnp.abs(height), side * scatterer.cosine(along)
     horizon = jnp.arctan2(b, a)  # a cos t + b sin t > 0 within 90 degrees of it
     low, high = jnp.maximum(-reach, horizon - 0.5 * jnp.pi), jnp.minimum(reach, horizon + 0.5 * jnp.pi)

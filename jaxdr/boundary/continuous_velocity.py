@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import components, dot, interpolate, norm, normalize, orthonormal_basis, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import detached_barycentric
 from jaxdr.transport.sampler import uniform
@@ -102,14 +102,15 @@ def draw_auxiliary(
     n, dtype = ends.apex.shape[0], ends.apex.dtype
     length = norm(ends.target - ends.apex)
     u = uniform(key, (n, samples, 2), dtype)
-    radius = jnp.sqrt((1.0 - u[..., 0]) ** (-1.0 / (TAIL - 1.0)) - 1.0) * (kernel.width * length)[:, None]
-    angle = 2.0 * math.pi * u[..., 1]
+    first, second = components(u)
+    radius = jnp.sqrt((1.0 - first) ** (-1.0 / (TAIL - 1.0)) - 1.0) * (kernel.width * length)[:, None]
+    angle = 2.0 * math.pi * second
     s, t = orthonormal_basis(ends.normal)
-    offset = jnp.cos(angle)[..., None] * s[:, None] + jnp.sin(angle)[..., None] * t[:, None]
-    drawn = ends.target[:, None] + radius[..., None] * offset
+    offset = scale(s[:, None], jnp.cos(angle)) + scale(t[:, None], jnp.sin(angle))
+    drawn = ends.target[:, None] + scale(offset, radius)
     far = ends.infinite[:, None, None]
     if infinite:
-        on_sphere = ends.apex[:, None] + length[:, None, None] * normalize(drawn - ends.apex[:, None])
+        on_sphere = ends.apex[:, None] + scale(normalize(drawn - ends.apex[:, None]), length[:, None])
         drawn = jnp.where(far, on_sphere, drawn)
     if not finite:
         one = jnp.ones((n, samples, 1), dtype)
@@ -146,8 +147,8 @@ def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool)
     length = norm(away)
     normal, offset = ends.normal, drawn - point[:, None]
     if infinite:
-        normal = jnp.where(ends.infinite[:, None], away / length[:, None], normal)
-    in_plane = offset - dot(offset, normal[:, None])[..., None] * normal[:, None]
+        normal = jnp.where(ends.infinite[:, None], scale(away, 1.0 / length), normal)
+    in_plane = offset - scale(normal[:, None], dot(offset, normal[:, None]))
     radius2, width = dot(in_plane, in_plane), (kernel.width * length)[:, None]
     bent = jnp.zeros_like(radius2)
     if infinite:  # area of the tangent plane per area of the sphere: one over the cosine's cube
@@ -205,10 +206,10 @@ def velocity_field(
         rate = slope - (share * slope).sum((1, 2), keepdims=True)
         if debias:
             rate = rate + _score_terms(of_point, score)[..., None]
-        divergence += (share * rate)[..., None] * tangent[:, None, None]
+        divergence += scale(tangent[:, None, None], share * rate)
     if infinite:  # of a sphere: without the normal component of the mean
         curvature = jnp.where(ends.infinite, 2.0 / norm(ends.target - ends.apex), 0.0)
-        divergence -= (curvature[:, None] * ends.normal)[:, None, None] * share[..., None]
+        divergence -= scale(scale(ends.normal, curvature)[:, None, None], share)
     return Field(share, divergence)
 
 

@@ -13,7 +13,16 @@ from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_
 from jaxdr.boundary.occluders import Faces, find_occluders
 from jaxdr.boundary.outlines import keep_inside
 from jaxdr.boundary.silhouettes import SegmentEnds
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import (
+    corners,
+    dot,
+    interpolate,
+    norm,
+    normalize,
+    orthonormal_basis,
+    scale,
+    triangle_normals,
+)
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
 
@@ -151,9 +160,9 @@ def divergence_term(
 
     def terms(slot, number):
         row, motion = velocities.row(slot), moved(slot)
-        result = value[row] * dot(velocities.rate[slot], motion)[:, None]
+        result = scale(value[row], dot(velocities.rate[slot], motion))
         for tangent, slope in slopes:
-            result += slope[row] * (velocities.share[slot] * dot(tangent[row], motion))[:, None]
+            result += scale(slope[row], velocities.share[slot] * dot(tangent[row], motion))
         result = jnp.where((number < velocities.used)[:, None], result, 0.0)
         return jnp.zeros_like(value).at[row].add(result)
 
@@ -164,15 +173,14 @@ def displacement(
     packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden
 ) -> Float[Array, "C 3"]:
     """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8)."""
-    corners = packed.vertices[packed.faces[seen.face]]
-    material = interpolate(corners, seen.barycentric)
-    normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangle = packed.vertices[packed.faces[seen.face]]
+    material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)
     before = packed.vertices[packed.faces[seen.occluder]]
     towards = interpolate(before, seen.on_occluder) - apex
     slope = dot(normal, towards)
     reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
     offset, far = seen.position - stop_gradient(apex), infinite[:, None]
-    projected = jnp.where(far, norm(offset)[:, None] * normalize(towards), apex + reach[:, None] * towards)
+    projected = jnp.where(far, scale(normalize(towards), norm(offset)), apex + scale(towards, reach))
     material = jnp.where(far, packed.turned(offset), material)
     moved = projected - material
     if seen.own is not None:
@@ -180,15 +188,15 @@ def displacement(
     return moved - stop_gradient(moved)
 
 
-def _horizon(corners, normal, material, offset, far):
+def _horizon(triangle, normal, material, offset, far):
     """How the plane of the apex's face moves over the material points, across its trace in their plane (or sphere).
 
     The apex stays in that plane, so its own motion does not count.
     """
-    plane = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    plane = normalize(triangle_normals(triangle))
     across = stop_gradient(plane)
     normal = normalize(jnp.where(far, offset, normal))
-    across = across - dot(across, normal)[:, None] * normal
+    across = across - scale(normal, dot(across, normal))
     squared = dot(across, across)
-    height = dot(plane, material - jnp.where(far, 0.0, corners[:, 0]))
-    return across * (-height / jnp.where(squared > 0, squared, 1.0))[:, None]
+    height = dot(plane, material - jnp.where(far, 0.0, corners(triangle)[0]))
+    return scale(across, -height / jnp.where(squared > 0, squared, 1.0))

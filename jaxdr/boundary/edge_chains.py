@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import corners, dot, normalize
 
 MOST_AROUND = 64  # ends at a vertex that an end is compared with
 ROUNDS = 4  # of choosing
@@ -67,7 +67,8 @@ def _partners(vertices, edges, counts, partner) -> Int[Array, " N"]:
     total = 2 * edges.shape[0]
     vertex = jnp.where(counts[:, None], edges, vertices.shape[0]).reshape(-1)
     vertex = jnp.where(partner < 0, vertex, vertices.shape[0])
-    side = vertices[edges[:, 1]] - vertices[edges[:, 0]]
+    start, end = corners(vertices[edges])
+    side = end - start
     outwards = normalize(jnp.stack([side, -side], 1).reshape(-1, 3))  # from the end's vertex along its edge
     order = jnp.argsort(vertex)
     at, out = vertex[order], outwards[order]

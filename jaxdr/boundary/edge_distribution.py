@@ -9,7 +9,18 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.folds import SMOOTH
 from jaxdr.boundary.texture_jumps import glow_jumps, seam_jumps
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import (
+    between,
+    components,
+    corners,
+    dot,
+    from_components,
+    norm,
+    normalize,
+    scale,
+    triangle_normals,
+    z_of,
+)
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
@@ -44,15 +55,15 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
     packed = jax.tree.map(stop_gradient, packed)
     camera, number = packed.camera, packed.edges_of(moving)
     view = camera.view()
-    ends = packed.vertices[packed.edges.vertices[number]]
-    p0, p1 = view.local(ends[:, 0]), view.local(ends[:, 1])
+    p0, p1 = (view.local(end) for end in corners(packed.vertices[packed.edges.vertices[number]]))
+    z0, z1 = z_of(p0), z_of(p1)
     (near0, near1), (far0, far1) = (
-        _clip(sign * (limit - p0[:, 2]), sign * (limit - p1[:, 2]))
+        _clip(sign * (limit - z0), sign * (limit - z1))
         for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
     )
     t0, t1 = jnp.maximum(near0, far0), jnp.minimum(near1, far1)
     in_front = t1 > t0
-    q0, q1 = p0 + t0[:, None] * (p1 - p0), p0 + t1[:, None] * (p1 - p0)
+    q0, q1 = between(p0, p1, t0), between(p0, p1, t1)
     behind = ~in_front[:, None]
     ahead = jnp.asarray([0.0, 0.0, 1.0], q0.dtype)
     q0, q1 = jnp.where(behind, ahead, q0), jnp.where(behind, ahead, q1)
@@ -69,9 +80,9 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
         edge=number,
         start=start,
         end=end,
-        clip=jnp.stack([t0, t1], -1),
-        homogeneous=jnp.stack([view.homogeneous(q0), view.homogeneous(q1)], -1),
-        range=jnp.stack([s0, s1], -1),
+        clip=from_components(t0, t1),
+        homogeneous=from_components(view.homogeneous(q0), view.homogeneous(q1)),
+        range=from_components(s0, s1),
         importance=importance,
         silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
         creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
@@ -93,9 +104,10 @@ def _inside_window(film, start, end, margin=None):
     x0, y0, width, height = film.window
     reach = film.filter.radius if margin is None else film.filter.radius + margin
     low, high = jnp.zeros(start.shape[0], start.dtype), jnp.ones(start.shape[0], start.dtype)
-    for axis, first, size in ((0, x0, width), (1, y0, height)):
+    axes = zip(components(start), components(end), (x0, y0), (width, height), strict=True)
+    for start_of_axis, end_of_axis, first, size in axes:
         for sign, limit in ((-1.0, first - reach), (1.0, first + size + reach)):
-            a, b = _clip(sign * (start[:, axis] - limit), sign * (end[:, axis] - limit))
+            a, b = _clip(sign * (start_of_axis - limit), sign * (end_of_axis - limit))
             low, high = jnp.maximum(low, a), jnp.minimum(high, b)
     return low, high
 
@@ -108,9 +120,8 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     receives, and a typical value for the background. Only the noise depends on these estimates.
     """
     faces, row_of = packed.faces_of(moving)
-    corners, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
-    corner = corners[:, 0]
-    normal = normalize(jnp.cross(corners[:, 1] - corner, corners[:, 2] - corner))
+    triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
+    corner, normal = corners(triangles)[0], normalize(triangle_normals(triangles))
     front = dot(normal, packed.camera.view().towards(corner)) > 0
     # Normals turned towards the camera: two faces that continue each other have no crease.
     normal = jnp.where(front[:, None], normal, -normal)
@@ -121,8 +132,9 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
 
     pair, interior = packed.edges.faces[number], packed.edges.interior[number]
-    face0 = row_of(pair[:, 0])
-    face1 = jnp.where(pair[:, 1] >= 0, row_of(pair[:, 1]), face0)
+    first, second = components(pair)
+    face0 = row_of(first)
+    face1 = jnp.where(second >= 0, row_of(second), face0)
     # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
     silhouette = ~interior | (front[face0] != front[face1])
     if packed.camera.aperture:  # and those that are silhouettes from a part of it
@@ -130,7 +142,8 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
         silhouette = silhouette | turns[face0] | turns[face1]
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
-    typical = jnp.where(received.mean() > 0, received.mean(), 1.0)
+    mean = received.mean()
+    typical = jnp.where(mean > 0, mean, 1.0)
     crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.uvs is not None:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
@@ -153,8 +166,8 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
     for i in range(PILOTS):
         offset = sample.point.position[i] - corner
         squared = jnp.maximum(dot(offset, offset), 1e-30)
-        direction = jnp.where(sample.infinite[i], sample.direction[i], offset / jnp.sqrt(squared)[:, None])
-        facing = jnp.maximum(-direction @ sample.point.normal[i], 0.0) / squared
+        direction = jnp.where(sample.infinite[i], sample.direction[i], scale(offset, 1.0 / jnp.sqrt(squared)))
+        facing = jnp.maximum(-dot(direction, sample.point.normal[i]), 0.0) / squared
         if sample.light is None:
             power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
         else:
@@ -178,7 +191,7 @@ def sample_edges(
     before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
     mass = cdf[edge] - before
     along = jnp.clip((target - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0)
-    low, high = distribution.range[edge, 0], distribution.range[edge, 1]
+    low, high = components(distribution.range[edge])
     importance = distribution.importance[edge]
     weight = jnp.where(mass > 0, total / (count * jnp.where(importance > 0, importance, 1.0)), 0.0)
     return edge, low + along * (high - low), weight

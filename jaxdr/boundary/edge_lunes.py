@@ -16,7 +16,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.edge_chains import EdgeOrder
 from jaxdr.boundary.silhouettes import never_silhouettes
-from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
+from jaxdr.geometry.vector import (
+    Frame,
+    between,
+    components,
+    corners,
+    cross,
+    dot,
+    from_components,
+    norm,
+    normalize,
+    orthonormal_basis,
+    scale,
+)
 from jaxdr.scene.packed import PackedScene
 
 STILL = 0.25  # share of the samples that goes to edges that do not move, where others do: receivers and lights move too
@@ -52,12 +64,11 @@ class EdgePoints(NamedTuple):
 
     def position(self, lunes: EdgeLunes) -> Float[Array, "n 3"]:
         """In the scene, detached."""
-        return lunes.start[self.row] + self.along[:, None] * lunes.side[self.row]
+        return lunes.start[self.row] + scale(lunes.side[self.row], self.along)
 
     def moving(self, packed: PackedScene, lunes: EdgeLunes) -> Float[Array, "n 3"]:
         """The same, differentiable."""
-        ends = packed.vertices[lunes.vertices[self.row]]
-        return (1 - self.along)[:, None] * ends[:, 0] + self.along[:, None] * ends[:, 1]
+        return between(*corners(packed.vertices[lunes.vertices[self.row]]), self.along)
 
 
 class Passing(NamedTuple):
@@ -77,16 +88,17 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
     """
     packed = jax.tree.map(stop_gradient, packed)
     edges = packed.edges
-    number, between = jnp.arange(edges.vertices.shape[0]), edges.vertices
+    number, pairs = jnp.arange(edges.vertices.shape[0]), edges.vertices
     if order is not None:
-        number, between = order.edge, between[order.edge]
-        between = jnp.where(order.turned[:, None], between[:, ::-1], between)
-    ends = packed.vertices[between]
-    side = ends[:, 1] - ends[:, 0]
+        number, pairs = order.edge, pairs[order.edge]
+        pairs = jnp.where(order.turned[:, None], pairs[:, ::-1], pairs)
+    ends = packed.vertices[pairs]
+    start, end = corners(ends)
+    side = end - start
     length, tangent = norm(side), normalize(side)
     across, second = orthonormal_basis(jnp.where((length > 0)[:, None], tangent, jnp.asarray([0.0, 0.0, 1.0])))
-    corner = packed.vertices[edges.opposite[number]] - ends[:, :1]
-    x, y = (corner * across[:, None]).sum(-1), (corner * second[:, None]).sum(-1)
+    corner = packed.vertices[edges.opposite[number]] - start[:, None]
+    x, y = dot(corner, across[:, None]), dot(corner, second[:, None])
     there = edges.faces[number] >= 0
     rounding = 16 * jnp.finfo(ends.dtype).eps * jnp.abs(ends).max((-1, -2))
     real = there & (jnp.hypot(x, y) > rounding[:, None])
@@ -111,9 +123,9 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
     cdf = jnp.cumsum(weight)
     total = jnp.where(cdf[-1] > 0, cdf[-1], 1.0)
     density = weight / (total * jnp.where(length > 0, length, 1.0))
-    second = jnp.cross(tangent, first)
+    second = cross(tangent, first)
     share = packed.edges.shared(number, counts.astype(length.dtype))
-    return EdgeLunes(number, between, ends[:, 0], side, tangent, first, second, width, cdf / total, density, share)
+    return EdgeLunes(number, pairs, start, side, tangent, first, second, width, cdf / total, density, share)
 
 
 def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> EdgePoints:
@@ -142,27 +154,27 @@ def passing(lunes: EdgeLunes, row: Int[Array, " n"], direction: Float[Array, "n 
 
 def occluded_side(lunes: EdgeLunes, row: Int[Array, " n"], passed: Passing) -> Float[Array, "n 3"]:
     """Unit normals of the planes through edges and directions, towards the faces."""
-    sine, cosine = jnp.sin(passed.turn)[:, None], jnp.cos(passed.turn)[:, None]
     # In the second lune a direction and its normal are both turned by half a turn: the faces are where they were.
-    return sine * lunes.first[row] - cosine * lunes.second[row]
+    return scale(lunes.first[row], jnp.sin(passed.turn)) - scale(lunes.second[row], jnp.cos(passed.turn))
 
 
 def lune_directions(lunes: EdgeLunes, row: Int[Array, " n"], u: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     """Directions of silhouettes, uniform over the two lunes (density `lune_pdf`)."""
-    doubled = 2.0 * u[:, 0]
+    u0, u1 = components(u)
+    doubled = 2.0 * u0
     lune = jnp.floor(doubled)
     angle = (doubled - lune) * lunes.width[row] + math.pi * lune
-    cosine = 1.0 - 2.0 * u[:, 1]
+    cosine = 1.0 - 2.0 * u1
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0))
-    x, y, z = ((sine * jnp.cos(angle))[:, None], (sine * jnp.sin(angle))[:, None], cosine[:, None])
-    return x * lunes.first[row] + y * lunes.second[row] + z * lunes.tangent[row]
+    local = from_components(sine * jnp.cos(angle), sine * jnp.sin(angle), cosine)
+    return Frame(lunes.first[row], lunes.second[row], lunes.tangent[row]).to_world(local)
 
 
 def lune_numbers(lunes: EdgeLunes, row: Int[Array, " n"], passed: Passing) -> Float[Array, "n 2"]:
     """The inverse of `lune_directions`."""
     width = lunes.width[row]
     share = jnp.clip(passed.turn / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
-    return jnp.stack([0.5 * (passed.lune + share), 0.5 * (1.0 - passed.cosine)], -1)
+    return from_components(0.5 * (passed.lune + share), 0.5 * (1.0 - passed.cosine))
 
 
 def lune_pdf(lunes: EdgeLunes, row: Int[Array, " n"]) -> Float[Array, " n"]:

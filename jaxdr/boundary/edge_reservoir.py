@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from jaxdr.boundary.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.texture_jumps import seam_jumps
 from jaxdr.geometry.edge_tree import LEAF, EdgeTree
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import corners, cross, dot, norm, normalize, scale
 from jaxdr.scene.packed import PackedScene
 
 BLOCK = 2048  # bundles that go through the tree together: they wait for each other
@@ -82,17 +82,17 @@ def passes(
     side: Float[Array, "*n 3"],
 ) -> Crossing:
     """Nearest points of rays and of lines from `start` along `side`."""
-    normal = jnp.cross(direction, side)
+    normal = cross(direction, side)
     squared = dot(normal, normal)
     squared = jnp.where(squared > 0, squared, 1.0)
     offset = start - origin
-    distance = dot(jnp.cross(offset, side), normal) / squared
-    return Crossing(dot(jnp.cross(offset, direction), normal) / squared, distance)
+    distance = dot(cross(offset, side), normal) / squared
+    return Crossing(dot(cross(offset, direction), normal) / squared, distance)
 
 
 def volume(origin, direction, start, side) -> Float[Array, "*n"]:
     """Zero where a ray meets a line; a smooth function of both, of either sign on its two sides."""
-    return dot(jnp.cross(direction, side), start - origin)
+    return dot(cross(direction, side), start - origin)
 
 
 def may_cross(
@@ -100,12 +100,12 @@ def may_cross(
 ) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
     """(t at which bundles cross the lines of edges, to first order; whether that is on the edge and within `reach`)."""
     o, d, do, dd = bundle.origin, bundle.direction, bundle.origin_rate, bundle.direction_rate
-    rate = dot(jnp.cross(dd, side), start - o) - dot(jnp.cross(d, side), do)
+    rate = dot(cross(dd, side), start - o) - dot(cross(d, side), do)
     step = -volume(o, d, start, side) / jnp.where(rate == 0, 1.0, rate)
     near = (rate != 0) & (jnp.abs(step) <= MARGIN * reach)
     t = jnp.where(near, step, 0.0)
-    at = passes(o + t[..., None] * do, d + t[..., None] * dd, start, side)
-    point = start + at.along[..., None] * side
+    at = passes(o + scale(do, t), d + scale(dd, t), start, side)
+    point = start + scale(side, at.along)
     inside = (at.along >= 0) & (at.along <= 1) & _within(bundle, point, 0.0, reach)
     return step, near & inside
 
@@ -115,7 +115,7 @@ def _within(bundle: Bundles, point, radius, reach):
     ball."""
     offset = point - bundle.origin
     depth = dot(offset, bundle.direction)
-    across = norm(offset - depth[..., None] * bundle.direction)
+    across = norm(offset - scale(bundle.direction, depth))
     far = jnp.clip(depth + radius, 0.0, BEYOND * bundle.end)
     width = (1.0 + MARGIN) * reach * (norm(bundle.origin_rate) + far * norm(bundle.direction_rate))
     return (depth >= -radius) & (depth <= BEYOND * bundle.end + radius) & (across <= width + radius)
@@ -150,7 +150,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
         edge = slots[first[:, None] + jnp.arange(LEAF)]
         exists = here[:, None] & (edge >= 0)
         edge = jnp.maximum(edge, 0)
-        start, end = table.ends[edge, 0], table.ends[edge, 1]
+        start, end = corners(table.ends[edge])
         _, crosses = may_cross(each, start, end - start, reach)
         facing = dot(table.normals[edge], each.direction[:, :, None]) > 0
         silhouette = ~table.interior[edge] | (facing[..., 0] != facing[..., 1])

@@ -18,13 +18,14 @@ from jaxdr.boundary.chords import (
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
-from jaxdr.geometry.vector import dot, normalize
+from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
 
 
 class Centres(NamedTuple):
@@ -45,38 +46,39 @@ class Centres(NamedTuple):
     lobes: Float[Array, "B P n"]
 
     def weight_of_emitters(
-        self, found: Crossings, plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
     ) -> Float[Array, " C"]:
         """What crossings of chords on emitters, in planes with the normals `plane`, weigh beside the other kind.
 
-        `pdf` of their centres, per area, and their `length`; `point` on the emitter.
+        `scatterer` at the apexes, `pdf` of their centres, per area, and their `length`; `point` on the emitter.
         """
-        share, both, ratio = self._shares(found, plane, point, pdf, length)
+        share, both, ratio = self._shares(found, scatterer, plane, point, pdf, length)
         return share * both / ratio
 
-    def weight_of_lobes(self, found: Crossings, plane: Float[Array, "C 3"], point: SurfacePoint) -> Float[Array, " C"]:
+    def weight_of_lobes(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint
+    ) -> Float[Array, " C"]:
         """The same for geodesic chords; zero where `point` is on no surface."""
         normal = stop_gradient(point.normal)
-        along = jnp.cross(plane, normal)
+        along = cross(plane, normal)
         meets = (dot(along, along) > 0) & point.valid
         along = normalize(jnp.where(meets[:, None], along, 1.0))
         _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
-        share, both, _ = self._shares(found, plane, point, emitting_surface_pdf(self.packed, point), length)
+        share, both, _ = self._shares(found, scatterer, plane, point, emitting_surface_pdf(self.packed, point), length)
         return jnp.where(meets, (1.0 - share) * both, 0.0)
 
-    def _shares(self, found: Crossings, plane, point: SurfacePoint, pdf, length):
+    def _shares(self, found: Crossings, scatterer: Scatterer, plane, point: SurfacePoint, pdf, length):
         """(share of emitters' chords, their mean measure of angles and that of emitters', over the sphere's)."""
         vertex, expected = found.vertex, (self.emitters.reshape(-1), self.lobes.reshape(-1))
         emitters, lobes = (table[vertex] for table in expected)
-        scatterer = self.paths.scatterer(vertex)
         position, normal = stop_gradient(point.position), stop_gradient(point.normal)
         apex = scatterer.point.position
         towards = normalize(position - apex)
         rate = emitter_rate(pdf, length, apex, position, normal, plane) * emitters
         other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
 
-        ends = stop_gradient(self.packed.vertices)[self.packed.edges.vertices[found.edge]]
-        ratio = angle_ratio(apex, position, normal, plane, ends[:, 1] - ends[:, 0])
+        start, end = corners(stop_gradient(self.packed.vertices)[self.packed.edges.vertices[found.edge]])
+        ratio = angle_ratio(apex, position, normal, plane, end - start)
         cosine, offset = dot(normal, towards), position - apex
         density = pdf * dot(offset, offset) / jnp.where(cosine == 0, 1.0, jnp.abs(cosine)) * emitters
         mixed = balance(density, scatterer.pdf(towards) * lobes)
@@ -114,44 +116,44 @@ class EmitterLines:
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: luminance per motion of the edge."""
-        projection, weight, _ = self._boundary(drawn, found)
+        projection, weight, _, _ = self._boundary(drawn, found)
         return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
 
     def value(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> Float[Array, "C 3"]:
         """Contributions times `weight`: zero in value, right in derivative."""
-        projection, value, point = self._boundary(drawn, found)
+        projection, value, point, scatterer = self._boundary(drawn, found)
         if self.both is not None:
             chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
-            plane = chords.plane(stop_gradient(self.paths.apex(found.vertex).position))
+            plane = chords.plane(scatterer.point.position)
             pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
-            weight = weight * self.both.weight_of_emitters(found, plane, point, pdf, length)
+            weight = weight * self.both.weight_of_emitters(found, scatterer, plane, point, pdf, length)
         moved = projection.displacement - stop_gradient(projection.displacement)
-        return value * (weight * moved)[:, None]
+        return scale(value, weight * moved)
 
     def _boundary(self, drawn: EmitterChords, found: Crossings):
-        """(the crossed edges projected onto the emitter, contributions without their normal velocity, the points)."""
+        """(the crossed edges projected onto the emitter, contributions without normal velocity, the points, BSDFs)."""
         packed, paths, group = self.packed, self.paths, self.prepared.group
         face = drawn.centre.face[found.chord]
-        on_plane = _projected(self, found, drawn.centre)
+        scatterer = paths.scatterer(found.vertex)
+        on_plane = _projected(self, found, scatterer.point.position, drawn.centre)
         # The chord may have left the triangle its centre is in, whose vertices move otherwise.
         face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
         ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
         projection = project_edges(packed, found.edge, ends, found.along)
-        point = jax.tree.map(stop_gradient, material_point(packed, face, barycentric, inside))
+        point = material_point(paths.fixed.packed, face, barycentric, inside)
         # The radiance there and not at the centre; none from behind.
-        radiance = stop_gradient(emitted(packed, point, stop_gradient(ends.apex) - projection.point))
+        radiance = emitted(paths.fixed.packed, point, stop_gradient(ends.apex) - projection.point)
         value = paths.table.throughput[found.vertex] * radiance
-        value = value * drawn.weight()[found.chord][:, None]
-        value = value * paths.transfer(found.vertex, ends, projection.point)
-        counts = found.valid & inside & paths.scatterer(found.vertex).above_horizon(projection.edge_point)
-        return projection, jnp.where(counts[:, None], value, 0.0), point
+        value = scale(value, drawn.weight()[found.chord])
+        value = value * paths.transfer(found.vertex, ends, projection.point, scatterer)
+        counts = found.valid & inside & scatterer.above_horizon(projection.edge_point)
+        return projection, jnp.where(counts[:, None], value, 0.0), point, scatterer
 
 
-def _projected(lines: EmitterLines, found: Crossings, centre: SurfacePoint) -> Float[Array, "C 3"]:
+def _projected(lines: EmitterLines, found: Crossings, apex, centre: SurfacePoint) -> Float[Array, "C 3"]:
     """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
-    apex = stop_gradient(lines.paths.apex(found.vertex).position)
     target, normal = stop_gradient(centre.position)[found.chord], stop_gradient(centre.normal)[found.chord]
-    ends = stop_gradient(lines.packed.vertices)[lines.packed.edges.vertices[found.edge]]
-    offset = ends[:, 0] + found.along[:, None] * (ends[:, 1] - ends[:, 0]) - apex
+    fixed = lines.paths.fixed.packed
+    offset = between(*corners(fixed.vertices[fixed.edges.vertices[found.edge]]), found.along) - apex
     slope = dot(normal, offset)
-    return apex + offset * (dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))[:, None]
+    return apex + scale(offset, dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))

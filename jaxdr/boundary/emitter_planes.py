@@ -4,8 +4,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.boundary.silhouettes import affine_coordinates
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.boundary.silhouettes import affine_coordinates, affine_rates
+from jaxdr.geometry.vector import corners, dot, norm, normalize, triangle_normals
 from jaxdr.scene.packed import PackedScene
 
 # Emitters of no more faces than this are looked at as whole polygons, others face by face.
@@ -22,12 +22,12 @@ def emitter_groups(packed: PackedScene) -> Int[Array, " F"]:
     count = packed.emitter_faces.shape[0]
     group = jnp.arange(count)
     if few_emitter_faces(packed):
-        corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
-        sides = corners[:, 1] - corners[:, 0]
-        normal = normalize(jnp.cross(sides, corners[:, 2] - corners[:, 0]))
-        offset = corners[None] - corners[:, None, :1]  # [L, L, 3, 3]
+        triangles = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+        first, second, _ = corners(triangles)
+        normal = normalize(triangle_normals(triangles))
+        offset = triangles[None] - first[:, None, None]  # [L, L, 3, 3]
         height = jnp.abs(dot(offset, normal[:, None, None])).max(-1)
-        flat = (height <= 1e-4 * norm(sides)[:, None]) & (dot(normal[:, None], normal[None]) > 0)
+        flat = (height <= 1e-4 * norm(second - first)[:, None]) & (dot(normal[:, None], normal[None]) > 0)
         shape = packed.face_shape[packed.emitter_faces]
         same = flat & flat.T & (shape[:, None] == shape[None])
         group = jnp.where(same, group[None], count).min(1)
@@ -68,10 +68,8 @@ def chord_inside(
         triangles, same = packed.emitter_faces, group[packed.emitter_faces] == group[face][:, None]
     else:
         triangles, same = face[:, None], jnp.ones((face.shape[0], 1), bool)
-    corners = vertices[packed.faces[triangles]]  # [L, 3, 3] or [N, 1, 3, 3]
-    barycentric = affine_coordinates(corners, point[:, None])
-    rate = affine_coordinates(corners, corners[..., 0, :] + direction[:, None])
-    rate = rate - jnp.asarray([1.0, 0.0, 0.0], rate.dtype)
+    polygon = vertices[packed.faces[triangles]]  # [L, 3, 3] or [N, 1, 3, 3]
+    barycentric, rate = affine_coordinates(polygon, point[:, None]), affine_rates(polygon, direction[:, None])
     infinity = jnp.asarray(jnp.inf, rate.dtype)
     lowest, highest = (-infinity, infinity) if low is None or high is None else (low[:, None], high[:, None])
     start, end = part_inside(barycentric, rate, lowest, highest)

@@ -25,7 +25,7 @@ from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shar
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
 from jaxdr.boundary.term import Chunk, Context, streams
-from jaxdr.geometry.vector import norm, scale
+from jaxdr.geometry.vector import corners, from_components, norm, scale
 from jaxdr.scene.camera import Camera, View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
@@ -177,7 +177,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
     angle, stream = math.pi * drawn[:, 2], streams(FilmChains.name, cell.shape[0])
     return Chords(
         centre=corner + drawn[:, :2],
-        towards=jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1),
+        towards=from_components(jnp.cos(angle), jnp.sin(angle)),
         stream=stream,
         u=jnp.stack([path_numbers(key_paths, stream, b, dtype) for b in range(settings.max_depth)], 1),
         lens=drawn[:, 3:] if aperture else None,
@@ -224,7 +224,7 @@ def _moved(detached, chords: Chords, t, settings) -> tuple[ChainSegments, _Rate]
     view, u = _view(detached.camera, chords), chords.u.swapaxes(0, 1)
 
     def rays(t):
-        chain = delta_chain(detached, view, chords.centre + t[:, None] * chords.towards, u, settings.rays)
+        chain = delta_chain(detached, view, chords.centre + scale(chords.towards, t), u, settings.rays)
         return (chain.origin, chain.direction), chain
 
     _, rates, chain = jax.jvp(rays, (t,), (jnp.ones_like(t),), has_aux=True)
@@ -263,7 +263,7 @@ def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
     state = (nothing, nothing, jnp.ones_like(nothing, bool))
     (t, change, valid), _ = jax.lax.scan(step, state, jnp.arange(STEPS))
     valid = valid & (change < CONVERGED) & (jnp.abs(t) <= REACH)
-    return Found(chords.centre + t[:, None] * chords.towards, valid)
+    return Found(chords.centre + scale(chords.towards, t), valid)
 
 
 def _trials(detached, table, crossings: Crossings, target: Found, key, settings) -> Float[Array, " C"]:
@@ -277,7 +277,7 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
     def trial(state):
         number, done, count = state
         u = uniform(jax.random.fold_in(key, number), done.shape, target.film_point.dtype)
-        centre = target.film_point + (REACH * (2 * u - 1))[:, None] * chords.towards
+        centre = target.film_point + scale(chords.towards, REACH * (2 * u - 1))
         again = _find(detached, table, crossings._replace(chords=chords._replace(centre=centre)), settings)
         same = again.valid & (norm(again.film_point - target.film_point) < CONVERGED)
         return number + 1, done | same, count + ~done
@@ -306,8 +306,8 @@ def _volume(packed, crossings: Crossings, film_point, faces, settings) -> Float[
     chords = crossings.chords
     chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
     (origin, direction) = _segment(crossings, chain.origin, chain.direction)
-    ends = packed.vertices[packed.edges.vertices[crossings.edge]]
-    return volume(origin, direction, ends[:, 0], ends[:, 1] - ends[:, 0])
+    start, end = corners(packed.vertices[packed.edges.vertices[crossings.edge]])
+    return volume(origin, direction, start, end - start)
 
 
 def _jumps(packed, table: EdgeTable, crossings: Crossings, valid, key, settings) -> tuple[Jumps, Requests, Requests]:

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
+from jaxdr.boundary.silhouettes import on_face
 from jaxdr.boundary.term import Chunk, Context, streams
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
-from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
+from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe, PathSettings
 from jaxdr.transport.radiance import Answers, request
@@ -115,37 +116,32 @@ class FilmEdges:
         packed, form, points = context.packed, context.form, held.points
         total, near = (x.reshape(2, -1, 3) for x in answers)
         view = _view(packed, points)
-        ends = packed.vertices[packed.edges.vertices[points.edge]]
-        film_point = view.project(_between(ends, points.along))
+        ends = corners(packed.vertices[packed.edges.vertices[points.edge]])
+        film_point = view.project(between(*ends, points.along))
         value = 0.0
         if form != "material":
             far = total - near
-            value = (far[1] - far[0]) * _moved(points, film_point)
+            value = scale(far[1] - far[0], _moved(points, film_point))
         if form != "fixed":
             near = total if form == "material" else near
-            material = material_point(packed, held.face, held.barycentric, held.hit)
+            material = on_face(packed, held.face, held.barycentric)
             ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
-            local = jnp.where(held.hit[:, None], view.local(material.position), ahead)
+            local = jnp.where(held.hit[:, None], view.local(material), ahead)
             position = film_point - jnp.where(held.hit[:, None], view.project_local(local), 0.0)
             jump = jnp.where((held.behind == 1)[:, None], near[1], -near[0])
-            value += jnp.where(held.crease[:, None], 0.0, jump) * _moved(points, position)
-        value = jnp.where(held.seen, points.weight, 0.0)[:, None] * value
+            value += scale(jnp.where(held.crease[:, None], 0.0, jump), _moved(points, position))
+        value = scale(value, jnp.where(held.seen, points.weight, 0.0))
         return chunk.share * splat(packed.camera.film, points.film_point, value)
 
 
-def _moved(points: EdgePoints, position: Float[Array, "n 2"]) -> Float[Array, "n 1"]:
+def _moved(points: EdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
     """Displacement of a film point along the normal, zero in value."""
     along = dot(points.normal, position)
-    return (along - jax.lax.stop_gradient(along))[:, None]
+    return along - jax.lax.stop_gradient(along)
 
 
 def _view(packed: PackedScene, points: EdgePoints) -> View:
     return packed.camera.view(points.lens)
-
-
-def _between(ends: Float[Array, "n 2 3"], along: Float[Array, " n"]) -> Float[Array, "n 3"]:
-    """Points at the shares `along` of edges."""
-    return (1 - along)[:, None] * ends[:, 0] + along[:, None] * ends[:, 1]
 
 
 def _of_side(x, side: Int[Array, " n"]):
@@ -175,28 +171,29 @@ def _edge_points(packed: PackedScene, distribution: EdgeDistribution, drawn, key
     edge = d.edge
     weight = packed.edges.shared(edge, weight)
     # The point of the 3D edge seen at this fraction of the projected edge.
-    h0, h1 = d.homogeneous[:, 0], d.homogeneous[:, 1]
+    (h0, h1), (t0, t1) = components(d.homogeneous), components(d.clip)
     along = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)
-    along = d.clip[:, 0] + along * (d.clip[:, 1] - d.clip[:, 0])
+    along = t0 + along * (t1 - t0)
     ends = packed.vertices[packed.edges.vertices[edge]]
-    point = _between(ends, along)
+    p0, p1 = corners(ends)
+    point = between(p0, p1, along)
     view, start, end, lens = camera.view(), d.start, d.end, None
     if camera.aperture:
         # A lens point each. From there an equal step of the fraction is an equal step on the film, too.
         lens = lattice(key, 1, jnp.arange(count), LENS_DIMENSIONS, point.dtype)[0]
         view = camera.view(lens)
-        start, end = (view.project(_between(ends, t)) for t in (d.clip[:, 0], d.clip[:, 1]))
+        start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
         weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
     film_point = view.project(point)
 
-    tangent = normalize(end - start)
-    normal = jnp.stack([tangent[:, 1], -tangent[:, 0]], -1)
+    x, y = components(normalize(end - start))
+    normal = from_components(y, -x)
     sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
     pixel = view.pixel_size(point)
     # Far from the origin points are known to rounding only.
     rounding = 4 * jnp.finfo(point.dtype).eps * jnp.abs(ends).max((-1, -2))
     step = jnp.maximum(1e-5 * max(film.width, film.height), rounding / pixel)
-    origin, direction = view.rays(film_point + sides * step[:, None] * normal)
+    origin, direction = view.rays(film_point + sides * scale(normal, step))
     origin = jnp.broadcast_to(origin, direction.shape)
     begin, reach = view.clipped(origin, direction)
     rays = direction.reshape(-1, 3)
@@ -212,24 +209,25 @@ def _edge_points(packed: PackedScene, distribution: EdgeDistribution, drawn, key
     at_edge = near | at_neighbour
 
     # Which sides the faces are on.
-    across = jnp.cross(ends[:, 1] - ends[:, 0], view.towards(point))
-    beside = origin + edge_distance[..., None] * direction
-    across = across * jnp.sign(dot(across, beside[0] - beside[1]))[:, None]
+    across = cross(p1 - p0, view.towards(point))
+    beside = origin + scale(direction, edge_distance)
+    across = scale(across, jnp.sign(dot(across, beside[0] - beside[1])))
     opposite = packed.edges.opposite[edge]
-    height = ((packed.vertices[opposite] - point[:, None]) * across[:, None]).sum(-1)
+    height = dot(packed.vertices[opposite] - point[:, None], across[:, None])
+    length = norm(across)
     # Faces without area are on neither side.
-    flat = jnp.abs(height) <= (rounding * norm(across))[:, None]
+    flat = jnp.abs(height) <= (rounding * length)[:, None]
     height = jnp.where((neighbours >= 0) & ~flat, height, 0.0)
     on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
     # Where a face is thinner than the step, both rays of both of its edges end beyond it, and each would count all that
     # jumps there.
-    thin = (jnp.abs(height) <= 2 * (step * pixel * norm(across))[:, None]) & (neighbours >= 0)
+    thin = (jnp.abs(height) <= 2 * (step * pixel * length)[:, None]) & (neighbours >= 0)
     once = jnp.maximum(1.0 - 0.5 * thin.sum(-1), 0.0)
     weight = jnp.where(at_edge.all(0), once * weight, weight)
     # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
     # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
-    corners = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
-    surface = at_edge | ((packed.faces[first.face][..., None] == corners[:, None]).any((-1, -2)) & first.valid)
+    around = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
+    surface = at_edge | ((packed.faces[first.face][..., None] == around[:, None]).any((-1, -2)) & first.valid)
     clear = distance >= edge_distance - tolerance
     outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
     outline = jnp.where(on_first == on_second, at_edge.all(0), outline)

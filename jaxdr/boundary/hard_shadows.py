@@ -27,7 +27,19 @@ from jaxdr.boundary.silhouettes import (
 )
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import (
+    between,
+    components,
+    corners,
+    cross,
+    dot,
+    from_components,
+    norm,
+    normalize,
+    scale,
+    triangle_normals,
+    z_of,
+)
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -175,14 +187,14 @@ def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n
     ends = packed.vertices[packed.edges.vertices[edge]]
     middle = stop_gradient(ends).mean(1)
     apex = jnp.where(infinite[light][:, None], middle + 2.0 * packed.size * places[light], places[light])
-    dark, _ = occluded_side(packed, edge, apex, jnp.full_like(edge, -1))
+    dark, _ = occluded_side(packed, edge, corners(stop_gradient(ends)), apex)
     if borders is not None:
         number = jnp.clip(index - packed.light_count * count, 0, borders.light.shape[0] - 1)
         light = jnp.where(border, borders.light[number], light)
         ends = jnp.where(border[:, None, None], borders.ends[number], ends)
         sides = stop_gradient(borders.ends[number]) - places[light][:, None]
-        plane = normalize(jnp.cross(sides[:, 0], sides[:, 1]))
-        plane = plane * -jnp.sign(dot(plane, borders.inside[number] - places[light]))[:, None]
+        plane = normalize(cross(*corners(sides)))
+        plane = scale(plane, -jnp.sign(dot(plane, borders.inside[number] - places[light])))
         dark = jnp.where(border[:, None], plane, dark)
     return Lines(light, ends, along, dark, border, used)
 
@@ -192,8 +204,8 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
     detached = jax.tree.map(stop_gradient, packed)
     places, infinite = light_places(packed)
     place, infinite = places[lines.light], infinite[lines.light][:, None]
-    along = lines.along[:, None]
-    edge_point = (1 - along) * lines.ends[:, 0] + along * lines.ends[:, 1]
+    start, end = corners(lines.ends)
+    edge_point = between(start, end, lines.along)
     still, source = stop_gradient((edge_point, place))
 
     beside = past_edge(still, still, lines.dark)
@@ -207,25 +219,25 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
     found = hit.face >= 0
     face = jnp.where(found, hit.face, 0)
 
-    def shadow(edge_point, place, corners):
+    def shadow(edge_point, place, triangle):
         """Where the light past the point meets the plane of a face."""
         ray = jnp.where(infinite, -place, edge_point - place)
-        normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = triangle_normals(triangle)
         slope = dot(normal, ray)
-        distance = dot(normal, corners[:, 0] - edge_point) / jnp.where(found & (slope != 0), slope, 1.0)
-        return edge_point + ray * jnp.where(found, distance, 0.0)[:, None]
+        distance = dot(normal, corners(triangle)[0] - edge_point) / jnp.where(found & (slope != 0), slope, 1.0)
+        return edge_point + scale(ray, jnp.where(found, distance, 0.0))
 
-    corners = packed.vertices[packed.faces[face]]
-    still_corners = stop_gradient(corners)
+    triangle = packed.vertices[packed.faces[face]]
+    still_triangle = stop_gradient(triangle)
 
     def moved(direction):
-        return jax.jvp(lambda q: shadow(q, source, still_corners), (still,), (direction,))[1]
+        return jax.jvp(lambda q: shadow(q, source, still_triangle), (still,), (direction,))[1]
 
-    position = shadow(edge_point, place, corners)
+    position = shadow(edge_point, place, triangle)
     arrived = stop_gradient(position)
     # Where an object stands on the receiver its edge has no shadow apart from it: what it hides, it hides from all.
     apart = norm(arrived - still) > 4.0 * BESIDE * jnp.abs(still).max(-1)
-    barycentric = affine_coordinates(still_corners, arrived)
+    barycentric = affine_coordinates(still_triangle, arrived)
     point = material_point(detached, face, barycentric, found & apart)
     distance2 = jnp.where(infinite[:, 0], 1.0, dot(arrived - source, arrived - source))
     intensity = light_intensity(detached, lines.light, -towards)
@@ -233,8 +245,8 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
         position=position,
         point=point,
         towards=towards,
-        arriving=intensity / jnp.where(distance2 > 0, distance2, 1.0)[:, None],
-        tangent=moved(stop_gradient(lines.ends[:, 1] - lines.ends[:, 0])),
+        arriving=scale(intensity, 1.0 / jnp.where(distance2 > 0, distance2, 1.0)),
+        tangent=moved(stop_gradient(end - start)),
         lit=moved(-lines.dark),
     )
 
@@ -286,7 +298,7 @@ def _on_film(packed: PackedScene, points: ShadowPoints) -> _OnFilm:
     camera, film = packed.camera, packed.camera.film
     still = stop_gradient(camera)
     position = stop_gradient(points.position)
-    in_front = points.point.valid & (still.local(position)[:, 2] > camera.near_clip)
+    in_front = points.point.valid & (z_of(still.local(position)) > camera.near_clip)
     ahead = still.to_world[:3, 3] + still.to_world[:3, 2]
 
     def project(camera, position):
@@ -296,8 +308,9 @@ def _on_film(packed: PackedScene, points: ShadowPoints) -> _OnFilm:
         return jax.jvp(lambda p: project(still, p), (position,), (direction,))[1]
 
     film_point, along, lit = project(camera, points.position), moved(points.tangent), moved(points.lit)
-    across = jnp.stack([along[:, 1], -along[:, 0]], -1)
-    across = across * jnp.sign(dot(across, lit))[:, None]
+    x, y = components(along)
+    across = from_components(y, -x)
+    across = scale(across, jnp.sign(dot(across, lit)))
     x0, y0, width, height = film.window
     low = jnp.asarray([x0, y0], position.dtype) - film.filter.radius
     high = jnp.asarray([x0 + width, y0 + height], position.dtype) + film.filter.radius
@@ -324,14 +337,14 @@ def film_shadow_term(
     visible = _visible(detached, points, seen, settings)
     wi = normalize(detached.camera.to_world[:3, 3] - points.point.position)
     # From the lit side to the dark one the light's own contribution is what is lost.
-    jump = -points.scattered(detached, wi) * (weight / count)[:, None]
+    jump = scale(points.scattered(detached, wi), -weight / count)
     goes = seen.film_point
     if form == "material":
         material = material_point(packed, points.point.face, points.point.barycentric, points.point.valid)
         ahead = detached.camera.to_world[:3, 3] + detached.camera.to_world[:3, 2]
         goes = goes - packed.camera.project(jnp.where(seen.inside[:, None], material.position, ahead))
     displacement = dot(seen.across, goes - stop_gradient(goes))
-    value = jnp.where(visible[:, None], jump, 0.0) * displacement[:, None]
+    value = scale(jnp.where(visible[:, None], jump, 0.0), displacement)
     return splat(packed.camera.film, seen.film_point, value)
 
 
@@ -374,23 +387,23 @@ def scattered_shadow_term(
     offset = point.position - scatterer.point.position
     distance2 = dot(offset, offset)
     distance2 = jnp.where(distance2 > 0, distance2, 1.0)
-    towards = offset / jnp.sqrt(distance2)[:, None]
+    towards = normalize(offset)
     geometry = jnp.abs(dot(point.normal, towards)) / distance2
     value = paths.table.throughput[index] * scatterer.eval(towards) * points.scattered(detached, -towards)
-    value = value * (geometry * weight)[:, None]
+    value = scale(value, geometry * weight)
     visible = point.valid & (value != 0).any(-1)
     start = scatterer.leave(towards)
-    beside = normalize(points.lit) * (4.0 * BESIDE * point.scale)[:, None]
+    beside = scale(normalize(points.lit), 4.0 * BESIDE * point.scale)
     for side in (1.0, -1.0):
         end = leave(point, -towards) + side * beside
         reach = jnp.where(visible, 1.0, 0.0).astype(start.dtype)
         visible &= ~queries.occluded(detached.geometry, queries.Rays(start, end - start, reach), settings.rays)
-    across = jnp.cross(point.normal, points.tangent)
-    across = across * jnp.sign(dot(across, points.lit))[:, None]
+    across = cross(point.normal, points.tangent)
+    across = scale(across, jnp.sign(dot(across, points.lit)))
     material = material_point(packed, point.face, point.barycentric, point.valid)
     goes = points.position - material.position
     displacement = dot(across, goes - stop_gradient(goes))
-    value = jnp.where(visible[:, None], -value, 0.0) * displacement[:, None]
+    value = scale(jnp.where(visible[:, None], value, 0.0), -displacement)
     return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(index)].add(value)
 
 

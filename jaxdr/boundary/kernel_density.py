@@ -22,6 +22,7 @@ from jaxdr.boundary.silhouettes import (
     Projection,
     SegmentEnds,
     affine_coordinates,
+    affine_rates,
     never_silhouettes,
     past_edge,
     path_segments,
@@ -30,10 +31,10 @@ from jaxdr.boundary.silhouettes import (
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import between, corners, dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
-from jaxdr.transport.interaction import leave
+from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
 from jaxdr.transport.path import Segments
 from jaxdr.transport.primary import PrimarySamples
@@ -57,10 +58,11 @@ class BoundaryPoints(NamedTuple):
     """Points of boundaries near targets, by `segment`; only `valid` ones count.
 
     `goal` is where the contribution is evaluated, `share` the density of the kernel there (per area of the plane at the
-    target, times length of boundary). `ends` and `projection` are differentiable as they say.
+    target, times length of boundary). `ends` and `projection` are differentiable as they say, `apex` is detached.
     """
 
     segment: Int[Array, " C"]
+    apex: SurfacePoint
     ends: SegmentEnds
     projection: Projection
     goal: Float[Array, "C 3"]
@@ -163,7 +165,7 @@ class KernelDensity(eqx.Module):
         key_kernels, key_lobes = jax.random.split(key)
         if chunk.record.scattered is None or not self.trace_background:
             return None, (key_kernels, None)
-        packed, paths = context.packed, path_segments(context.packed, chunk, "scattered")
+        packed, paths = context.packed, path_segments(context.packed, chunk, "scattered", differentiated=False)
         capacity = self._capacity(paths.count)
         asked, edges = lobe_edges(
             packed, state.tree, state.radius, paths, self._scale(chunk), capacity, key_lobes, context.settings
@@ -172,16 +174,16 @@ class KernelDensity(eqx.Module):
 
     def image(self, context: Context, state: Prepared, chunk: Chunk, held, answers: Answers | None):
         """Boundary term, zero in value and right in derivative, [H, W, 3]."""
-        packed, settings, record, scale = context.packed, context.settings, chunk.record, self._scale(chunk)
+        packed, settings, record, shrunk = context.packed, context.settings, chunk.record, self._scale(chunk)
         (key, edges), total = held, jnp.zeros_like(record.radiance)
         if record.direct is not None:
             paths = path_segments(packed, chunk, "direct")
-            total += self._term(packed, state, paths, record.direct, scale, self.both_sides, key, settings)
+            total += self._term(packed, state, paths, record.direct, shrunk, self.both_sides, key, settings)
         if edges is not None and answers is not None:
             total += sum_behind(packed, path_segments(packed, chunk, "scattered"), edges, answers.total)
         elif record.scattered is not None:
             paths, key = path_segments(packed, chunk, "scattered"), jax.random.fold_in(key, 1)
-            total += self._term(packed, state, paths, record.scattered, scale, False, key, settings)
+            total += self._term(packed, state, paths, record.scattered, shrunk, False, key, settings)
         return chunk.image(packed, total)
 
     def _scale(self, chunk: Chunk) -> Float[Array, " N"]:
@@ -189,7 +191,7 @@ class KernelDensity(eqx.Module):
         schedule = jnp.asarray(self.radius_schedule(), chunk.weight.dtype)
         return jnp.tile(schedule[chunk.samples % self.iterations], chunk.paths // chunk.samples.shape[0])
 
-    def _term(self, packed, prepared, paths: PathSegments, segments: Segments, scale, both_sides, key, settings):
+    def _term(self, packed, prepared, paths: PathSegments, segments: Segments, shrunk, both_sides, key, settings):
         """Boundary term of one kind of segments, summed over the bounces."""
         lit = (paths.table.weight != 0).any(-1)
         # Black where a path meets them, a map or a textured emitter may glow at the boundary.
@@ -202,35 +204,36 @@ class KernelDensity(eqx.Module):
             if glow is not None:
                 lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
-        scale = jnp.where(lit, jnp.tile(scale, segments.apex_face.shape[0]), 0.0)
-        found = self._boundary_points(packed, prepared, paths, scale, both_sides, sky, key, settings.rays)
+        shrunk = jnp.where(lit, jnp.tile(shrunk, segments.apex_face.shape[0]), 0.0)
+        found = self._boundary_points(packed, prepared, paths, shrunk, both_sides, sky, key, settings.rays)
         segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
         radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
-        weight = paths.weight(segment, goal, radiance) * paths.transfer(segment, ends, goal) * found.share[:, None]
-        displacement = projection.displacement - stop_gradient(projection.displacement)
-        value = jnp.where(found.valid[:, None], weight, 0.0) * displacement[:, None]
+        transfer = paths.transfer(segment, ends, goal, paths.scatterer(segment, found.apex))
+        weight = paths.weight(segment, goal, radiance) * transfer
+        weight = jnp.where(found.valid[:, None], scale(weight, found.share), 0.0)
+        value = scale(weight, projection.displacement - stop_gradient(projection.displacement))
         return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
 
     def _boundary_points(
-        self, packed, prepared, paths: PathSegments, scale, both_sides: bool, sky: bool, key, rays, there=False
+        self, packed, prepared, paths: PathSegments, shrunk, both_sides: bool, sky: bool, key, rays, there=False
     ) -> BoundaryPoints:
-        """Boundary points within the kernel's radius of the segments' targets; those of no `scale` have none.
+        """Boundary points within the kernel's radius of the segments' targets; those of no radius (`shrunk`) have none.
 
         The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
         """
-        ends = jax.tree.map(stop_gradient, paths.ends(jnp.arange(paths.count)))
+        ends = paths.fixed.ends(jnp.arange(paths.count))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
         if there:  # longer by a radius at most
             widest = widest / max(1.0 - self.widest, 0.5)
         still = None if prepared.moving is None else paths.stand_still(prepared.moving.shapes)
-        pairs, edge, along, density = self._pairs(packed, prepared, ends, scale, widest, still, both_sides, key, rays)
+        pairs, edge, along, density = self._pairs(packed, prepared, ends, shrunk, widest, still, both_sides, key, rays)
 
         valid = pairs.segment >= 0
         segment = jnp.where(valid, pairs.segment, 0)
         ends = paths.ends(segment)
-        projection = project_edges(packed, edge, ends, along)
-        r = prepared.radius[edge] * scale[segment]
+        apex, projection = paths.fixed.apex(segment), project_edges(packed, edge, ends, along)
+        r = prepared.radius[edge] * shrunk[segment]
         magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
         limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
         r = jnp.maximum(r, jnp.minimum(magnified, limit))
@@ -255,9 +258,9 @@ class KernelDensity(eqx.Module):
             disc = jnp.pi * r**2 if both_sides else 0.5 * jnp.pi * r**2
             share = density * projection.stretch / disc  # Eq. 16, 19
         if self.visibility_ray:
-            valid = valid & _sees_past_edge(packed, paths, segment, projection, r, whole_face, valid, rays)
+            valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
         share = packed.edges.shared(edge, share * pairs.weight)
-        return BoundaryPoints(segment, ends, projection, goal, share, valid)
+        return BoundaryPoints(segment, apex, ends, projection, goal, share, valid)
 
     def estimate_connected(
         self,
@@ -278,9 +281,9 @@ class KernelDensity(eqx.Module):
         fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
         paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
         lit = (used[:, :, None] & (weight > 0)).any(1)
-        scale = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
-        scale = jnp.where(lit, scale, 0.0).reshape(-1)
-        found = self._boundary_points(packed, prepared, paths, scale, False, packed.has_varying_sky, key, rays, True)
+        shrunk = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
+        shrunk = jnp.where(lit, shrunk, 0.0).reshape(-1)
+        found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
         size = found.valid.shape[0]
         slots, count = jnp.nonzero(found.valid, size=size, fill_value=0)[0], found.valid.sum()
         displacement = found.projection.displacement - stop_gradient(found.projection.displacement)
@@ -299,7 +302,7 @@ class KernelDensity(eqx.Module):
             cosine = dot(stop_gradient(ends.normal), normalize(stop_gradient(goal - ends.apex)))
             share = found.share[slot] * jnp.where(ends.infinite, cosine**3, 1.0)
             value = jnp.where(filled[:, None], value * (counts[layer].T * weight[:, path] * share)[..., None], 0.0)
-            value = stop_gradient(value) * displacement[slot][:, None]
+            value = scale(stop_gradient(value), displacement[slot])
             return jnp.zeros((*weight.shape, 3), value.dtype).at[:, path].add(value)
 
         return sum_over_blocks(values, slots, count)
@@ -307,17 +310,17 @@ class KernelDensity(eqx.Module):
     def _capacity(self, segments: int) -> int:
         return min(max(4096, round(self.capacity * segments)), 1 << 24)
 
-    def _pairs(self, packed, prepared, ends: SegmentEnds, scale, widest, still, both_sides, key, rays: str):
+    def _pairs(self, packed, prepared, ends: SegmentEnds, shrunk, widest, still, both_sides, key, rays: str):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None).
 
         Segments that stand `still` only have moving edges near them.
         """
-        capacity = self._capacity(scale.shape[0])
+        capacity = self._capacity(shrunk.shape[0])
         key_points, key_seed = jax.random.split(key)
         seed = jax.random.randint(key_seed, (), 0, 1 << 30)
         radius = prepared.radius
         every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
-        strips = queries.StripQuery(ends.apex, ends.target, ends.normal, scale, widest)
+        strips = queries.StripQuery(ends.apex, ends.target, ends.normal, shrunk, widest)
         options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
         if self.kernel == "edge":
             if still is None:
@@ -326,16 +329,15 @@ class KernelDensity(eqx.Module):
                 pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
             return pairs, pairs.element, None, None
         edges, along, length = self._edge_points(packed, radius, key_points)
-        segment = stop_gradient(packed.vertices)[packed.edges.vertices[edges]]
-        points = segment[:, 0] + along[:, None] * (segment[:, 1] - segment[:, 0])
+        points = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edges]]), along)
         points = queries.EdgePoints(points, edges, radius[edges])
         pairs = queries.point_candidates(packed.geometry, every, points, strips, seed, **options)
         return pairs, edges[pairs.element], along[pairs.element], length / self.points
 
     def _edge_points(self, packed: PackedScene, radius, key):
         """(edge, fraction along it, total length): points uniform over the length of all edges that count."""
-        ends = stop_gradient(packed.vertices)[packed.edges.vertices]
-        length = jnp.where(radius > 0, norm(ends[:, 1] - ends[:, 0]), 0.0)
+        start, end = corners(stop_gradient(packed.vertices)[packed.edges.vertices])
+        length = jnp.where(radius > 0, norm(end - start), 0.0)
         cdf = jnp.cumsum(length)
         u = (jnp.arange(self.points) + jax.random.uniform(key, (self.points,), cdf.dtype)) / self.points * cdf[-1]
         edge = jnp.clip(jnp.searchsorted(cdf, u, side="right"), 0, cdf.shape[0] - 1)
@@ -353,10 +355,10 @@ def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Proj
     return detached.surface_radiance(face, barycentric)
 
 
-def _inradius(corners) -> Float[Array, " C"]:
+def _inradius(triangles) -> Float[Array, " C"]:
     """Radius of the circle inscribed in triangles."""
-    a, b, c = (corners[:, k] for k in range(3))
-    return norm(jnp.cross(b - a, c - a)) / (norm(b - a) + norm(c - b) + norm(a - c))
+    a, b, c = corners(triangles)
+    return norm(triangle_normals(triangles)) / (norm(b - a) + norm(c - b) + norm(a - c))
 
 
 def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection, r, both_sides: bool):
@@ -366,18 +368,18 @@ def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projectio
     kernel; smaller faces are parts of one surface, and the strip goes on over their plane.
     """
     low, high = -r, r if both_sides else jnp.zeros_like(r)
-    width, inside = _overlap(projection.barycentric, projection.barycentric_rate, low, high)
-    large = _inradius(stop_gradient(ends.corners)) > r
+    target, normal = stop_gradient((ends.corners, ends.normal))
+    width, inside = _overlap(projection.barycentric, affine_rates(target, projection.normal), low, high)
+    large = _inradius(target) > r
     if few_emitter_faces(packed):
         on_emitter = (ends.face[:, None] == packed.emitter_faces).any(-1)
-        corners = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+        triangles = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
         same_shape = packed.face_shape[packed.emitter_faces] == packed.face_shape[ends.face][:, None]
-        height = jnp.abs(
-            dot(corners[None] - projection.point[:, None, None], stop_gradient(ends.normal)[:, None, None])
-        )
-        coplanar = same_shape & (height.max(-1) <= 1e-4 * norm(corners[:, 1] - corners[:, 0]))
-        barycentric = affine_coordinates(corners, projection.point[:, None])
-        rate = affine_coordinates(corners, corners[:, 0] + projection.normal[:, None]) - jnp.eye(3, dtype=r.dtype)[0]
+        height = jnp.abs(dot(triangles[None] - projection.point[:, None, None], normal[:, None, None]))
+        first, second, _ = corners(triangles)
+        coplanar = same_shape & (height.max(-1) <= 1e-4 * norm(second - first))
+        barycentric = affine_coordinates(triangles, projection.point[:, None])
+        rate = affine_rates(triangles, projection.normal[:, None])
         widths, insides = _overlap(barycentric, rate, low[:, None], high[:, None])
         width = jnp.where(on_emitter, jnp.where(coplanar, widths, 0.0).sum(-1), width)
         inside = jnp.where(on_emitter, (coplanar & insides).any(-1), inside)
@@ -393,16 +395,14 @@ def _overlap(barycentric, rate, low, high):
 
 
 def _sees_past_edge(
-    packed, paths: PathSegments, segment, projection: Projection, r, whole_face, valid, rays: str
+    packed, apex: SurfacePoint, projection: Projection, r, whole_face, valid, rays: str
 ) -> Bool[Array, " C"]:
-    """Whether the apex sees past the edge to the target's plane, along a ray just beside the edge."""
+    """Whether the (detached) apex sees past the edge to the target's plane, along a ray just beside the edge."""
     fraction = projection.fraction
-    apex = paths.apex(segment)
-    position = stop_gradient(apex.position)
-    past = past_edge(projection.edge_point, position, projection.normal)
-    start = leave(apex, past - position)
+    past = past_edge(projection.edge_point, apex.position, projection.normal)
+    start = leave(apex, past - apex.position)
     # Through `past` whatever the offset of the start.
-    reach = (past - start) / jnp.where(fraction > 0, fraction, 1.0)[:, None]
+    reach = scale(past - start, 1.0 / jnp.where(fraction > 0, fraction, 1.0))
     # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
     # that the target, less than a radius away, can be seen.
     short = r / jnp.maximum(norm(reach), r)

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
@@ -112,7 +111,7 @@ class LineSampling(eqx.Module):
         packed, settings = context.packed, context.settings
         if chunk.record.direct is None:
             return None, None
-        paths = path_segments(packed, chunk, "direct")
+        paths = path_segments(packed, chunk, "direct", differentiated=False)
         emitters, others = self._spreads(packed, state, paths, settings, key)
         found = None if emitters is None else _EmitterCrossings(*self._crossings(emitters), emitters.lines.both)
         asked, behind = [], []
@@ -192,7 +191,7 @@ class LineSampling(eqx.Module):
             per_chord = sum_over_blocks(scores, found, used)
             pixel = paths.path(jnp.maximum(chosen.vertex, 0)) // samples
             of_pixel = pixel_importance(per_chord, pixel, chosen.vertex >= 0, (height, width), self.floor)
-            importance = stop_gradient(importance * of_pixel[None, :, None])
+            importance = importance * of_pixel[None, :, None]
             if lines.traces_paths:
                 kept = jnp.minimum(kept, self.backgrounds * self.pilot * paths.paths / jnp.maximum(used * thinned, 1))
         return Spread(lines, shares(importance, chords), kept, key_rest)
@@ -238,7 +237,7 @@ class LineSampling(eqx.Module):
             block, weight = block
             return jnp.where(block.valid & (number < used), lines.score(drawn, block) * weight, 0.0)
 
-        score = stop_gradient(map_over_blocks(scores, (found, weight), used))
+        score = map_over_blocks(scores, (found, weight), used)
         score = score + jnp.where(score > 0, self.floor * score.sum() / jnp.maximum((score > 0).sum(), 1), 0.0)
         count = self.backgrounds * lines.paths.paths
         expected = shares(jnp.pad(score, (0, room - score.shape[0])).reshape(1, rows, ROW), count)

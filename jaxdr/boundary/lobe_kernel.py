@@ -21,7 +21,7 @@ from jaxdr.boundary.sampled_arcs import sampled_arc
 from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import corners, dot, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
@@ -34,25 +34,27 @@ def lobe_edges(
     tree: EdgeTree,
     radius: Float[Array, " E"],
     paths: PathSegments,
-    scale: Float[Array, " N"],
+    shrunk: Float[Array, " N"],
     capacity: int,
     key: PRNGKeyArray,
     settings: PathSettings,
 ) -> tuple[Requests, BehindEdges]:
     """Silhouettes near the BSDF-sampled segments of N paths, and requests for the radiance behind them; detached.
 
-    Kernel radii: `radius` x `scale` at the edge (scene units), but no more than 45 degrees.
+    Kernel radii: `radius` x `shrunk` at the edge (scene units), but no more than 45 degrees.
     """
     key_pairs, key_path = jax.random.split(key)
     direction, importance = paths.table.direction, paths.table.lobe
-    scale = jnp.where((importance != 0).any(-1), jnp.tile(scale, paths.count // paths.paths), 0.0)
-    origin = paths.apex(jnp.arange(paths.count)).position
-    reach = 2.0 * packed.size
+    shrunk = jnp.where((importance != 0).any(-1), jnp.tile(shrunk, paths.count // paths.paths), 0.0)
+    origin = paths.position(jnp.arange(paths.count))
+    reach = 2.0 * paths.distance_to_infinity
     seed = jax.random.randint(key_pairs, (), 0, 1 << 30)
     pairs = queries.edge_candidates(
         packed.geometry,
         queries.EdgeSet.of(packed.edges, radius, tree),
-        queries.StripQuery(origin, origin + reach * direction, direction, scale, jnp.full_like(scale, WIDEST * reach)),
+        queries.StripQuery(
+            origin, origin + reach * direction, direction, shrunk, jnp.full_like(shrunk, WIDEST * reach)
+        ),
         seed,
         capacity=capacity,
         both_sides=True,
@@ -65,16 +67,16 @@ def lobe_edges(
         valid = number < used
         centre = direction[segment]
         # The point of the silhouette nearest to the sampled direction.
-        vertices = packed.vertices[packed.edges.vertices[edge]]
-        s0, s1 = vertices[:, 0] - origin[segment], vertices[:, 1] - origin[segment]
+        apex = origin[segment]
+        s0, s1 = (end - apex for end in corners(packed.vertices[packed.edges.vertices[edge]]))
         along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
         seen = seen_edges(packed, paths, segment, edge, along, valid)
-        limit = jnp.minimum(radius[edge] * scale[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
+        limit = jnp.minimum(radius[edge] * shrunk[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
         scatterer = paths.scatterer(segment)
         kernel, counts = _kernel(scatterer, centre, seen.towards, seen.pole, limit)
         counts = valid & counts & scatterer.above_horizon(seen.edge_point)
-        weight = importance[segment] * packed.edges.shared(edge, kernel * pairs.weight)[:, None]
-        behind, background = look_behind(packed, paths, seen, edge, along, weight, counts, settings)
+        weight = scale(importance[segment], packed.edges.shared(edge, kernel * pairs.weight))
+        behind, background = look_behind(packed, scatterer, seen, edge, along, weight, counts, settings)
         return ask_behind(paths, seen, background, number, 0.0, key_path, "lobe_kernel", settings), behind
 
     asked, behind = map_over_blocks(look, (jnp.maximum(pairs.segment, 0), pairs.element), used)

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
@@ -35,7 +34,7 @@ class LobeLines:
         """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
         lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
-        chords = lobes.chords(apex, 2.0 * stop_gradient(self.packed.size))
+        chords = lobes.chords(apex, 2.0 * self.paths.distance_to_infinity)
         return lobes, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
@@ -46,16 +45,16 @@ class LobeLines:
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
         """Requests for the radiance behind crossings, and what it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
-        seen, _, value = self._boundary(drawn, found)
+        seen, scatterer, value = self._boundary(drawn, found)
         value, plane = scale(value, weight), drawn.plane[found.chord]
         behind, background = look_behind(
-            packed, paths, seen, found.edge, found.along, value, found.valid, self.settings
+            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
         )
         # Emission of what is no surface, and that of surfaces as it counts beside chords on them.
         emission = jnp.zeros_like(weight)
         if packed.environment is not None or self.both is not None:
-            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, plane, background)
-            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, plane, seen.towards)
+            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)
+            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, scatterer, plane, seen.towards)
             emission = jnp.where(background.valid, surfaces, sky)
         return ask_behind(paths, seen, background, number, emission, key, "lobe_lines", self.settings), behind
 
@@ -64,6 +63,6 @@ class LobeLines:
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)
         lobes = LobeChords(*(table[found.chord] for table in drawn))
-        counts = found.valid & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        counts = found.valid & scatterer.above_horizon(seen.edge_point)
         weight = jnp.where(counts, lobe_weight(scatterer, lobes, seen.towards), 0.0)
-        return seen, scatterer, self.paths.table.throughput[found.vertex] * weight[:, None]
+        return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)

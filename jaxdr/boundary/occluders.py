@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.continuous_velocity import Auxiliary
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize
+from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import OFFSET, SurfacePoint, detached_barycentric, leave
 
@@ -78,14 +78,14 @@ def find_occluders(
     length = norm(offset)
 
     normal = jnp.where(infinite[:, None], -target_normal, faces.normal[face])
-    facing = -dot(normal, offset)
-    shown = -dot(ends.normal, ends.target - ends.apex)[row]
+    facing, to_target = -dot(normal, offset), ends.target - ends.apex
+    shown = -dot(ends.normal, to_target)[row]
     alike = infinite | (facing * shown > 0)
-    height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, ends.target - ends.apex))[row]
+    height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, to_target))[row]
     above = height > 0
 
-    corners = packed.vertices[packed.faces[face]]
-    end = position + (OFFSET * jnp.abs(corners).max((1, 2)) * jnp.sign(facing))[:, None] * normal
+    largest = jnp.abs(packed.vertices[packed.faces[face]]).max((1, 2))
+    end = position + scale(normal, OFFSET * largest * jnp.sign(facing))
     start = leave(origin, offset)
     end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
     reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
@@ -107,27 +107,26 @@ def find_occluders(
     return Occluders(hidden, hit, at.reshape(*full, 3), boundary, own)
 
 
-def _to_sides(packed: PackedScene, face, barycentric):
-    """Distances of points on faces to the three sides."""
-    corners = packed.vertices[packed.faces[face]]
-    a, b, c = (corners[:, k] for k in range(3))
+def _to_sides(triangles, barycentric):
+    """Distances of points on triangles to the three sides."""
+    a, b, c = corners(triangles)
     lengths = norm(jnp.stack([c - b, a - c, b - a], 1))
-    return barycentric * norm(jnp.cross(b - a, c - a))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
+    return barycentric * norm(triangle_normals(triangles))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
 
 
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
     """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
-    corners = packed.vertices[packed.faces[face]]
-    position = interpolate(corners, barycentric)
+    triangles = packed.vertices[packed.faces[face]]
+    position = interpolate(triangles, barycentric)
     offset = position - apex
     length = norm(offset)
     length = jnp.where(length > 0, length, 1.0)
     behind = faces.behind[face]
     slope = dot(faces.normal[face], offset)
     # A point on side k for each of the sides: the corner after k.
-    on_side = jnp.roll(corners, -1, axis=1) - apex[:, None]
+    on_side = jnp.roll(triangles, -1, axis=1) - apex[:, None]
     neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
     ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0) if normal_edges else behind < 0
-    to_side = jnp.where(ends_here, _to_sides(packed, face, barycentric), jnp.inf).min(-1)
+    to_side = jnp.where(ends_here, _to_sides(triangles, barycentric), jnp.inf).min(-1)
     # At a smooth silhouette the cosine falls as the root of the distance.
     return jnp.minimum((slope / length) ** 2, to_side / length)

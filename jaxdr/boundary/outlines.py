@@ -8,7 +8,15 @@ from jaxtyping import Array, Float
 
 from jaxdr.boundary.occluders import Faces
 from jaxdr.boundary.silhouettes import SegmentEnds, affine_coordinates
-from jaxdr.geometry.vector import norm, orthonormal_basis
+from jaxdr.geometry.vector import (
+    components,
+    corners,
+    cross,
+    norm,
+    orthonormal_basis,
+    scale,
+    triangle_normals,
+)
 from jaxdr.scene.packed import PackedScene
 
 STRIP = 0.0625  # width of the strip along an outline, in widths of the kernel
@@ -37,22 +45,21 @@ def keep_inside(packed: PackedScene, faces: Faces, ends: SegmentEnds, width: Flo
     # Side k is opposite of corner k.
     start, end = jnp.roll(ends.corners, -1, axis=1), jnp.roll(ends.corners, -2, axis=1)
     lengths = norm(end - start)
-    edges = (end - start) / jnp.where(lengths > 0, lengths, 1.0)[..., None]
-    across = jnp.cross(edges, unit[:, None])
-    area = norm(jnp.cross(ends.corners[:, 1] - ends.corners[:, 0], ends.corners[:, 2] - ends.corners[:, 0]))
-    height = area[:, None] / jnp.where(lengths > 0, lengths, 1.0)
+    inverse = 1.0 / jnp.where(lengths > 0, lengths, 1.0)
+    across = corners(cross(scale(end - start, inverse), unit[:, None]))
+    area = norm(triangle_normals(ends.corners))
+    height = area[:, None] * inverse
     on_surface = ~ends.infinite & (area > 0)
-    corners = jnp.where(on_surface[:, None, None], ends.corners, jnp.eye(3, dtype=strip.dtype))
+    triangles = jnp.where(on_surface[:, None, None], ends.corners, jnp.eye(3, dtype=strip.dtype))
 
     def along(point):
-        distance = affine_coordinates(corners, point) * height
+        distance = affine_coordinates(triangles, point) * height
         share = 1.0 - jnp.clip(distance / strip, 0.0, 1.0)
         share = jnp.where(on_surface[:, None], share, 0.0)
         result = jnp.broadcast_to(jnp.eye(3, dtype=strip.dtype), (point.shape[0], 3, 3))
-        for side in range(3):
-            normal = across[:, side]
+        for normal, part in zip(across, components(share), strict=True):
             crossing = jnp.einsum("nj,njk->nk", normal, result)
-            result = result - share[:, side, None, None] * normal[:, :, None] * crossing[:, None]
+            result = result - scale(normal, part)[:, :, None] * crossing[:, None]
         return result
 
     spread = jnp.zeros_like(ends.target)

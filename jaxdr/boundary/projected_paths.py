@@ -17,7 +17,7 @@ from jaxdr.boundary.edge_lunes import EdgeLunes, EdgePoints, passing
 from jaxdr.boundary.edge_reservoir import passes
 from jaxdr.boundary.occluders import connect_faces
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, norm
+from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, intersect, leave, on_fixed_ray
@@ -107,8 +107,8 @@ def _nearest_silhouettes(
         rows = sides[face]
         start, side = lunes.start[rows], lunes.side[rows]
         on_edge = jnp.clip(passes(each[0], each[1], start, side).along, 0.0, 1.0)
-        offset = start + on_edge[..., None] * side - each[0]
-        miss = norm(offset - dot(offset, each[1])[..., None] * each[1])
+        offset = start + scale(side, on_edge) - each[0]
+        miss = norm(offset - scale(each[1], dot(offset, each[1])))
         silhouette = passing(lunes, rows.reshape(-1), each[1].reshape(-1, 3)).silhouette.reshape(rows.shape)
         here = silhouette.any(1) & ~found
         best = jnp.where(silhouette, miss, jnp.inf).argmin(1)[:, None]

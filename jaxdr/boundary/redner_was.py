@@ -33,7 +33,7 @@ from jaxdr.boundary.divergence import (
 from jaxdr.boundary.occluders import Faces, connect_faces
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.term import Chunk, Context
-from jaxdr.geometry.vector import dot, norm, normalize
+from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 
@@ -106,18 +106,17 @@ class RednerWAS(eqx.Module):
         away = ends.target - ends.apex
         reach = norm(away)
         reach = jnp.where(reach > 0, reach, 1.0)
-        towards = jnp.where(ends.infinite[:, None], packed.turned(paths.table.direction), away / reach[:, None])
-        one, two = (ends.corners[:, k] - ends.corners[:, 0] for k in (1, 2))
-        cross = jnp.cross(one, two)
-        normal, area = normalize(cross), norm(cross)
+        towards = jnp.where(ends.infinite[:, None], packed.turned(paths.table.direction), scale(away, 1.0 / reach))
+        plane = triangle_normals(ends.corners)
+        normal, area = normalize(plane), norm(plane)
         there = area > 0
         ratio = jnp.where(there, area, 1.0) / stop_gradient(jnp.where(there, area, 1.0))
         # Solid angle per area of the emitter's reference surface.
-        angle = jnp.where(ends.infinite, 1.0, jnp.abs(dot(normal, towards)) / reach**2 * ratio)[:, None]
-        lit = paths.table.visible & (measure(stop_gradient(towards)) * angle != 0).any(-1)
+        angle = jnp.where(ends.infinite, 1.0, jnp.abs(dot(normal, towards)) / reach**2 * ratio)
+        lit = paths.table.visible & (scale(measure(stop_gradient(towards)), angle) != 0).any(-1)
 
         # Along with the emitter's points, div (F m): leave it out of the interior term.
-        along = jnp.where(lit[:, None], measure(towards) * angle, 0.0)
+        along = jnp.where(lit[:, None], scale(measure(towards), angle), 0.0)
         warp = self._warp(packed, fixed, prepared, paths, measure, *stop_gradient((towards, angle)), lit, key, settings)
         return warp - (along - stop_gradient(along))
 
@@ -126,7 +125,7 @@ class RednerWAS(eqx.Module):
         # Directions are frames of their own: what turns the environment is in F.
         still = dataclasses.replace(packed, environment_turns=False)
         index = jnp.arange(paths.paths)
-        apex = jax.tree.map(stop_gradient, paths.apex(index))
+        apex = paths.fixed.apex(index)
         count, everywhere = paths.paths, jnp.ones(paths.paths, bool)
         ends = SegmentEnds(
             apex=apex.position,
@@ -142,11 +141,11 @@ class RednerWAS(eqx.Module):
         velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
 
         def f(direction):
-            return measure(direction) * angle
+            return scale(measure(direction), angle)
 
         def moved(slot):
             row = velocities.row(slot)
-            return displacement(still, paths.apex(row).position, everywhere[row], velocities.seen(slot))
+            return displacement(still, paths.position(row), everywhere[row], velocities.seen(slot))
 
         # On the unit sphere a direction is where the target is, less the apex.
         around_apex = dataclasses.replace(ends, target=towards)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import dot
+from jaxdr.geometry.vector import dot, scale, z_of
 from jaxdr.transport.shading import Scatterer
 
 
@@ -54,7 +54,7 @@ def sampled_arc(
 ) -> SampledArc:
     """Within `reach` (radians) of boundary points, on great circles along the unit tangents `along`."""
     mu, e = scatterer.frame.to_local(boundary), scatterer.frame.to_local(along)
-    side = scatterer.sampled_side(jnp.sign(mu[:, 2]))
+    side = scatterer.sampled_side(jnp.sign(z_of(mu)))
     low, high = -reach, reach
     for rim in side:
         low, high = _within(dot(rim.axis, mu), dot(rim.axis, e), rim.least, low, high)
@@ -76,7 +76,7 @@ def on_same_side(
     """
     through = scatterer.spreads_through()
     assert through is not None  # asked only where some surface does
-    normal = jnp.sign(dot(scatterer.normal, centre))[:, None] * scatterer.normal
+    normal = scale(scatterer.normal, jnp.sign(dot(scatterer.normal, centre)))
     start, end = _within(dot(normal, boundary), dot(normal, along), jnp.zeros_like(low), low, high)
     return jnp.where(through, start, low), jnp.where(through, end, high)
 

@@ -1,5 +1,6 @@
 """Silhouettes as seen from the near end of a path segment, projected to its far end."""
 
+import copy
 from typing import Literal
 
 import equinox as eqx
@@ -9,7 +10,19 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.term import Chunk
-from jaxdr.geometry.vector import dot, interpolate, norm, normalize
+from jaxdr.geometry.vector import (
+    between,
+    corners,
+    cross,
+    dot,
+    from_components,
+    interpolate,
+    norm,
+    normalize,
+    scale,
+    transform,
+    triangle_normals,
+)
 from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -53,18 +66,23 @@ def _mixed(apex, attached, seen: Footprint | None, goal):
     if seen is None:
         return apex
     offset = goal - stop_gradient(apex)
-    share = seen.share(dot(offset, offset))[:, None]
-    return (1 - share) * apex + share * attached
+    return between(apex, attached, seen.share(dot(offset, offset)))
 
 
 class PathSegments:
     """The segments of N paths, flattened over the bounces and looked up by number.
 
-    Where some vertices slide, `vertices` says how all of them move.
+    Where some vertices slide, `vertices` says how all of them move. `fixed` are the same segments, detached; themselves
+    where nothing is `differentiated`.
     """
 
     def __init__(
-        self, packed: PackedScene, primary: PrimarySamples, segments: Segments, vertices: Vertices | None = None
+        self,
+        packed: PackedScene,
+        primary: PrimarySamples,
+        segments: Segments,
+        vertices: Vertices | None = None,
+        differentiated: bool = True,
     ):
         bounces, self.paths = segments.apex_face.shape
         self.packed, self.view, self.near = packed, primary.view, primary.near
@@ -73,6 +91,14 @@ class PathSegments:
         self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size
+        self.fixed = copy.copy(self)
+        if differentiated:
+            moving = (packed, self.view, self.near, self.first, self.first_wi, self.table, self.vertices)
+            fixed = self.fixed
+            fixed.packed, fixed.view, fixed.near, fixed.first, fixed.first_wi, fixed.table, fixed.vertices = (
+                stop_gradient(moving)
+            )
+        self.fixed.fixed = self.fixed
 
     def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
         """Which segments have two ends that do not move, from which shapes do; detached.
@@ -98,8 +124,19 @@ class PathSegments:
         if self.vertices is not None:
             moving = self.vertices
             return point._replace(position=moving.position[index], shading_normal=moving.shading_normal[index])
-        on_ray = (index < self.paths)[:, None]
-        return point._replace(position=jnp.where(on_ray, self.first.position[self.path(index)], point.position))
+        return point._replace(position=self._on_ray(index, point.position))
+
+    def position(self, index: Int[Array, " C"]) -> Float[Array, "C 3"]:
+        """Near ends: the positions of `apex`."""
+        if self.vertices is not None:
+            return self.vertices.position[index]
+        return self._on_ray(
+            index, on_face(self.packed, self.table.apex_face[index], self.table.apex_barycentric[index])
+        )
+
+    def _on_ray(self, index, position):
+        """First hits where the segment is the path's second one."""
+        return jnp.where((index < self.paths)[:, None], self.first.position[self.path(index)], position)
 
     def ends(self, index: Int[Array, " C"]) -> SegmentEnds:
         """Both ends."""
@@ -115,10 +152,8 @@ class PathSegments:
         direction: Float[Array, "C 3"],
     ) -> SegmentEnds:
         """The near ends, and other material points (directions where `infinite`) for far ends."""
-        apex = self.apex(index).position
-        corners = self.packed.vertices[self.packed.faces[face]]
-        normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-        on_face = interpolate(corners, barycentric)
+        apex = self.position(index)
+        triangle = self.packed.vertices[self.packed.faces[face]]
         far = infinite[:, None]
         attached, seen = self._attached(index, apex)
         if seen is not None:
@@ -126,10 +161,14 @@ class PathSegments:
         return SegmentEnds(
             apex=apex,
             apex_face=self.table.apex_face[index],
-            target=jnp.where(far, apex + self.distance_to_infinity * self.packed.turned(direction), on_face),
-            normal=jnp.where(far, direction, normal),
+            target=jnp.where(
+                far,
+                apex + self.distance_to_infinity * self.packed.turned(direction),
+                interpolate(triangle, barycentric),
+            ),
+            normal=jnp.where(far, direction, normalize(triangle_normals(triangle))),
             face=face,
-            corners=corners,
+            corners=triangle,
             infinite=infinite,
             turn=self.packed.environment.turn() if self.packed.environment_turns else None,
             attached=attached,
@@ -148,9 +187,10 @@ class PathSegments:
         seen = jax.tree.map(stop_gradient, seen._replace(size2=jnp.where(on_ray, seen.size2, 0.0)))
         return attached, seen
 
-    def apex_towards(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """Near ends as they move for light from `goal`."""
-        apex = self.apex(index).position
+    def apex_towards(
+        self, index: Int[Array, " C"], apex: Float[Array, "C 3"], goal: Float[Array, "C 3"]
+    ) -> Float[Array, "C 3"]:
+        """Near ends, of positions `apex`, as they move for light from `goal`."""
         return _mixed(apex, *self._attached(index, apex), goal)
 
     def weight(
@@ -169,39 +209,53 @@ class PathSegments:
             weight = jnp.where(infinite[:, None], unlit[index] * sky, weight)
         if unlit is not None and radiance is not None:
             weight = jnp.where(infinite[:, None], weight, unlit[index] * radiance)
-        return weight * far[:, None]
+        return scale(weight, far)
 
     def direction(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """From the near ends to `goal`; detached."""
-        offset = stop_gradient(goal - self.apex(index).position)
+        offset = stop_gradient(goal) - self.fixed.position(index)
         there = dot(offset, offset) > 0
         return normalize(jnp.where(there[:, None], offset, 1.0))
 
-    def scatterer(self, index: Int[Array, " C"]) -> Scatterer:
-        """The BSDF at the near ends; detached."""
-        apex = jax.tree.map(stop_gradient, self.apex(index))
-        before = jnp.maximum(index - self.paths, 0)
-        previous = stop_gradient(self.apex(before).position)
+    def scatterer(self, index: Int[Array, " C"], apex: SurfacePoint | None = None) -> Scatterer:
+        """The BSDF at the near ends; detached. `apex`: these, detached, where they are at hand."""
+        fixed = self.fixed
+        if apex is None:
+            apex = fixed.apex(index)
+        previous = fixed.position(jnp.maximum(index - self.paths, 0))
         on_ray = (index < self.paths)[:, None]
-        wi = jnp.where(on_ray, stop_gradient(self.first_wi)[self.path(index)], normalize(previous - apex.position))
-        return Scatterer(jax.tree.map(stop_gradient, self.packed), apex, wi)
+        wi = jnp.where(on_ray, fixed.first_wi[self.path(index)], normalize(previous - apex.position))
+        return Scatterer(fixed.packed, apex, wi)
 
-    def transfer(self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached."""
-        scatterer = self.scatterer(index)
+    def transfer(
+        self, index: Int[Array, " C"], ends: SegmentEnds, goal: Float[Array, "C 3"], scatterer: Scatterer | None = None
+    ) -> Float[Array, "C 3"]:
+        """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached.
+
+        `scatterer` is that of the near ends, where it is at hand.
+        """
+        if scatterer is None:
+            scatterer = self.scatterer(index)
         offset = goal - scatterer.point.position
         distance2 = dot(offset, offset)
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
-        towards = offset / jnp.sqrt(distance2)[:, None]
-        return scatterer.eval(towards) * (jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)[:, None]
+        towards = normalize(offset)
+        return scale(scatterer.eval(towards), jnp.abs(dot(stop_gradient(ends.normal), towards)) / distance2)
 
 
-def path_segments(packed: PackedScene, chunk: Chunk, kind: Literal["direct", "scattered"]) -> PathSegments:
-    """The segments of one kind of a chunk's paths."""
+def on_face(packed: PackedScene, face: Int[Array, " C"], barycentric: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    """Positions of material points."""
+    return interpolate(packed.vertices[packed.faces[face]], stop_gradient(barycentric))
+
+
+def path_segments(
+    packed: PackedScene, chunk: Chunk, kind: Literal["direct", "scattered"], differentiated: bool = True
+) -> PathSegments:
+    """The segments of one kind of a chunk's paths; not `differentiated` in `Term.draw`."""
     record = chunk.record
     segments = getattr(record, kind)
     vertices = jax.tree.map(lambda x: x[: segments.apex_face.shape[0]], record.vertices)
-    return PathSegments(packed, chunk.primary, segments, vertices)
+    return PathSegments(packed, chunk.primary, segments, vertices, differentiated)
 
 
 class Projection(eqx.Module):
@@ -212,7 +266,7 @@ class Projection(eqx.Module):
     - `displacement` = normal . (projected edge point - material point there): its derivative is the scalar normal
       velocity V (Eq. 6).
     - `stretch`: length on the plane per length of edge.
-    - `barycentric` coordinates of `point` on the target's face, and their rate of change along `normal`.
+    - `barycentric` coordinates of `point` on the target's face.
     """
 
     point: Float[Array, "C 3"]
@@ -222,94 +276,99 @@ class Projection(eqx.Module):
     displacement: Float[Array, " C"]
     stretch: Float[Array, " C"]
     barycentric: Float[Array, "C 3"]
-    barycentric_rate: Float[Array, "C 3"]
 
 
 def project_edges(
     packed: PackedScene, edge: Int[Array, " C"], ends: SegmentEnds, along: Float[Array, " C"] | None = None
 ) -> Projection:
     """Project edges: the foot of the perpendicular from the target, or the point `along` the 3D edge (0 to 1)."""
-    vertices = packed.vertices[packed.edges.vertices[edge]]
-    p0, p1 = vertices[:, 0], vertices[:, 1]
-    apex, target, normal = (stop_gradient(x) for x in (ends.apex, ends.target, ends.normal))
-    s0, s1 = stop_gradient(p0) - apex, stop_gradient(p1) - apex
-    height = _nonzero(dot(normal, target - apex))
+    p0, p1 = corners(packed.vertices[packed.edges.vertices[edge]])
+    apex, target, normal, still0, still1 = stop_gradient((ends.apex, ends.target, ends.normal, p0, p1))
+    s0, s1, to_target = still0 - apex, still1 - apex, target - apex
+    height = _nonzero(dot(normal, to_target))
     if along is None:
-        along = foot_on_edge(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, target - apex)
-    point = (1 - along)[:, None] * p0 + along[:, None] * p1
+        along = foot_on_edge(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, to_target)
+    point = between(p0, p1, along)
 
-    to_edge = stop_gradient(point) - apex
-    on_plane = apex + to_edge * (height / _nonzero(dot(normal, to_edge)))[:, None]
+    edge_point = stop_gradient(point)
+    to_edge = edge_point - apex
+    depth = _nonzero(dot(normal, to_edge))
+    to_plane = scale(to_edge, height / depth)
+    on_plane = apex + to_plane
     moving_apex = ends.apex_towards(on_plane)
     offset = point - moving_apex
-    scale = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
-    projected = moving_apex + offset * scale[:, None]
+    reach = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
+    projected = moving_apex + scale(offset, reach)
 
-    plane, own = occluded_side(packed, edge, apex, ends.apex_face)
-    in_plane = normalize(plane - dot(plane, normal)[:, None] * normal)
+    apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
+    plane, own = occluded_side(packed, edge, (still0, still1), apex, ends.apex_face, stop_gradient(apex_triangle))
+    in_plane = normalize(plane - scale(normal, dot(plane, normal)))
 
     # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
-    corners = stop_gradient(ends.corners)
-    barycentric = affine_coordinates(corners, on_plane)
-    rate = affine_coordinates(corners, corners[:, 0] + in_plane) - jnp.asarray([1.0, 0.0, 0.0], barycentric.dtype)
+    barycentric = affine_coordinates(stop_gradient(ends.corners), on_plane)
     rigid = interpolate(ends.corners, barycentric)
-    sky = on_plane - apex if ends.turn is None else (on_plane - apex) @ ends.turn.T
+    sky = to_plane if ends.turn is None else transform(ends.turn, to_plane)
     material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
     # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that
     # is close by, its motion would be the difference of two fast ones.
-    corner = packed.vertices[packed.faces[ends.apex_face, 0]]
-    horizon = dot(horizon_normal(packed, ends.apex_face, plane), corner - on_plane) / _nonzero(dot(plane, in_plane))
+    to_corner = corners(apex_triangle)[0] - on_plane
+    horizon = dot(horizon_normal(apex_triangle, plane), to_corner) / _nonzero(dot(plane, in_plane))
     moved = jnp.where(own, horizon, dot(in_plane, projected))
 
     tangent = normalize(s1 - s0)
-    depth = _nonzero(dot(normal, to_edge))[:, None]
-    stretch = norm(height[:, None] * (tangent / depth - to_edge * dot(normal, tangent)[:, None] / depth**2))
+    across = tangent - scale(to_edge, dot(normal, tangent) / depth)
     return Projection(
         point=on_plane,
-        edge_point=stop_gradient(point),
-        fraction=depth[:, 0] / height,
+        edge_point=edge_point,
+        fraction=depth / height,
         normal=in_plane,
         displacement=moved - dot(in_plane, material),
-        stretch=stretch,
+        stretch=norm(across) * jnp.abs(height / depth),
         barycentric=barycentric,
-        barycentric_rate=rate,
     )
 
 
 def occluded_side(
-    packed: PackedScene, edge: Int[Array, " C"], apex: Float[Array, "C 3"], apex_face: Int[Array, " C"]
+    packed: PackedScene,
+    edge: Int[Array, " C"],
+    ends: tuple[Float[Array, "C 3"], Float[Array, "C 3"]],
+    apex: Float[Array, "C 3"],
+    apex_face: Int[Array, " C"] | None = None,
+    apex_triangle: Float[Array, "C 3 3"] | None = None,
 ) -> tuple[Float[Array, "C 3"], Bool[Array, " C"]]:
-    """(unit normals of the planes through apexes and silhouettes, towards the faces there, detached; own face or not).
+    """(unit normals of the planes through apexes and silhouettes, towards the faces there; own face or not).
 
-    Own are edges of the apex's own face: silhouettes where that face sets. The plane is the face's there.
+    Own are edges of the apex's own face: silhouettes where that face sets. The plane is the face's there. All positions
+    are detached: `ends` of the edges, and `apex_triangle`, the corners of the apexes' faces; None where they lie in no
+    face.
     """
-    vertices, edges = stop_gradient(packed.vertices), packed.edges
-    p0, p1 = vertices[edges.vertices[edge, 0]], vertices[edges.vertices[edge, 1]]
-    a, b, c = (vertices[packed.faces[apex_face, k]] for k in range(3))
-    own = (edges.faces[edge] == apex_face[:, None]) & (apex_face >= 0)[:, None]
-    plane = jnp.where(own.any(-1, keepdims=True), jnp.cross(b - a, c - a), jnp.cross(p0 - apex, p1 - p0))
-    # The apex's own face lies in the plane: the face furthest from it tells the side.
-    opposite = edges.opposite[edge]
-    height = (plane[:, None] * (vertices[opposite] - p0[:, None])).sum(-1)
-    height = jnp.where((opposite >= 0) & ~own, height, 0.0)
-    furthest = jnp.take_along_axis(height, jnp.abs(height).argmax(-1)[:, None], 1)
-    return normalize(plane) * jnp.sign(furthest), own.any(-1)
+    (p0, p1), opposite = ends, packed.edges.opposite[edge]
+    plane, counts, own = cross(p0 - apex, p1 - p0), opposite >= 0, jnp.zeros(edge.shape, bool)
+    if apex_face is not None and apex_triangle is not None:
+        of_apex = (packed.edges.faces[edge] == apex_face[:, None]) & (apex_face >= 0)[:, None]
+        own = of_apex.any(-1)
+        plane = jnp.where(own[:, None], triangle_normals(apex_triangle), plane)
+        counts = counts & ~of_apex  # the apex's own face lies in the plane
+    # The face furthest from the plane tells the side.
+    height = dot(plane[:, None], stop_gradient(packed.vertices)[opposite] - p0[:, None])
+    height = jnp.where(counts, height, 0.0)
+    highest, lowest = height.max(-1), height.min(-1)
+    furthest = jnp.where(highest >= -lowest, highest, lowest)
+    return scale(normalize(plane), jnp.sign(furthest)), own
 
 
-def horizon_normal(packed: PackedScene, face: Int[Array, " C"], normal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-    """Unit normals of faces, turned to the side of `normal`; differentiable."""
-    a, b, c = (packed.vertices[packed.faces[face, k]] for k in range(3))
-    moving = normalize(jnp.cross(b - a, c - a))
-    return moving * jnp.sign(dot(stop_gradient(moving), normal))[:, None]
+def horizon_normal(triangle: Float[Array, "C 3 3"], normal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+    """Unit normals of triangles, turned to the side of `normal`; differentiable."""
+    moving = normalize(triangle_normals(triangle))
+    return scale(moving, jnp.sign(dot(stop_gradient(moving), normal)))
 
 
 def past_edge(
     edge_point: Float[Array, "C 3"], apex: Float[Array, "C 3"], normal: Float[Array, "C 3"]
 ) -> Float[Array, "C 3"]:
-    """Points just beside edges for visibility rays from `apex`; `normal` points to the occluded side. Detached."""
-    edge_point = stop_gradient(edge_point)
+    """Points just beside edges for visibility rays from `apex`; `normal` points to the occluded side."""
     beside = BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(apex).max(-1))
-    return edge_point - beside[:, None] * normal
+    return edge_point - scale(normal, beside)
 
 
 def _nonzero(x):
@@ -317,14 +376,25 @@ def _nonzero(x):
     return jnp.where(x == 0, 1.0, x)
 
 
-def affine_coordinates(corners: Float[Array, "*#n 3 3"], point: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+def affine_coordinates(triangles: Float[Array, "*#n 3 3"], point: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Barycentric coordinates of points in the planes of triangles."""
-    origin = corners[..., 0, :]
-    e1, e2, q = corners[..., 1, :] - origin, corners[..., 2, :] - origin, point - origin
-    normal = jnp.cross(e1, e2)
+    a, b, c = corners(triangles)
+    v, w = _along_sides(b - a, c - a, point - a)
+    return from_components(1 - v - w, v, w)
+
+
+def affine_rates(triangles: Float[Array, "*#n 3 3"], along: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
+    """Rates of change of `affine_coordinates` along vectors."""
+    a, b, c = corners(triangles)
+    v, w = _along_sides(b - a, c - a, along)
+    return from_components(-v - w, v, w)
+
+
+def _along_sides(one, two, offset):
+    """Coordinates of vectors in the plane of two sides of a triangle."""
+    normal = cross(one, two)
     squared = dot(normal, normal)
-    v, w = dot(jnp.cross(q, e2), normal) / squared, dot(jnp.cross(e1, q), normal) / squared
-    return jnp.stack([1 - v - w, v, w], -1)
+    return dot(cross(offset, two), normal) / squared, dot(cross(one, offset), normal) / squared
 
 
 def foot_on_edge(s0, s1, f0, f1, target):
@@ -335,9 +405,8 @@ def foot_on_edge(s0, s1, f0, f1, target):
     c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
     rise = _nonzero(f1 - f0)
     t0, t1 = jnp.where(c0 == f0, 0.0, (c0 - f0) / rise), jnp.where(c1 == f1, 1.0, (c1 - f0) / rise)
-    q0, q1 = s0 + t0[:, None] * (s1 - s0), s0 + t1[:, None] * (s1 - s0)
-    start = q0 / c0[:, None]
-    line = q1 / c1[:, None] - start
+    start = scale(between(s0, s1, t0), 1.0 / c0)
+    line = scale(between(s0, s1, t1), 1.0 / c1) - start
     s = jnp.clip(dot(target - start, line) / _nonzero(dot(line, line)), 0.0, 1.0)
     # Equal steps on the plane are not equal steps on the edge (perspective).
     tau = s * c0 / _nonzero(s * c0 + (1 - s) * c1)

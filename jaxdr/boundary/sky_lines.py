@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
@@ -13,13 +12,14 @@ from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.sampled_arcs import on_same_side, place
 from jaxdr.boundary.silhouettes import PathSegments
-from jaxdr.geometry.vector import dot, normalize, scale
+from jaxdr.geometry.vector import cross, dot, normalize, scale, z_of
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
 from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
 
 
 class SkyShare(NamedTuple):
@@ -36,14 +36,16 @@ class SkyShare(NamedTuple):
     lobes: Float[Array, "B P n"]
 
     def of_skies(
-        self, found: Crossings, plane: Float[Array, "C 3"], towards: Float[Array, "C 3"]
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], towards: Float[Array, "C 3"]
     ) -> Float[Array, " C"]:
-        """Share of the former at boundary points in unit directions `towards`, crossed in planes of normals `plane`."""
+        """Share of the former at boundary points in unit directions `towards`, crossed in planes of normals `plane`.
+
+        `scatterer` at the apexes.
+        """
         skies, lobes = (table.reshape(-1)[found.vertex] for table in (self.skies, self.lobes))
-        scatterer = self.paths.scatterer(found.vertex)
         other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
         sampler = self.packed.environment_sampler
-        rate = stop_gradient(sampler.pdf(towards)) * 2.0 * _extent(self.packed, towards) / math.pi * skies
+        rate = sampler.pdf(towards) * 2.0 * _extent(self.packed, towards) / math.pi * skies
         return balance(rate, other)
 
 
@@ -69,12 +71,12 @@ class SkyLines:
         centre = packed.environment_sampler.sample(u[:, :2])
         plane = random_across(centre, u[:, 2])
         reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
-        pdf = stop_gradient(jnp.asarray(packed.environment_sampler.pdf(centre)))
+        pdf = jnp.asarray(packed.environment_sampler.pdf(centre))
         drawn = LobeChords(centre, pdf, plane, reach)
 
         apex = scatterer.leave_scattering(centre)
-        chords = drawn.chords(apex, 2.0 * stop_gradient(packed.size))
-        rises = scatterer.cosine(centre) * jnp.sign(scatterer.wi[:, 2]) > -jnp.sin(reach)
+        chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity)
+        rises = scatterer.cosine(centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
         through = scatterer.spreads_through()
         rises = rises if through is None else rises | through
         chords = chords._replace(useful=chords.useful & rises)
@@ -82,32 +84,32 @@ class SkyLines:
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""
-        seen, weight = self._boundary(drawn, found)
-        radiance = self._radiance(seen.towards) * self._share(drawn, found, seen.towards)[:, None]
-        weight = weight * self.paths.scatterer(found.vertex).eval(seen.towards) * radiance
+        seen, scatterer, weight = self._boundary(drawn, found)
+        radiance = scale(self._radiance(seen.towards), self._share(drawn, found, scatterer, seen.towards))
+        weight = weight * scatterer.eval(seen.towards) * radiance
         return luminance(weight) / seen.distance
 
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
         """Requests for the environment's radiance behind crossings, and what it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
-        seen, value = self._boundary(drawn, found)
-        value = scale(value, weight * self._share(drawn, found, seen.towards))
+        seen, scatterer, value = self._boundary(drawn, found)
+        value = scale(value, weight * self._share(drawn, found, scatterer, seen.towards))
         behind, background = look_behind(
-            packed, paths, seen, found.edge, found.along, value, found.valid, self.settings
+            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
         )
         emission = jnp.where(background.valid, 0.0, jnp.ones_like(weight))
         return ask_behind(paths, seen, background, number, emission, key, "sky_lines", self.settings), behind
 
     def _radiance(self, towards: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        return environment_radiance(jax.tree.map(stop_gradient, self.packed), towards)
+        return environment_radiance(self.packed, towards)
 
-    def _share(self, drawn: LobeChords, found: Crossings, towards: Float[Array, "C 3"]) -> Float[Array, " C"]:
+    def _share(self, drawn: LobeChords, found: Crossings, scatterer: Scatterer, towards) -> Float[Array, " C"]:
         if self.both is None:
             return jnp.ones(found.chord.shape, towards.dtype)
-        return self.both.of_skies(found, drawn.plane[found.chord], towards)
+        return self.both.of_skies(found, scatterer, drawn.plane[found.chord], towards)
 
     def _boundary(self, drawn: LobeChords, found: Crossings):
-        """(the crossed edges as seen, contributions without BSDF, radiance and normal velocity).
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).
 
         The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary, and
         on the side that it is seen from.
@@ -117,15 +119,15 @@ class SkyLines:
         centre, pdf = drawn.centre[found.chord], drawn.pdf[found.chord]
         extent = _extent(self.packed, seen.towards)
         near = dot(seen.towards, centre) > jnp.cos(extent)
-        counts = found.valid & near & scatterer.above_horizon(stop_gradient(seen.edge_point))
+        counts = found.valid & near & scatterer.above_horizon(seen.edge_point)
         half = extent
         if scatterer.spreads_through() is not None:
-            along = normalize(jnp.cross(drawn.plane[found.chord], seen.towards))
+            along = normalize(cross(drawn.plane[found.chord], seen.towards))
             low, high = on_same_side(scatterer, seen.towards, along, centre, -extent, extent)
             t = place(seen.towards, along, centre)
             half, counts = 0.5 * (high - low), counts & (t > low) & (t < high)
         weight = jnp.where(counts, 0.25 * math.pi / (half * jnp.where(pdf > 0, pdf, 1.0)), 0.0)
-        return seen, self.paths.table.throughput[found.vertex] * weight[:, None]
+        return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)
 
 
 def _extent(packed: PackedScene, towards: Float[Array, "C 3"]) -> Float[Array, " C"]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from jaxdr.geometry.vector import scale
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathRecord, PathSettings
@@ -111,4 +112,4 @@ def detached(context: Context, chunk: Chunk) -> tuple[Context, Chunk]:
 def pixel_sums(packed: PackedScene, values: Float[Array, "N 3"], weight: Float[Array, " n"]) -> Float[Array, "H W 3"]:
     """Image of values of all samples, those of a pixel in a row; `weight` of the samples by their numbers."""
     _, _, width, height = packed.camera.film.window
-    return (values.reshape(width * height, -1, 3) * weight[:, None]).sum(1).reshape(height, width, 3)
+    return scale(values.reshape(width * height, -1, 3), weight).sum(1).reshape(height, width, 3)

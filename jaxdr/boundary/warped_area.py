@@ -22,7 +22,7 @@ from jaxdr.boundary.divergence import (
 from jaxdr.boundary.occluders import Faces, connect_faces
 from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates, path_segments
 from jaxdr.boundary.term import Chunk, Context
-from jaxdr.geometry.vector import dot, interpolate, normalize
+from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.emission import environment_radiance
@@ -140,7 +140,7 @@ class WarpedArea(eqx.Module):
 
     def _bounce_term(self, packed, fixed, faces, paths, measure, index, kinds, key, settings):
         """f div v + grad f . v of N segments."""
-        ends = jax.tree.map(stop_gradient, paths.ends(index))
+        ends = paths.fixed.ends(index)
         f = measure(index, ends)
         value = f(ends.target)
         lit = paths.table.visible[index] & (value != 0).any(-1)
@@ -153,7 +153,7 @@ class WarpedArea(eqx.Module):
 
     def _velocities(self, fixed, faces, paths, index, ends, lit, kinds, key, rays) -> Velocities:
         """Velocities of the auxiliary points of N segments, and what they count for the targets."""
-        apex = jax.tree.map(stop_gradient, paths.apex(index))
+        apex = paths.fixed.apex(index)
         return hidden_velocities(fixed, faces, apex, ends, lit, self.around(fixed, *kinds), key, rays)
 
     def estimate_connected(
@@ -193,14 +193,14 @@ class WarpedArea(eqx.Module):
 
     def _target_motion(self, packed, fixed, faces, paths, index, lit, kinds, key, rays):
         """(mean velocities of the targets of N segments, in their planes, divergences); zero in value."""
-        ends = jax.tree.map(stop_gradient, paths.ends(index))
+        ends = paths.fixed.ends(index)
         velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, rays)
 
         def terms(slot, number):
             row, filled = velocities.row(slot), number < velocities.used
             moved = _moved(packed, paths, index, ends, velocities, slot)
             normal, inside = ends.normal[row], velocities.inside(slot, moved)
-            in_plane = (inside - dot(inside, normal)[:, None] * normal) * velocities.share[slot][:, None]
+            in_plane = scale(inside - scale(normal, dot(inside, normal)), velocities.share[slot])
             in_plane = jnp.where(filled[:, None], in_plane, 0.0)
             stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
             shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
@@ -213,12 +213,12 @@ def _moved(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds, v
     """Displacements of the occluders in slots: zero, with the derivative v."""
     row, seen = velocities.row(slot), velocities.seen(slot)
     far = ends.infinite[row]
-    apex = paths.apex_towards(index[row], seen.position)
-    apex = jnp.where(far[:, None], paths.apex(index[row]).position, apex)
-    return displacement(packed, apex, far, seen)
+    apex = paths.position(index[row])
+    near = paths.apex_towards(index[row], apex, seen.position)
+    return displacement(packed, jnp.where(far[:, None], apex, near), far, seen)
 
 
-def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[Array, "N 1"]]:
+def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
     """(unit directions from the apexes, cosine over squared distance) of points in the planes of the targets.
 
     At infinity there is no such factor: densities there are per solid angle.
@@ -227,9 +227,8 @@ def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[A
     distance2 = dot(offset, offset)
     there = distance2 > 0
     distance2 = jnp.where(there, distance2, 1.0)
-    towards = jnp.where(there[:, None], offset, 1.0) / jnp.sqrt(distance2)[:, None]
-    factor = jnp.where(ends.infinite, 1.0, jnp.abs(dot(ends.normal, towards)) / distance2)
-    return towards, factor[:, None]
+    towards = jnp.where(there[:, None], scale(offset, 1.0 / jnp.sqrt(distance2)), 1.0)
+    return towards, jnp.where(ends.infinite, 1.0, jnp.abs(dot(ends.normal, towards)) / distance2)
 
 
 def _direct_measure(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds) -> Measure:
@@ -245,7 +244,7 @@ def _direct_measure(packed: PackedScene, paths: PathSegments, index, ends: Segme
         if table.unlit is not None and packed.glow:
             radiance = packed.surface_radiance(ends.face, affine_coordinates(ends.corners, position))
             weight = jnp.where(ends.infinite[:, None], weight, table.unlit[index] * radiance)
-        return weight * scatterer.eval(towards) * factor
+        return scale(weight * scatterer.eval(towards), factor)
 
     return measure
 
@@ -257,7 +256,7 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     """
     scatterer, after = paths.scatterer(index), index + paths.paths
     towards, factor = _geometry(ends, ends.target)
-    seen = stop_gradient(factor) * scatterer.eval(towards)
+    seen = scale(scatterer.eval(towards), stop_gradient(factor))
     # Their weights contain that of the segment itself, at its target.
     itself = jnp.where(seen != 0, 1.0 / jnp.where(seen != 0, seen, 1.0), 0.0)
     parts: list[Onward] = [(direct.table, after, direct.table.visible)]
@@ -268,7 +267,7 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
         towards, factor = _geometry(ends, position)
         point = on_fixed_ray(packed, position, ends.normal, ends.face)
         arriving = sent_back(packed, Scatterer(packed, point, -towards), parts)
-        return itself * scatterer.eval(towards) * factor * arriving
+        return scale(itself * scatterer.eval(towards) * arriving, factor)
 
     return measure
 
@@ -283,12 +282,12 @@ def sent_back(packed: PackedScene, target: Scatterer, parts: list[Onward]) -> Fl
     for table, number, visible in parts:
         there = number < table.target_face.shape[0]
         number = jnp.where(there, number, 0)
-        corners = packed.vertices[packed.faces[table.target_face[number]]]
-        end = interpolate(corners, table.target_barycentric[number])
-        normal = normalize(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        triangle = packed.vertices[packed.faces[table.target_face[number]]]
+        end = interpolate(triangle, table.target_barycentric[number])
+        normal = normalize(triangle_normals(triangle))
         infinite, direction = table.infinite[number], table.direction[number]
-        beyond = SegmentEnds(position, target.point.face, end, normal, table.target_face[number], corners, infinite)
+        beyond = SegmentEnds(position, target.point.face, end, normal, table.target_face[number], triangle, infinite)
         outgoing, geometry = _geometry(beyond, jnp.where(infinite[:, None], position + direction, end))
         carried = jnp.where((there & visible[number])[:, None], table.weight[number], 0.0)
-        arriving += carried * target.eval(outgoing) * geometry
+        arriving += scale(carried * target.eval(outgoing), geometry)
     return arriving

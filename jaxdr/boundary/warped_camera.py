@@ -15,7 +15,7 @@ from jaxdr.boundary.occluders import Faces
 from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.boundary.warped_area import Onward, WarpedArea, sent_back
-from jaxdr.geometry.vector import interpolate, norm, normalize
+from jaxdr.geometry.vector import interpolate, norm, normalize, scale
 from jaxdr.scene.camera import View
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
@@ -140,7 +140,7 @@ def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentE
 
     detached = stop_gradient(importance(ends.target))
     seen = detached > 0
-    scale = jnp.where(seen, 1.0 / jnp.where(seen, detached, 1.0), 0.0)
+    inverse = jnp.where(seen, 1.0 / jnp.where(seen, detached, 1.0), 0.0)
 
     def measure(position):
         towards = normalize(position - ends.apex)
@@ -149,7 +149,7 @@ def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentE
         if parts:
             back = sent_back(packed, Scatterer(packed, point, -towards), parts)
             radiance += jnp.where(far, 0.0, back)
-        return (importance(position) * scale)[:, None] * radiance
+        return scale(radiance, importance(position) * inverse)
 
     return measure
 
@@ -171,5 +171,5 @@ def _displacement(packed: PackedScene, view: View, far: Bool[Array, " C"], seen:
     before = packed.vertices[packed.faces[seen.occluder]]
     towards = normalize(interpolate(before, seen.on_occluder) - apex)
     still = view.rays(stop_gradient(view.project(seen.position)))[1]
-    on_sphere = norm(offset)[:, None] * (towards - still)
+    on_sphere = scale(towards - still, norm(offset))
     return jnp.where(far[:, None], on_sphere - stop_gradient(on_sphere), moved)

@@ -105,6 +105,20 @@ def interpolate(
 
 
 @jax.jit
+def between(a: Float[ArrayLike, "*#n d"], b: Float[ArrayLike, "*#n d"], share: Float[ArrayLike, "*#n"]):
+    """Points at the shares of the ways from `a` to `b`, [*n, d]."""
+    rest = jnp.subtract(1, share)
+    return from_components(*(rest * x + share * y for x, y in zip(components(a), components(b), strict=True)))
+
+
+@jax.jit
+def triangle_normals(triangles: Float[ArrayLike, "*n 3 3"]) -> Float[Array, "*n 3"]:
+    """Vector products of two sides: normals of twice the area's length."""
+    a, b, c = corners(triangles)
+    return cross(b - a, c - a)
+
+
+@jax.jit
 def transform(matrix: Float[ArrayLike, "*#n m 3"], v: Float[ArrayLike, "*#n 3"]) -> Float[Array, "*#n m"]:
     """matrix @ v for every row."""
     matrix, (x, y, z) = jnp.asarray(matrix), components(v)

@@ -50,16 +50,16 @@ class Footprint(NamedTuple):
     """What a pixel sees at points in the scene: `size2`, the squared standard deviation of the filter there (across the
     ray), and `cosine2`, squared, between ray and normal."""
 
-    size2: Float[Array, " N"]
-    cosine2: Float[Array, " N"]
+    size2: Float[Array, "*n"]
+    cosine2: Float[Array, "*n"]
 
-    def share(self, distance2: Float[Array, " N"]) -> Float[Array, " N"]:
+    def share(self, distance2: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """s^2 / (s^2 + (d cosine)^2); zero where `size2` is."""
         whole = self.size2 + self.cosine2 * distance2
         return jnp.where(whole > 0, self.size2 / jnp.where(whole > 0, whole, 1.0), 0.0)
 
 
-def footprint(camera: View, position: Float[Array, "N 3"], normal: Float[Array, "N 3"]) -> Footprint:
+def footprint(camera: View, position: Float[Array, "*#n 3"], normal: Float[Array, "*#n 3"]) -> Footprint:
     """Footprint of a pixel, at points with the unit normals `normal`."""
     stddev = camera.film.filter.stddev
     return Footprint((stddev * camera.pixel_size(position)) ** 2, dot(normal, camera.towards(position)) ** 2)
