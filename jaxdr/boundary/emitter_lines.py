@@ -17,6 +17,7 @@ from jaxdr.boundary.chords import (
 )
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
+from jaxdr.boundary.on_planes import OnPlanes
 from jaxdr.boundary.silhouettes import PathSegments, project_edges
 from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
@@ -90,15 +91,9 @@ class EmitterLines:
 
     traces_paths = False
 
-    def __init__(
-        self,
-        packed: PackedScene,
-        prepared: Prepared,
-        paths: PathSegments,
-        settings: PathSettings,
-        both: Centres | None = None,
-    ):
-        self.packed, self.prepared, self.paths, self.settings, self.both = packed, prepared, paths, settings, both
+    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
+        self.both: Centres | None = None
 
     def search(self, chosen: Chosen, key, room: int):
         """(chords, crossings, weight of the thinning, number of crossings)."""
@@ -119,16 +114,16 @@ class EmitterLines:
         projection, weight, _, _ = self._boundary(drawn, found)
         return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
 
-    def value(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> Float[Array, "C 3"]:
-        """Contributions times `weight`: zero in value, right in derivative."""
+    def on_planes(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> OnPlanes:
+        """The crossings as points on the emitters' planes, with their contributions times `weight`."""
         projection, value, point, scatterer = self._boundary(drawn, found)
         if self.both is not None:
             chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
             plane = chords.plane(scatterer.point.position)
             pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
             weight = weight * self.both.weight_of_emitters(found, scatterer, plane, point, pdf, length)
-        moved = projection.displacement - stop_gradient(projection.displacement)
-        return scale(value, weight * moved)
+        here = point.face, point.barycentric, jnp.zeros_like(found.valid), jnp.zeros_like(point.position)
+        return OnPlanes(found.vertex, found.edge, projection, *here, scale(value, weight))
 
     def _boundary(self, drawn: EmitterChords, found: Crossings):
         """(the crossed edges projected onto the emitter, contributions without normal velocity, the points, BSDFs)."""

@@ -17,12 +17,14 @@ from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
 from jaxdr.boundary.lobe_kernel import lobe_edges
 from jaxdr.boundary.moving_edges import MovingEdges, apart_candidates, moving_edges
+from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
 from jaxdr.boundary.silhouettes import (
     PathSegments,
     Projection,
     SegmentEnds,
     affine_coordinates,
     affine_rates,
+    displacement,
     never_silhouettes,
     past_edge,
     path_segments,
@@ -36,7 +38,6 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
-from jaxdr.transport.path import Segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 
@@ -62,12 +63,22 @@ class BoundaryPoints(NamedTuple):
     """
 
     segment: Int[Array, " C"]
+    edge: Int[Array, " C"]
     apex: SurfacePoint
     ends: SegmentEnds
     projection: Projection
     goal: Float[Array, "C 3"]
     share: Float[Array, " C"]
     valid: Bool[Array, " C"]
+    used: Int[Array, ""]
+
+
+class _Held(NamedTuple):
+    """Boundary points near segments of both kinds, with how many slots are filled, and those with a background."""
+
+    direct: tuple[OnPlanes, Int[Array, ""]] | None
+    scattered: tuple[OnPlanes, Int[Array, ""]] | None
+    behind: BehindEdges | None
 
 
 class KernelDensity(eqx.Module):
@@ -160,30 +171,34 @@ class KernelDensity(eqx.Module):
 
     def draw(
         self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
-    ) -> tuple[Requests | None, tuple[PRNGKeyArray, BehindEdges | None]]:
-        """What lies behind silhouettes near BSDF-sampled directions, and requests for its radiance."""
-        key_kernels, key_lobes = jax.random.split(key)
-        if chunk.record.scattered is None or not self.trace_background:
-            return None, (key_kernels, None)
-        packed, paths = context.packed, path_segments(context.packed, chunk, "scattered", differentiated=False)
-        capacity = self._capacity(paths.count)
-        asked, edges = lobe_edges(
-            packed, state.tree, state.radius, paths, self._scale(chunk), capacity, key_lobes, context.settings
-        )
-        return asked, (key_kernels, edges)
-
-    def image(self, context: Context, state: Prepared, chunk: Chunk, held, answers: Answers | None):
-        """Boundary term, zero in value and right in derivative, [H, W, 3]."""
+    ) -> tuple[Requests | None, "_Held"]:
+        """Boundary points near segments, and requests for the radiance behind those near BSDF-sampled directions."""
         packed, settings, record, shrunk = context.packed, context.settings, chunk.record, self._scale(chunk)
-        (key, edges), total = held, jnp.zeros_like(record.radiance)
+        key_direct, key_scattered = jax.random.split(key)
+        asked = direct = scattered = behind = None
         if record.direct is not None:
-            paths = path_segments(packed, chunk, "direct")
-            total += self._term(packed, state, paths, record.direct, shrunk, self.both_sides, key, settings)
-        if edges is not None and answers is not None:
-            total += sum_behind(packed, path_segments(packed, chunk, "scattered"), edges, answers.total)
-        elif record.scattered is not None:
-            paths, key = path_segments(packed, chunk, "scattered"), jax.random.fold_in(key, 1)
-            total += self._term(packed, state, paths, record.scattered, shrunk, False, key, settings)
+            paths = path_segments(packed, chunk, "direct", differentiated=False)
+            direct = self._near(packed, state, paths, shrunk, self.both_sides, key_direct, settings)
+        if record.scattered is not None:
+            paths = path_segments(packed, chunk, "scattered", differentiated=False)
+            if self.trace_background:
+                capacity = self._capacity(paths.count)
+                tables = state.tree, state.radius, paths, shrunk, capacity
+                asked, behind = lobe_edges(packed, *tables, key_scattered, settings)
+            else:
+                scattered = self._near(packed, state, paths, shrunk, False, key_scattered, settings)
+        return asked, _Held(direct, scattered, behind)
+
+    def image(
+        self, context: Context, state: Prepared, chunk: Chunk, held: "_Held", answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
+        for kind, near in (("direct", held.direct), ("scattered", held.scattered)):
+            if near is not None:
+                total += sum_on_planes(packed, path_segments(packed, chunk, kind), *near)
+        if held.behind is not None and answers is not None:
+            total += sum_behind(packed, path_segments(packed, chunk, "scattered"), held.behind, answers.total)
         return chunk.image(packed, total)
 
     def _scale(self, chunk: Chunk) -> Float[Array, " N"]:
@@ -191,8 +206,8 @@ class KernelDensity(eqx.Module):
         schedule = jnp.asarray(self.radius_schedule(), chunk.weight.dtype)
         return jnp.tile(schedule[chunk.samples % self.iterations], chunk.paths // chunk.samples.shape[0])
 
-    def _term(self, packed, prepared, paths: PathSegments, segments: Segments, shrunk, both_sides, key, settings):
-        """Boundary term of one kind of segments, summed over the bounces."""
+    def _near(self, packed, prepared, paths: PathSegments, shrunk, both_sides, key, settings):
+        """(boundary points near one kind of segments, how many slots are filled); detached."""
         lit = (paths.table.weight != 0).any(-1)
         # Black where a path meets them, a map or a textured emitter may glow at the boundary.
         sky = paths.table.unlit is not None and packed.has_varying_sky
@@ -204,15 +219,17 @@ class KernelDensity(eqx.Module):
             if glow is not None:
                 lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
-        shrunk = jnp.where(lit, jnp.tile(shrunk, segments.apex_face.shape[0]), 0.0)
+        shrunk = jnp.where(lit, jnp.tile(shrunk, paths.count // paths.paths), 0.0)
         found = self._boundary_points(packed, prepared, paths, shrunk, both_sides, sky, key, settings.rays)
         segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
         radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
         transfer = paths.transfer(segment, ends, goal, paths.scatterer(segment, found.apex))
         weight = paths.weight(segment, goal, radiance) * transfer
         weight = jnp.where(found.valid[:, None], scale(weight, found.share), 0.0)
-        value = scale(weight, projection.displacement - stop_gradient(projection.displacement))
-        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(segment)].add(value)
+        table = paths.table
+        target = table.target_face[segment], table.target_barycentric[segment]
+        far = table.infinite[segment], table.direction[segment]
+        return OnPlanes(segment, found.edge, projection, *target, *far, weight), found.used
 
     def _boundary_points(
         self, packed, prepared, paths: PathSegments, shrunk, both_sides: bool, sky: bool, key, rays, there=False
@@ -230,7 +247,7 @@ class KernelDensity(eqx.Module):
         pairs, edge, along, density = self._pairs(packed, prepared, ends, shrunk, widest, still, both_sides, key, rays)
 
         valid = pairs.segment >= 0
-        segment = jnp.where(valid, pairs.segment, 0)
+        used, segment = valid.sum(), jnp.where(valid, pairs.segment, 0)
         ends = paths.ends(segment)
         apex, projection = paths.fixed.apex(segment), project_edges(packed, edge, ends, along)
         r = prepared.radius[edge] * shrunk[segment]
@@ -260,7 +277,7 @@ class KernelDensity(eqx.Module):
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
         share = packed.edges.shared(edge, share * pairs.weight)
-        return BoundaryPoints(segment, apex, ends, projection, goal, share, valid)
+        return BoundaryPoints(segment, edge, apex, ends, projection, goal, share, valid, used)
 
     def estimate_connected(
         self,
@@ -286,7 +303,8 @@ class KernelDensity(eqx.Module):
         found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
         size = found.valid.shape[0]
         slots, count = jnp.nonzero(found.valid, size=size, fill_value=0)[0], found.valid.sum()
-        displacement = found.projection.displacement - stop_gradient(found.projection.displacement)
+        moved = displacement(packed, found.edge, found.ends, found.projection)
+        moved = moved - stop_gradient(moved)
         counts = jnp.asarray(used, weight.dtype)
 
         def values(slot, number):
@@ -295,14 +313,14 @@ class KernelDensity(eqx.Module):
             path, layer = paths.path(segment), segment // paths.paths
             filled = number < count
             offset = jnp.where(filled[:, None], stop_gradient(goal - ends.target), 0.0)
-            moved = jnp.zeros((used.shape[0], *offset.shape), offset.dtype)
-            moved = moved.at[layer, jnp.arange(slot.shape[0])].set(offset)
-            value = moved_contributions(fixed, rows_of(drawn, path), moved)
+            shift = jnp.zeros((used.shape[0], *offset.shape), offset.dtype)
+            shift = shift.at[layer, jnp.arange(slot.shape[0])].set(offset)
+            value = moved_contributions(fixed, rows_of(drawn, path), shift)
             # Per area of the plane at the target: of the environment, drawn per solid angle, by its cosine's cube.
             cosine = dot(stop_gradient(ends.normal), normalize(stop_gradient(goal - ends.apex)))
             share = found.share[slot] * jnp.where(ends.infinite, cosine**3, 1.0)
             value = jnp.where(filled[:, None], value * (counts[layer].T * weight[:, path] * share)[..., None], 0.0)
-            value = scale(stop_gradient(value), displacement[slot])
+            value = scale(stop_gradient(value), moved[slot])
             return jnp.zeros((*weight.shape, 3), value.dtype).at[:, path].add(value)
 
         return sum_over_blocks(values, slots, count)

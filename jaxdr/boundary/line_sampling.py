@@ -11,11 +11,11 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.background import BehindEdges, sum_behind
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.chords import EmitterChords
 from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lobe_lines import LobeLines
+from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, path_segments
 from jaxdr.boundary.sky_lines import SkyLines, SkyShare
 from jaxdr.boundary.term import Chunk, Context
@@ -36,20 +36,10 @@ class Spread(NamedTuple):
     key: PRNGKeyArray
 
 
-class _EmitterCrossings(NamedTuple):
-    """Crossings of chords on emitters; `both` says what they weigh beside other chords."""
-
-    drawn: EmitterChords
-    found: Crossings
-    weight: Float[Array, " C"]
-    used: Int[Array, ""]
-    both: Centres | None
-
-
 class _Held(NamedTuple):
     """What `draw` found."""
 
-    emitters: _EmitterCrossings | None
+    emitters: tuple[OnPlanes, Int[Array, ""]] | None
     behind: list[BehindEdges]
 
 
@@ -113,7 +103,7 @@ class LineSampling(eqx.Module):
             return None, None
         paths = path_segments(packed, chunk, "direct", differentiated=False)
         emitters, others = self._spreads(packed, state, paths, settings, key)
-        found = None if emitters is None else _EmitterCrossings(*self._crossings(emitters), emitters.lines.both)
+        found = None if emitters is None else self._on_emitters(emitters)
         asked, behind = [], []
         for spread in others:
             requests, edges = self._look_behind(spread)
@@ -130,16 +120,7 @@ class LineSampling(eqx.Module):
             return chunk.image(packed, total)
         paths = path_segments(packed, chunk, "direct")
         if held.emitters is not None:
-            drawn, found, weight, used, both = held.emitters
-            lines = EmitterLines(packed, state, paths, context.settings, both)
-
-            def values(block, number):
-                block, weight = block
-                block = block._replace(valid=block.valid & (number < used))
-                value = lines.value(drawn, block, weight)
-                return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(block.vertex)].add(value)
-
-            total += sum_over_blocks(values, (found, weight), used)
+            total += sum_on_planes(packed, paths, *held.emitters)
         first = 0
         for edges in held.behind:
             last = first + edges.behind.segment.shape[0]
@@ -211,6 +192,17 @@ class LineSampling(eqx.Module):
         if lines.traces_paths:
             found, weight, used = self._kept(lines, drawn, found, weight, used, key_kept)
         return drawn, found, weight, used
+
+    def _on_emitters(self, spread: Spread) -> tuple[OnPlanes, Int[Array, ""]]:
+        """(boundary points that chords on emitters find, how many slots are filled)."""
+        drawn, found, weight, used = self._crossings(spread)
+
+        def points(block, number):
+            block, weight = block
+            block = block._replace(valid=block.valid & (number < used))
+            return spread.lines.on_planes(drawn, block, weight)
+
+        return map_over_blocks(points, (found, weight), used), used
 
     def _look_behind(self, spread: Spread) -> tuple[Requests, BehindEdges]:
         """What is behind crossings of geodesic chords, and requests for its radiance."""

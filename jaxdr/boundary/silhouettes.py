@@ -259,21 +259,24 @@ def path_segments(
 
 
 class Projection(eqx.Module):
-    """Edges projected from the apex onto the plane at the target; all but `displacement` detached.
+    """Edges projected from the apex onto the plane at the target; detached.
 
-    - `point` on the projected edge, `edge_point` on the 3D edge, `fraction` of the way to the plane at which that lies.
-    - `normal`: unit, in the plane, towards the side of the edge's faces (the occluded side).
-    - `displacement` = normal . (projected edge point - material point there): its derivative is the scalar normal
-      velocity V (Eq. 6).
+    - `along`: the fraction of the 3D edge, `edge_point` the point there; `fraction` of the way to the plane at which
+      that lies, `point` its projection.
+    - `pole`: unit normal of the plane through apex and edge, `normal`: unit, in the target's plane; both towards the
+      side of the edge's faces (the occluded side). `own` marks edges of the apex's own face.
     - `stretch`: length on the plane per length of edge.
     - `barycentric` coordinates of `point` on the target's face.
     """
+
+    along: Float[Array, " C"]
 
     point: Float[Array, "C 3"]
     edge_point: Float[Array, "C 3"]
     fraction: Float[Array, " C"]
     normal: Float[Array, "C 3"]
-    displacement: Float[Array, " C"]
+    pole: Float[Array, "C 3"]
+    own: Bool[Array, " C"]
     stretch: Float[Array, " C"]
     barycentric: Float[Array, "C 3"]
 
@@ -282,50 +285,56 @@ def project_edges(
     packed: PackedScene, edge: Int[Array, " C"], ends: SegmentEnds, along: Float[Array, " C"] | None = None
 ) -> Projection:
     """Project edges: the foot of the perpendicular from the target, or the point `along` the 3D edge (0 to 1)."""
+    packed, ends = stop_gradient((packed, ends))
     p0, p1 = corners(packed.vertices[packed.edges.vertices[edge]])
-    apex, target, normal, still0, still1 = stop_gradient((ends.apex, ends.target, ends.normal, p0, p1))
-    s0, s1, to_target = still0 - apex, still1 - apex, target - apex
+    apex, normal = ends.apex, ends.normal
+    s0, s1, to_target = p0 - apex, p1 - apex, ends.target - apex
     height = _nonzero(dot(normal, to_target))
     if along is None:
         along = foot_on_edge(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, to_target)
-    point = between(p0, p1, along)
-
-    edge_point = stop_gradient(point)
+    edge_point = between(p0, p1, along)
     to_edge = edge_point - apex
     depth = _nonzero(dot(normal, to_edge))
-    to_plane = scale(to_edge, height / depth)
-    on_plane = apex + to_plane
+    point = apex + scale(to_edge, height / depth)
+    pole, own = occluded_side(
+        packed, edge, (p0, p1), apex, ends.apex_face, packed.vertices[packed.faces[ends.apex_face]]
+    )
+    tangent = normalize(s1 - s0)
+    across = tangent - scale(to_edge, dot(normal, tangent) / depth)
+    return Projection(
+        along=along,
+        point=point,
+        edge_point=edge_point,
+        fraction=depth / height,
+        normal=normalize(pole - scale(normal, dot(pole, normal))),
+        pole=pole,
+        own=own,
+        stretch=norm(across) * jnp.abs(height / depth),
+        barycentric=affine_coordinates(ends.corners, point),
+    )
+
+
+def displacement(
+    packed: PackedScene, edge: Int[Array, " C"], ends: SegmentEnds, projection: Projection
+) -> Float[Array, " C"]:
+    """normal . (projected edge point - material point there): its derivative is the normal velocity V (Eq. 6)."""
+    on_plane, in_plane, pole = projection.point, projection.normal, projection.pole
+    point = between(*corners(packed.vertices[packed.edges.vertices[edge]]), projection.along)
     moving_apex = ends.apex_towards(on_plane)
     offset = point - moving_apex
     reach = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
     projected = moving_apex + scale(offset, reach)
-
-    apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
-    plane, own = occluded_side(packed, edge, (still0, still1), apex, ends.apex_face, stop_gradient(apex_triangle))
-    in_plane = normalize(plane - scale(normal, dot(plane, normal)))
-
     # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
-    barycentric = affine_coordinates(stop_gradient(ends.corners), on_plane)
-    rigid = interpolate(ends.corners, barycentric)
+    rigid = interpolate(ends.corners, projection.barycentric)
+    to_plane = on_plane - stop_gradient(ends.apex)
     sky = to_plane if ends.turn is None else transform(ends.turn, to_plane)
     material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
     # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that
     # is close by, its motion would be the difference of two fast ones.
+    apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
     to_corner = corners(apex_triangle)[0] - on_plane
-    horizon = dot(horizon_normal(apex_triangle, plane), to_corner) / _nonzero(dot(plane, in_plane))
-    moved = jnp.where(own, horizon, dot(in_plane, projected))
-
-    tangent = normalize(s1 - s0)
-    across = tangent - scale(to_edge, dot(normal, tangent) / depth)
-    return Projection(
-        point=on_plane,
-        edge_point=edge_point,
-        fraction=depth / height,
-        normal=in_plane,
-        displacement=moved - dot(in_plane, material),
-        stretch=norm(across) * jnp.abs(height / depth),
-        barycentric=barycentric,
-    )
+    horizon = dot(horizon_normal(apex_triangle, pole), to_corner) / _nonzero(dot(pole, in_plane))
+    return jnp.where(projection.own, horizon, dot(in_plane, projected)) - dot(in_plane, material)
 
 
 def occluded_side(
