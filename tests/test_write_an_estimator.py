@@ -37,7 +37,7 @@ def test_file_and_document():
     assert isinstance(UniformEdges(), jd.Term)
 
 
-def scene() -> jd.Scene:
+def box_scene() -> jd.Scene:
     """A box beside the picture; its soft shadow, and what the lit box sends to the floor, are in it."""
     shapes = {
         "box": jd.Shape(box((0.6, 0.6, 0.6), center=(0.0, 0.0, 0.7))),
@@ -48,17 +48,20 @@ def scene() -> jd.Scene:
             jd.AreaEmitter(10.0),
         ),
     }
-    camera = jd.Perspective(jd.look_at([3, -3, 3], [0.6, 0, 0], [0, 0, 1]), 10.0, jd.Film(8, 8, jd.Box()))
+    camera = jd.Perspective(jd.look_at([3, -3, 3], [1.3, 0, 0], [0, 0, 1]), 8.0, jd.Film(8, 8, jd.Box()))
     return jd.Scene(shapes, camera)
+
+
+SCENE = box_scene()
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def by_x(tracer, spp, differences, key):
     """Derivative of the mean image by a translation of the box, [8, 8]: by `render`'s rule, or central differences."""
-    of, vertices = scene(), scene().parameters()["box.vertices"]
+    vertices = SCENE.parameters()["box.vertices"]
 
     def image(x):
-        moved = of.replace({"box.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
+        moved = SCENE.replace({"box.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
         return jd.render(moved, key, spp=spp, integrator=tracer).mean(-1)
 
     if differences:
@@ -133,7 +136,7 @@ def test_plan(at_root, tmp_path, capsys, monkeypatch):
         return {name: Measured(spp, 0.1, 1.0, {"interior": 0.5}) for name, (_, spp) in settings.items()}
 
     monkeypatch.setattr(Pilot, "__call__", pilot)
-    found = jd.plan(scene(), ["box.translate.x"], boundary=UniformEdges(2), max_depth=2)
+    found = jd.plan(SCENE, ["box.translate.x"], boundary=UniformEdges(2), max_depth=2)
     assert found.integrator.boundary == UniformEdges(2)
     table = json.loads(json.dumps(found.to_dict()))
     assert table["integrator"]["boundary"] == {"kind": NAME, "points": 2}
