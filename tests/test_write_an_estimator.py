@@ -1,6 +1,7 @@
 """The estimator of docs/write_an_estimator.md: right, and used by name wherever those of the library are."""
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -165,9 +166,8 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_clear_errors(at_root, capsys, name):
     words = BROKEN[name]
-    with pytest.raises(ValueError, match=".") as problem:
+    with pytest.raises(ValueError, match=re.escape(words)):
         estimator_class(name)
-    assert words in str(problem.value)
     assert cli.main(["gradient", "scene.xml", "--wrt", "x", "-o", "x.npy", "--boundary", name]) == 2
     message = capsys.readouterr().err
     assert words in message and message.strip().count("\n") == 0
