@@ -78,7 +78,7 @@ def test_a_soft_shadow_moves_as_differences_say(depth):
         rows = np.stack([by_x(tracer, spp, differences, key) for key in KEYS])
         return rows.reshape(len(KEYS), 2, 4, 2, 4).mean((2, 4))
 
-    found = quarters(jd.PathTracer(depth, UniformEdges(points=4)), 64, False)
+    found = quarters(jd.PathTracer(depth, UniformEdges(points=8)), 64, False)
     right = quarters(jd.PathTracer(depth, boundary=None), 1024, True)
     error = np.sqrt((found.var(0, ddof=1) + right.var(0, ddof=1)) / len(KEYS))
     size = np.abs(right.mean(0)).max()
