@@ -70,7 +70,7 @@ class FilmEdges:
     """
 
     def __init__(self, *kinds: str):
-        self.kinds = kinds or KINDS
+        self.kinds: tuple[str, ...] = kinds or KINDS
         self.name = "edges" if len(self.kinds) > 1 else self.kinds[0]
 
     def prepare(self, context: Context, key) -> EdgeDistribution | None:
