@@ -1,6 +1,7 @@
 """The estimator of docs/write_an_estimator.md: right, and used by name wherever those of the library are."""
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def test_file_and_document():
     assert isinstance(UniformEdges(), jd.Term)
 
 
-def scene() -> jd.Scene:
+def box_scene() -> jd.Scene:
     """A box beside the picture; its soft shadow, and what the lit box sends to the floor, are in it."""
     shapes = {
         "box": jd.Shape(box((0.6, 0.6, 0.6), center=(0.0, 0.0, 0.7))),
@@ -48,17 +49,20 @@ def scene() -> jd.Scene:
             jd.AreaEmitter(10.0),
         ),
     }
-    camera = jd.Perspective(jd.look_at([3, -3, 3], [0.6, 0, 0], [0, 0, 1]), 10.0, jd.Film(8, 8, jd.Box()))
+    camera = jd.Perspective(jd.look_at([3, -3, 3], [1.3, 0, 0], [0, 0, 1]), 8.0, jd.Film(8, 8, jd.Box()))
     return jd.Scene(shapes, camera)
+
+
+SCENE = box_scene()
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def by_x(tracer, spp, differences, key):
     """Derivative of the mean image by a translation of the box, [8, 8]: by `render`'s rule, or central differences."""
-    of, vertices = scene(), scene().parameters()["box.vertices"]
+    vertices = SCENE.parameters()["box.vertices"]
 
     def image(x):
-        moved = of.replace({"box.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
+        moved = SCENE.replace({"box.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
         return jd.render(moved, key, spp=spp, integrator=tracer).mean(-1)
 
     if differences:
@@ -74,7 +78,7 @@ def test_a_soft_shadow_moves_as_differences_say(depth):
         rows = np.stack([by_x(tracer, spp, differences, key) for key in KEYS])
         return rows.reshape(len(KEYS), 2, 4, 2, 4).mean((2, 4))
 
-    found = quarters(jd.PathTracer(depth, UniformEdges(points=4)), 64, False)
+    found = quarters(jd.PathTracer(depth, UniformEdges(points=8)), 64, False)
     right = quarters(jd.PathTracer(depth, boundary=None), 1024, True)
     error = np.sqrt((found.var(0, ddof=1) + right.var(0, ddof=1)) / len(KEYS))
     size = np.abs(right.mean(0)).max()
@@ -133,7 +137,7 @@ def test_plan(at_root, tmp_path, capsys, monkeypatch):
         return {name: Measured(spp, 0.1, 1.0, {"interior": 0.5}) for name, (_, spp) in settings.items()}
 
     monkeypatch.setattr(Pilot, "__call__", pilot)
-    found = jd.plan(scene(), ["box.translate.x"], boundary=UniformEdges(2), max_depth=2)
+    found = jd.plan(SCENE, ["box.translate.x"], boundary=UniformEdges(2), max_depth=2)
     assert found.integrator.boundary == UniformEdges(2)
     table = json.loads(json.dumps(found.to_dict()))
     assert table["integrator"]["boundary"] == {"kind": NAME, "points": 2}
@@ -162,9 +166,8 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_clear_errors(at_root, capsys, name):
     words = BROKEN[name]
-    with pytest.raises(ValueError, match=".") as problem:
+    with pytest.raises(ValueError, match=re.escape(words)):
         estimator_class(name)
-    assert words in str(problem.value)
     assert cli.main(["gradient", "scene.xml", "--wrt", "x", "-o", "x.npy", "--boundary", name]) == 2
     message = capsys.readouterr().err
     assert words in message and message.strip().count("\n") == 0

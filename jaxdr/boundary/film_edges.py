@@ -5,6 +5,7 @@ derivative is the line integral of (L on one side - L on the other) times the no
 share their random numbers, and at creases the directions of their first bounce: the noise is that of the difference.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -70,7 +71,7 @@ class FilmEdges:
     """
 
     def __init__(self, *kinds: str):
-        self.kinds = kinds or KINDS
+        self.kinds: tuple[str, ...] = kinds or KINDS
         self.name = "edges" if len(self.kinds) > 1 else self.kinds[0]
 
     def prepare(self, context: Context, key) -> EdgeDistribution | None:
@@ -101,7 +102,9 @@ class FilmEdges:
         if kinds[-1] == "creases" and not packed.has_delta_lobes and packed.spreads_through is None:
             # Else: what two mirrors show is not to be found in one direction; one that leaves a face may enter another.
             given = _common_directions(packed, points, crease, u)
-        size = footprint(_view(packed, points), first.position, first.normal) if form == "near" else None
+        size = None
+        if form == "near":
+            size = jax.vmap(partial(footprint, _view(packed, points)))(first.position, first.normal)
         sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([streams(self.name, number.size)] * 2))
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
         first, wi, u, stream, size, given = flat

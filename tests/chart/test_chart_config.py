@@ -32,6 +32,7 @@ options = { radius = 0.1 }
 def workplace(tmp_path, monkeypatch):
     (tmp_path / "chart.toml").write_text(MINIMAL)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "_keep_programs", lambda options: None)  # tests/test_program_cache.py
     return tmp_path
 
 

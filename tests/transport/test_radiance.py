@@ -118,9 +118,9 @@ def matt_scene() -> jd.Scene:
 
 
 @jax.jit
-def lobes(key):
+def lobes(of, key):
     """Means over pixels: from BSDF samples, and from directions that are uniform over the sphere."""
-    packed, settings = pack(matt_scene()), PathSettings(4, True, "auto")
+    packed, settings = pack(of), PathSettings(4, True, "auto")
     primary = primary_samples(packed, jnp.arange(64), key, "auto", "fixed")
     stream = jnp.arange(len(primary.u), dtype=jnp.uint32)
     direction = jax.random.normal(jax.random.fold_in(key, 2), primary.direction.shape)
@@ -134,7 +134,7 @@ def lobes(key):
 
 
 def test_given_directions_are_unbiased():
-    rows = [jax.device_get(lobes(jax.random.fold_in(KEY, i))) for i in range(12)]
+    rows = [jax.device_get(lobes(matt_scene(), jax.random.fold_in(KEY, i))) for i in range(12)]
     difference = np.array([two - one for one, two, _ in rows])
     error = difference.std(0, ddof=1) / np.sqrt(len(rows))
     assert np.all(error < 0.03 * rows[0][0]) and np.any(difference != 0)
@@ -143,9 +143,8 @@ def test_given_directions_are_unbiased():
 
 
 @partial(jax.jit, static_argnames="depth")
-def shares(key, depth):
+def shares(of, key, depth):
     """What is in material form, by requests and by paths with a record, of all paths."""
-    of = matt_scene()
     film = jd.Film(24, 16, jd.Gaussian(2.0))
     of = jd.Scene(of.shapes, jd.Perspective(of.camera.to_world, 40.0, film), environment=of.environment)
     packed, settings = pack(of), PathSettings(depth, True, "auto")
@@ -163,7 +162,7 @@ def test_share_in_material_form():
     """Of what a pixel sees in footprints: in the mean that of the paths with a record, and a part of the whole."""
     rows = []
     for i in range(12):
-        answers, recorded = jax.device_get(shares(jax.random.fold_in(KEY, i), 4))
+        answers, recorded = jax.device_get(shares(matt_scene(), jax.random.fold_in(KEY, i), 4))
         assert np.all(answers.near <= answers.total * (1 + 1e-5) + 1e-6)
         rows.append((answers.near.mean(0), recorded.mean(0)))
     difference = np.array([one - two for one, two in rows])
