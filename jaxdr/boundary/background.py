@@ -53,9 +53,9 @@ def seen_edges(
 ) -> SeenEdges:
     """The points at the fractions `along` of edges."""
     ends = corners(packed.vertices[packed.edges.vertices[edge]])
-    edge_point, moving_apex = between(*ends, along), paths.position(segment)
     apex_face = paths.table.apex_face[segment]
     triangle = packed.vertices[packed.faces[apex_face]]
+    edge_point, moving_apex = between(*ends, along), paths.position(segment, triangle)
     fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient((ends, edge_point, moving_apex, triangle))
     to_edge = fixed_point - apex
     distance = jnp.where(valid, norm(to_edge), 1.0)

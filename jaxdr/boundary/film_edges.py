@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
 from jaxdr.boundary.silhouettes import on_face
-from jaxdr.boundary.term import Chunk, Context, streams
+from jaxdr.boundary.term import Chunk, Context, named_key, streams
 from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
@@ -78,7 +78,8 @@ class FilmEdges:
         """Distributions over the edges of what moves relative to the camera."""
         if not any(context.moving.seen) or not self._kinds(context.form):
             return None
-        return edge_distribution(context.packed, context.moving.seen, key)
+        del key  # a key of its own: apart or not, the same edges are drawn
+        return edge_distribution(context.packed, context.moving.seen, jax.random.key(0))
 
     def _kinds(self, form: str) -> tuple[str, ...]:
         return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != "material")
@@ -86,17 +87,20 @@ class FilmEdges:
     def draw(self, context: Context, state: EdgeDistribution, chunk: Chunk, key):
         """Points on edges, and requests for the radiance on both sides."""
         packed, settings, form = context.packed, context.settings, context.form
-        key_edges, key_first = jax.random.split(key)
+        del key  # those of the kinds come from the chunk's: apart or not, the same points are drawn
         count, kinds = max(1, round(chunk.paths * context.edge_samples)), self._kinds(form)
-        masses = [getattr(state, kind) for kind in kinds]
-        keys = jax.random.split(key_edges, len(kinds) + 1)
-        drawn = [sample_edges(state, mass, count, k) for mass, k in zip(masses, keys, strict=False)]
+        drawn, lenses, numbers, stream = [], [], [], []
+        for kind in kinds:
+            key_edges, key_first, key_lens = jax.random.split(named_key(chunk.key, kind), 3)
+            drawn.append(sample_edges(state, getattr(state, kind), count, key_edges))
+            numbers.append(lattice(key_first, 1, jnp.arange(count), 4, chunk.weight.dtype)[0])
+            lenses.append(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, chunk.weight.dtype)[0])
+            stream.append(streams(kind, count))
         drawn = jax.tree.map(lambda *x: jnp.concatenate(x), *drawn)
-        points = _edge_points(packed, state, drawn, keys[-1], settings)
+        lens, u, stream = (jnp.concatenate(x) for x in (lenses, numbers, stream))
+        points = _edge_points(packed, state, drawn, lens if packed.camera.aperture else None, settings)
         crease = jnp.repeat(jnp.asarray([kind == "creases" for kind in kinds]), count)
         seen = jnp.where(crease, points.at_edge.all(0), points.outline)
-        number = jnp.arange(count * len(kinds))
-        u = lattice(key_first, 1, number, 4, points.weight.dtype)[0]
         first = points.first._replace(valid=points.first.valid & seen)
         given = None
         if kinds[-1] == "creases" and not packed.has_delta_lobes and packed.spreads_through is None:
@@ -105,7 +109,7 @@ class FilmEdges:
         size = None
         if form == "near":
             size = jax.vmap(partial(footprint, _view(packed, points)))(first.position, first.normal)
-        sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([streams(self.name, number.size)] * 2))
+        sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([stream, stream]))
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
         first, wi, u, stream, size, given = flat
         asked = request(first, wi, u, settings.max_depth - 1, stream, seen=size, given=given)
@@ -166,7 +170,10 @@ def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lo
     return Lobe(jnp.stack([direction, direction]), jnp.stack([pdf, pdf]))
 
 
-def _edge_points(packed: PackedScene, distribution: EdgeDistribution, drawn, key, settings: PathSettings) -> EdgePoints:
+def _edge_points(
+    packed: PackedScene, distribution: EdgeDistribution, drawn, lens, settings: PathSettings
+) -> EdgePoints:
+    """`lens`: a point of the aperture each, None without."""
     camera, film = packed.camera, packed.camera.film
     row, fraction, weight = drawn
     count = row.shape[0]
@@ -180,11 +187,9 @@ def _edge_points(packed: PackedScene, distribution: EdgeDistribution, drawn, key
     ends = packed.vertices[packed.edges.vertices[edge]]
     p0, p1 = corners(ends)
     point = between(p0, p1, along)
-    view, start, end, lens = camera.view(), d.start, d.end, None
+    view, start, end = camera.view(lens), d.start, d.end
     if camera.aperture:
-        # A lens point each. From there an equal step of the fraction is an equal step on the film, too.
-        lens = lattice(key, 1, jnp.arange(count), LENS_DIMENSIONS, point.dtype)[0]
-        view = camera.view(lens)
+        # From a point of the lens an equal step of the fraction is an equal step on the film, too.
         start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
         weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
     film_point = view.project(point)

@@ -91,6 +91,7 @@ class PathSegments:
         self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size
+        self._positions: Float[Array, "S 3"] | None = None  # known of all where nothing is differentiated
         self.fixed = copy.copy(self)
         if differentiated:
             moving = (packed, self.view, self.near, self.first, self.first_wi, self.table, self.vertices)
@@ -99,6 +100,7 @@ class PathSegments:
                 stop_gradient(moving)
             )
         self.fixed.fixed = self.fixed
+        self.fixed._positions = self.fixed.position(jnp.arange(self.count))
 
     def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
         """Which segments have two ends that do not move, from which shapes do; detached.
@@ -115,7 +117,7 @@ class PathSegments:
 
     def path(self, index: Int[Array, " C"]) -> Int[Array, " C"]:
         """Which path a segment belongs to."""
-        return index % self.paths
+        return jax.lax.rem(index, jnp.full_like(index, self.paths))
 
     def apex(self, index: Int[Array, " C"]) -> SurfacePoint:
         """Near ends: the first hit where the segment is the path's second one, else a material or sliding point."""
@@ -126,13 +128,15 @@ class PathSegments:
             return point._replace(position=moving.position[index], shading_normal=moving.shading_normal[index])
         return point._replace(position=self._on_ray(index, point.position))
 
-    def position(self, index: Int[Array, " C"]) -> Float[Array, "C 3"]:
-        """Near ends: the positions of `apex`."""
+    def position(self, index: Int[Array, " C"], triangle: Float[Array, "C 3 3"] | None = None) -> Float[Array, "C 3"]:
+        """Near ends: the positions of `apex`; `triangle`: the corners of their faces, where they are at hand."""
         if self.vertices is not None:
             return self.vertices.position[index]
-        return self._on_ray(
-            index, on_face(self.packed, self.table.apex_face[index], self.table.apex_barycentric[index])
-        )
+        if self._positions is not None:
+            return self._positions[index]
+        if triangle is None:
+            triangle = self.packed.vertices[self.packed.faces[self.table.apex_face[index]]]
+        return self._on_ray(index, interpolate(triangle, stop_gradient(self.table.apex_barycentric[index])))
 
     def _on_ray(self, index, position):
         """First hits where the segment is the path's second one."""
@@ -385,6 +389,7 @@ def _nonzero(x):
     return jnp.where(x == 0, 1.0, x)
 
 
+@jax.jit
 def affine_coordinates(triangles: Float[Array, "*#n 3 3"], point: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Barycentric coordinates of points in the planes of triangles."""
     a, b, c = corners(triangles)
@@ -392,6 +397,7 @@ def affine_coordinates(triangles: Float[Array, "*#n 3 3"], point: Float[Array, "
     return from_components(1 - v - w, v, w)
 
 
+@jax.jit
 def affine_rates(triangles: Float[Array, "*#n 3 3"], along: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Rates of change of `affine_coordinates` along vectors."""
     a, b, c = corners(triangles)
