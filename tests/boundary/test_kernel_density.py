@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.silhouettes import SegmentEnds, project_edges
+from jaxdr.boundary.silhouettes import SegmentEnds, displacement, project_edges
 from jaxdr.geometry.shapes import displaced_sphere
 from jaxdr.scene.packed import pack
 from tests.references.central_differences import central
@@ -126,7 +126,9 @@ def test_displacement_is_the_velocity_of_the_shadow():
         packed, ends, along = wide
         nowhere = jnp.zeros(())
 
-        def displacement(t, s):
+        base = project_edges(packed, edge, ends, along)
+
+        def moved_by(t, s):
             moved = jax.tree.map(lambda x: x, packed)
             object.__setattr__(moved, "vertices", packed.vertices + t * velocity)
             shift = s * jnp.asarray(receiver)
@@ -139,11 +141,10 @@ def test_displacement_is_the_velocity_of_the_shadow():
                 ends.corners + shift,
                 ends.infinite,
             )
-            return project_edges(moved, edge, target, along)
+            return displacement(moved, edge, target, base)
 
-        base = displacement(nowhere, nowhere)
-        by_edge = jax.jvp(lambda t: displacement(t, nowhere).displacement, (nowhere,), (jnp.ones(()),))[1]
-        by_face = jax.jvp(lambda s: displacement(nowhere, s).displacement, (nowhere,), (jnp.ones(()),))[1]
+        by_edge = jax.jvp(lambda t: moved_by(t, nowhere), (nowhere,), (jnp.ones(()),))[1]
+        by_face = jax.jvp(lambda s: moved_by(nowhere, s), (nowhere,), (jnp.ones(()),))[1]
         point, n = np.asarray(base.point), np.asarray(base.normal)
         apex, target, normal = (np.asarray(x) for x in (ends.apex, ends.target, ends.normal))
 

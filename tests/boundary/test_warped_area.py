@@ -176,7 +176,7 @@ def _velocities(packed, apex, faces, place, face, corners, tangent, keys):
     slots, row = velocities.slots, velocities.row(velocities.slots)
 
     def moved(vertices):
-        of = dataclasses.replace(packed, vertices=vertices)
+        of = packed.with_vertices(vertices)
         at = material_point(of, apex.face, apex.barycentric, apex.valid).position
         return displacement(of, at[row], jnp.zeros(row.shape[0], bool), velocities.seen(slots))
 

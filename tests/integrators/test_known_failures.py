@@ -92,6 +92,8 @@ def test_one_warning_at_the_callers_line():
 
 def test_tracing_again_is_no_news():
     """By Python's default filter: once a line and text."""
+    function, value = derivative(scene(), RIGHT)
+    jax.eval_shape(jax.jit(function), value)  # what is imported on first use makes Python forget what it has shown
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         for lamp in (ROUND, ROUND, sphere(2, radius=0.3, center=(0.0, 0.0, 3.0))):

@@ -84,7 +84,7 @@ def test_emitters():
     lit = jax.tree.map(lambda leaf: leaf[None], image).values(jnp.zeros(1, jnp.int32), at)[0]
     np.testing.assert_allclose(found, [[0, 0, 0], lit, [1, 2, 3]], rtol=1e-6)
     constant = pack(jd.Scene({"c": jd.Shape(QUAD, emitter=jd.AreaEmitter(2.0))}, CAMERA))
-    assert constant.glow == () and constant.mean_luminance is None and not constant.textured
+    assert constant.glow == () and not constant.textured
     with pytest.raises(
         ValueError, match="AreaEmitter: radiance must be at least 0, and the texture has values from -1"
     ):
