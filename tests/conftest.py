@@ -39,7 +39,8 @@ def pytest_configure(config):
     """Compiled programs are kept in pytest's cache folder (`pytest --cache-clear` empties it); workers share it."""
     from jaxdr.program_cache import keep_programs
 
-    keep_programs(config.cache.mkdir("programs"))
+    if hasattr(config, "cache"):  # not with -p no:cacheprovider
+        keep_programs(config.cache.mkdir("programs"))
 
 
 MAPPINGS = Path("/proc/self/maps")
