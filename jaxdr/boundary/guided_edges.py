@@ -35,7 +35,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import lattice, path_numbers
 
 
 class Plan(NamedTuple):
@@ -325,7 +325,8 @@ class GuidedEdges(eqx.Module):
                 sent = emitted(packed, ends.source, -segments.towards)
                 sent = jnp.where(lit.any(-1)[:, None], scale(sent, share / _nonzero(density)), 0.0)
             if plan.gathered:
-                numbers = lattice(key_source, 1, slot, 4, value.dtype)[0]
+                # Not of the lattice that segments come from: its rows would differ from theirs by a shift alone.
+                numbers = path_numbers(key_source, slot, 0, value.dtype)
                 stream = stream_of(self.name) + slot.astype(jnp.uint32)
                 for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
                     bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from experiments import one_term
 from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
 from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
@@ -133,7 +134,8 @@ def by_strategy(of, along, key, boundary, count, depth):
         u = uniform(keys[1], (pixels * count, 4))
         found = strategies(packed, primary, u, keys[2], BidirectionalSettings(depth, 1, "auto"))
         weight = jnp.where((found.value != 0).any(-1), 1.0, 0.0)
-        prepared = boundary.prepare(packed, (True,) * len(of.shapes), PathSettings(depth, True, "auto"))
+        context = one_term.context(of, (True,) * len(of.shapes), PathSettings(depth, True, "auto"))
+        prepared = boundary.prepare(context, keys[3])
         index = jnp.tile(jnp.arange(count), pixels)
         options = primary, found.drawn, weight, index, keys[3], "auto"
         values = boundary.estimate_connected(packed, prepared, *options)
