@@ -139,6 +139,11 @@ def _marked(jaxpr: core.Jaxpr, inputs: list[bool]) -> list[bool]:
     return [has(var) for var in jaxpr.outvars]
 
 
+_FIRST_ONLY = (
+    "jaxdr: an image has first derivatives only: its boundary terms are zero in value and right in the first "
+    "derivative; take finite differences of jax.grad for second ones"
+)
+
 _derivative = core.Primitive("chunked_derivative")
 _derivative.def_impl(partial(jax.jit, static_argnames="how")(_forward))
 
@@ -163,10 +168,7 @@ def _batch(operands, axes, how: _Sum):
 def _jvp(primals, tangents, how: _Sum):
     fixed, moved = primals[: -how.count], tangents[-how.count :]
     if any(not isinstance(t, ad.Zero) for t in tangents[: -how.count]):
-        raise NotImplementedError(
-            "jaxdr: an image has first derivatives only: its boundary terms are right in the first derivative and zero "
-            "in value; take finite differences of jax.grad for second ones"
-        )
+        raise NotImplementedError(_FIRST_ONLY)
     return _derivative.bind(*primals, how=how), _derivative.bind(*fixed, *map(ad.instantiate_zeros, moved), how=how)
 
 
@@ -175,7 +177,17 @@ def _transpose(cotangent, *operands, how: _Sum):
     none = [None] * len(fixed)
     if isinstance(cotangent, ad.Zero):
         return [*none, *(ad.Zero(o.aval) for o in operands[-how.count :])]
-    return [*none, *_backward(*fixed, cotangent, how=how)]
+    return [*none, *_backward(*_without_derivative(fixed), cotangent, how=how)]
+
+
+@jax.custom_jvp
+def _without_derivative(operands):
+    return operands
+
+
+@_without_derivative.defjvp
+def _(primals, tangents):
+    raise NotImplementedError(_FIRST_ONLY)
 
 
 mlir.register_lowering(_derivative, mlir.lower_fun(_forward, multiple_results=False))
