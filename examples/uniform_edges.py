@@ -52,8 +52,9 @@ class UniformEdges(eqx.Module):
         corners = packed.vertices[packed.edges.opposite[edge]]
         height = jnp.einsum("nki,ni->nk", corners - ends[:, :1], seen.pole)
         silhouette = ((packed.edges.opposite[edge] < 0) | (height >= 0)).all(-1)
-        counts = silhouette & paths.scatterer(vertex).above_horizon(seen.edge_point)
-        behind, background = look_behind(packed, paths, seen, edge, u[1], weight, counts, settings)
+        scatterer = paths.scatterer(vertex)
+        counts = silhouette & scatterer.above_horizon(seen.edge_point)
+        behind, background = look_behind(packed, scatterer, seen, edge, u[1], weight, counts, settings)
         return ask_behind(paths, seen, background, number, 1.0, key_paths, self.name, settings), behind
 
     def image(

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxdr.boundary.term import Chunk, Context
-from jaxdr.integrators.base import Prepared, term_images
+from jaxdr.integrators.base import term_images
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import pack
 from jaxdr.transport.path import PathRecord
@@ -24,5 +24,4 @@ def image(term, context, state, samples, key):
     nothing = PathRecord(jnp.zeros_like(primary.direction), None, None)
     weight = jnp.full(samples, 1.0 / samples, primary.direction.dtype)
     chunk = Chunk(numbers, weight, primary, nothing, key_radiance)
-    prepared = Prepared((term,), (state,), context)
-    return term_images(context.packed, prepared, chunk, key_terms)[term.name]
+    return term_images(context, [term], {term.name: state}, chunk, key_terms)[term.name]

@@ -41,4 +41,4 @@ def operations(text: str) -> int:
 
 def call_sites(text: str, query: str) -> int:
     """Places of a lowered module's `text` that call a ray query: "closest_hit" or "occluded"."""
-    return len(re.findall(rf"custom_call @\w*_{query}\w*\(", text))
+    return len(re.findall(rf"custom_call @\w*{query}\w*\(", text))

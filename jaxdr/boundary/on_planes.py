@@ -36,7 +36,7 @@ def sum_on_planes(
     The first `used` slots are filled.
     """
 
-    def values(block: OnPlanes, number):
+    def values(block, number):
         ends = paths.ends_to(block.segment, block.face, block.barycentric, block.infinite, block.direction)
         moved = displacement(packed, block.edge, ends, block.projection)
         moved = jnp.where(number < used, moved - stop_gradient(moved), 0.0)

@@ -91,7 +91,7 @@ def joined(requests: Sequence[Requests]) -> Requests:
         return requests[0]
     footprints, lobes = (any(getattr(r, name) is not None for r in requests) for name in ("seen", "given"))
 
-    def whole(r: Requests) -> Requests:
+    def whole(r):
         zeros = jnp.zeros_like(r.emission)
         seen = Footprint(zeros, zeros) if footprints and r.seen is None else r.seen
         return r._replace(seen=seen, given=Lobe(r.wi, zeros) if lobes and r.given is None else r.given)
@@ -135,7 +135,7 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
     )
     start = jax.tree.map(lambda x: jnp.pad(x, [(0, room - count)] + [(0, 0)] * (x.ndim - 1)), start)
 
-    def step(state: tuple[_Paths, list[Array]], bounce):
+    def step(state, bounce):
         paths, sums = state
         used = paths.alive.sum()
         rows = jnp.nonzero(paths.alive, size=room, fill_value=0)[0]
@@ -153,7 +153,7 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
         nobody = paths._replace(alive=jnp.zeros_like(paths.alive))
         return jax.lax.fori_loop(0, -(-used // size), block, (nobody, sums)), None
 
-    def at_vertices(paths: _Paths, live, bounce) -> tuple[_Paths, list[Array]]:
+    def at_vertices(paths, live, bounce):
         own = jax.tree.map(lambda x: x[paths.number], requests._replace(face=None, barycentric=None, wi=None))
         first = bounce == 0
         u = jnp.where(first, own.u, path_numbers(key, own.stream, bounce, own.u.dtype))

@@ -39,12 +39,13 @@ def derivative(terms):
     @jax.jit
     def images(t):
         packed = pack(of.replace({"box.vertices": vertices + t * jnp.asarray([1.0, 0.3, 0.1])}))
-        prepared = prepare_terms(Context(packed, moving, SETTINGS, "fixed", 1.0), terms, key_terms)
+        context = Context(packed, moving, SETTINGS, "fixed", 1.0)
+        prepared = prepare_terms(context, terms, key_terms)
         primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, SETTINGS.rays, "fixed")
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, SETTINGS)
         weight = jnp.full(SAMPLES, 1.0 / SAMPLES)
         chunk = Chunk(jnp.arange(SAMPLES), weight, primary, record, key_radiance)
-        return term_images(packed, prepared, chunk, key_terms)
+        return term_images(context, terms, prepared, chunk, key_terms)
 
     values, derivatives = jax.jvp(images, (0.0,), (1.0,))
     assert not any(np.any(value) for value in jax.tree.leaves(values))

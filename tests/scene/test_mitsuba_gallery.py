@@ -50,7 +50,7 @@ def test_what_is_in_them(gallery):
 
 def test_it_renders_from_the_command_line(gallery, tmp_path, capsys):
     out = tmp_path / "cornell.npy"
-    settings = ["--set", "res=12", "--spp", "4", "--max-depth", "4"]
+    settings = ["--set", "res=12", "--spp", "4", "--max-depth", "4", "--no-cache"]
     assert main(["render", str(gallery["cornell"]), "-o", str(out), *settings]) == 0
     assert capsys.readouterr().err == ""
     image = np.load(out)
