@@ -5,7 +5,7 @@ by an estimator that other tests check. For glass there are finite differences, 
 their images are areas, with little noise.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,11 +27,16 @@ MOTION = np.array([0.3, 0.2, 1.0])
 class Nothing(eqx.Module):
     """No boundary behind the first surface that spreads light: where that is black there is none."""
 
-    def prepare(self, packed, moving, settings):
-        return ()
+    name: ClassVar[str] = "boundary"
 
-    def estimate(self, packed, prepared, primary, record, sample_index, key, settings):
-        return jnp.zeros_like(record.radiance)
+    def prepare(self, context, key):
+        return None
+
+    def draw(self, context, state, chunk, key):
+        raise AssertionError("it prepares nothing")
+
+    def image(self, context, state, chunk, held, answers):
+        raise AssertionError("it prepares nothing")
 
 
 def quad(centre, one, two) -> jd.Mesh:
