@@ -52,39 +52,43 @@ def chunked_derivative(
     return _derivative.bind(*at, *leaves, *moved, how=how)
 
 
-def _split(how: _Sum, operands):
-    """(`at`, `fixed` unflattened, `moved`)."""
-    rest = len(operands) - how.count
-    return list(operands[: how.count]), operands[how.count : rest], list(operands[rest:])
-
-
 def _chunk(how: _Sum, leaves, index):
+    """The term of one chunk as a function of `at`; `leaves` are those of `fixed`."""
     fixed = jax.tree.unflatten(how.structure, leaves)
     return lambda *at: how.term(list(at), fixed, index)
 
 
-def _sum_forward(how: _Sum, *operands) -> Array:
-    """Forward mode, chunk by chunk."""
-    at, leaves, moved = _split(how, operands)
+def _over_chunks(how: _Sum, part: Callable[[Any], Any], zero):
+    """Sum of `part(index)` over the chunks."""
+    if how.chunks == 1:
+        return part(0)
 
     def add(total, index):
-        return total + jax.jvp(_chunk(how, leaves, index), at, moved)[1], None
+        return jax.tree.map(jnp.add, total, part(index)), None
 
-    zero = jnp.zeros(how.shape, how.dtype)
-    return add(zero, 0)[0] if how.chunks == 1 else jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+    return jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+
+
+def _sum_forward(how: _Sum, *operands) -> Array:
+    """Forward mode, chunk by chunk."""
+    at, leaves, moved = operands[: how.count], operands[how.count : -how.count], operands[-how.count :]
+
+    def part(index):
+        return jax.jvp(_chunk(how, leaves, index), at, moved)[1]
+
+    return _over_chunks(how, part, jnp.zeros(how.shape, how.dtype))
 
 
 def _sum_backward(how: _Sum, *operands) -> list[Array]:
     """Reverse mode, chunk by chunk; the last operand is the cotangent of the sum."""
     *operands, cotangent = operands
-    at, leaves = list(operands[: how.count]), operands[how.count :]
+    at, leaves = operands[: how.count], operands[how.count :]
 
-    def add(total, index):
+    def part(index):
         _, pull = jax.vjp(_chunk(how, leaves, index), *at)
-        return jax.tree.map(jnp.add, total, list(pull(cotangent))), None
+        return list(pull(cotangent))
 
-    zero = [jnp.zeros_like(a) for a in at]
-    return add(zero, 0)[0] if how.chunks == 1 else jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+    return _over_chunks(how, part, [jnp.zeros_like(a) for a in at])
 
 
 def _forward(*operands, how: _Sum) -> Array:

@@ -113,21 +113,20 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
         check_still_maps(flags)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
-    def packed_leaves(at):
-        """Float arrays of the packed scene, as they depend on what is active."""
+    def packed_at(at):
+        """The packed scene as a function of what is active."""
         at = iter(at)
-        joined = [next(at) if a else f for f, a in zip(still, active, strict=True)]
-        return jax.tree.flatten(pack(_join(program, joined, others)))
+        return pack(_join(program, [next(at) if a else f for f, a in zip(still, active, strict=True)], others))
 
     at = tuple(f for f, a in zip(floats, active, strict=True) if a)
-    moves = dependent(lambda at: packed_leaves(at)[0], at)
-    leaves, structure = packed_leaves(at)
-    packed = jax.tree.unflatten(structure, leaves)
+    moves = dependent(lambda at: jax.tree.leaves(packed_at(at)), at)
 
     def moving_leaves(at):
-        return [leaf for leaf, m in zip(packed_leaves(at)[0], moves, strict=True) if m]
+        packed = packed_at(at)
+        return [leaf for leaf, m in zip(jax.tree.leaves(packed), moves, strict=True) if m], packed
 
-    primal, tangent = jax.jvp(moving_leaves, (at,), (moved,))
+    primal, tangent, packed = jax.jvp(moving_leaves, (at,), (moved,), has_aux=True)
+    leaves, structure = jax.tree.flatten(packed)
     prepared, key = _prepare(_join(program, floats, others), packed, integrator, moving, key)
     fixed = [leaf for leaf, m in zip(leaves, moves, strict=True) if not m], prepared, arrays, key
     term = _Chunk(program, moving, structure, moves)

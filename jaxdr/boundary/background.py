@@ -17,7 +17,7 @@ from jaxdr.boundary.term import stream_of
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import between, corners, dot, norm, scale
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
+from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests, request
 from jaxdr.transport.sampler import lattice
@@ -184,7 +184,5 @@ def background_point(
     direction = scale(offset, 1.0 / length)
     reach = jnp.where(valid, 1e30, 0.0).astype(length.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), settings.rays)
-    found = hit.face >= 0
-    face = jnp.where(found, hit.face, 0)
-    barycentric = detached_barycentric(packed, start, direction, face)
-    return material_point(packed, face, barycentric, found), ~found | (hit.t > length)
+    found = material_hit(packed, start, direction, hit.face)
+    return found, ~found.valid | (hit.t > length)

@@ -28,7 +28,7 @@ from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
-from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, leave, material_point
+from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 
 APART = 4.0  # offsets: an object's edge on its receiver has no shadow apart from it
 
@@ -158,6 +158,4 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
 def _hit(packed: PackedScene, start, direction, active, rays: str) -> SurfacePoint:
     reach = jnp.where(active, 1e30, 0.0).astype(start.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), rays)
-    found = hit.face >= 0
-    face = jnp.where(found, hit.face, 0)
-    return material_point(packed, face, detached_barycentric(packed, start, direction, face), found)
+    return material_hit(packed, start, direction, hit.face)

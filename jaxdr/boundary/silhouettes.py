@@ -274,7 +274,6 @@ class Projection(eqx.Module):
     """
 
     along: Float[Array, " C"]
-
     point: Float[Array, "C 3"]
     edge_point: Float[Array, "C 3"]
     fraction: Float[Array, " C"]

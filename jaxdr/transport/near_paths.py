@@ -29,13 +29,15 @@ def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRe
     def apart(material, fixed):
         return (material - stop_gradient(material)) - (fixed - stop_gradient(fixed))
 
-    position, shading_normal = (apart(getattr(near.point, n), getattr(primary.first, n)) for n in MOVING)
+    position = apart(near.point.position, primary.first.position)
+    shading_normal = apart(near.point.shading_normal, primary.first.shading_normal)
     on_face = None if point.on_face is None else apart(near.point.on_face, primary.first.on_face)
     wi, importance = apart(near.wi, -primary.direction), near.importance - stop_gradient(near.importance)
     view = stop_gradient(near.camera)
 
     def part(face, barycentric, carried, share):
-        target = material_point(still, face, barycentric, share > 0)
+        there = share > 0
+        target = material_point(still, face, barycentric, there)
         moved = SurfacePoint(
             *point[:3],
             position=point.position + scale(position, share),
@@ -46,11 +48,10 @@ def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRe
             on_face=None if on_face is None else point.on_face + scale(on_face, share),
         )
         scatterer = Scatterer(still, moved, stop_gradient(-primary.direction) + scale(wi, share))
-        value = transfer_to(scatterer, target, share <= 0, jnp.zeros_like(wi)).value
-        lit = (stop_gradient(value) != 0) & (share > 0)[:, None]
+        value = transfer_to(scatterer, target, ~there, jnp.zeros_like(wi)).value
+        lit = (stop_gradient(value) != 0) & there[:, None]
         arriving = jnp.where(lit, carried / jnp.where(lit, stop_gradient(value), 1.0), 0.0)
         offset = target.position - (point.position + position)
-        there = share > 0
         changed = footprint(view, point.position + position, point.normal).share(
             jnp.where(there, dot(offset, offset), 1.0)
         )
@@ -64,6 +65,3 @@ def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRe
         (two.target_face, two.target_barycentric, light.beyond, light.beyond_share),
     )
     return jax.vmap(part)(*both).sum(0)
-
-
-MOVING = ("position", "shading_normal")
