@@ -122,7 +122,8 @@ def _central_faces(settings: _Settings, packed: PackedScene):
     view = packed.camera.view()
     origin, direction = view.rays(centre)
     start, reach = view.clipped(origin, direction)
-    return intersect(packed, start, direction, jnp.ones(width * height, bool), settings.rays, reach), (height, width)
+    hit = intersect(packed, start, direction, jnp.ones(width * height, bool), settings.rays, reach)
+    return hit.face, (height, width)
 
 
 @jax.custom_jvp

@@ -184,5 +184,5 @@ def background_point(
     direction = scale(offset, 1.0 / length)
     reach = jnp.where(valid, 1e30, 0.0).astype(length.dtype)
     hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), settings.rays)
-    found = material_hit(packed, start, direction, hit.face)
+    found = material_hit(packed, hit)
     return found, ~found.valid | (hit.t > length)

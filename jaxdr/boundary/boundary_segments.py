@@ -157,5 +157,4 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
 
 def _hit(packed: PackedScene, start, direction, active, rays: str) -> SurfacePoint:
     reach = jnp.where(active, 1e30, 0.0).astype(start.dtype)
-    hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), rays)
-    return material_hit(packed, start, direction, hit.face)
+    return material_hit(packed, queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), rays))

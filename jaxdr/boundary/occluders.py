@@ -11,7 +11,7 @@ from jaxdr.boundary.silhouettes import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.interaction import OFFSET, SurfacePoint, detached_barycentric, leave
+from jaxdr.transport.interaction import OFFSET, SurfacePoint, leave
 
 
 class Faces(NamedTuple):
@@ -89,10 +89,9 @@ def find_occluders(
     start = leave(origin, offset)
     end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
     reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
-    hit = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays).face
-    hidden = hit >= 0
+    hit, _, at = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays)
+    hidden, at = hit >= 0, at.astype(start.dtype)
     hit = jnp.where(hidden, hit, 0)
-    at = detached_barycentric(packed, start, end - start, hit)
 
     back = (facing / jnp.where(length > 0, length, 1.0)) ** 2
     boundary = jnp.where(alike, 1.0, back)

@@ -48,8 +48,8 @@ def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> Shado
     origin, direction = view.rays(film_point)
     origin = jnp.broadcast_to(origin, direction.shape)
     start, reach = view.clipped(origin, direction)
-    face = intersect(packed, start, direction, jnp.ones(u.shape[0], bool), rays, reach)
-    first = on_fixed_ray(packed, origin, direction, face)
+    seen = intersect(packed, start, direction, jnp.ones(u.shape[0], bool), rays, reach)
+    first = on_fixed_ray(packed, origin, direction, seen.face, seen.barycentric)
 
     sample = sample_emitter(packed, u[:, 2:])
     towards = jnp.where(sample.infinite[:, None], sample.direction, sample.point.position - first.position)

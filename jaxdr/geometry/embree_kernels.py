@@ -44,6 +44,11 @@ _FILL = """
         const bool hit = ray.geom[k] != ~0u;
         *wp::address(face, first + k) = hit ? (signed)ray.prim[k] : -1;
         *wp::address(t, first + k) = hit ? ray.tfar[k] : 3.0e38f;
+        // Rounding may put a hit outside of its face.
+        const float u = hit ? ray.u[k] : 1.0f / 3.0f, v = hit ? ray.v[k] : 1.0f / 3.0f;
+        const float a = u + v < 1.0f ? 1.0f - u - v : 0.0f, b = u > 0.0f ? u : 0.0f, c = v > 0.0f ? v : 0.0f;
+        const float sum = a + b + c;
+        *wp::address(barycentric, first + k) = wp::vec3(a / sum, b / sum, c / sum);
     }
 """
 )
@@ -54,6 +59,7 @@ def _intersect(
     rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
+    barycentric: wp.array(dtype=wp.vec3),
 ): ...
 
 
@@ -81,8 +87,9 @@ def closest_hit(
     rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
+    barycentric: wp.array(dtype=wp.vec3),
 ):
-    _intersect(function, scene, PACKET * (start + wp.tid()), rays, face, t)
+    _intersect(function, scene, PACKET * (start + wp.tid()), rays, face, t, barycentric)
 
 
 @wp.kernel

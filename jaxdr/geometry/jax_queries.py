@@ -32,7 +32,7 @@ def _edge_function(p, q, i, j):
 
 
 def _crossings(vertices, faces, origin, direction, reach):
-    """t [N, BLOCK] of every ray with every face of a block; MISS where there is none.
+    """(t [N, BLOCK] of every ray with every face of a block, MISS where there is none; areas opposite its corners).
 
     Watertight (Woop et al. 2013): corners are sheared into the plane across the ray one by one, so that the faces
     around a vertex agree where it is, and then it is a question of the plane.
@@ -59,30 +59,34 @@ def _crossings(vertices, faces, origin, direction, reach):
     slope = dot(direction[:, None], normal)
     t = dot(corners[None, :, 0] - origin[:, None], normal) / jnp.where(slope == 0, 1.0, slope)
     hit = inside & (u0 + u1 + u2 != 0) & (slope != 0) & (t > 0) & (t < reach[:, None])
-    return jnp.where(hit, t, MISS)
+    return jnp.where(hit, t, MISS), jnp.stack([u0, u1, u2], -1)
 
 
 def closest_hit(geometry, rays):
-    """(face, t): the nearest face in front of each ray."""
+    """(face, t, barycentric): the nearest face in front of each ray."""
 
     def visit(best, block):
         index, _, (f,) = block
-        t = _crossings(geometry.vertices, f, *rays)
-        nearest = jnp.argmin(t, axis=1)
-        t = jnp.take_along_axis(t, nearest[:, None], 1)[:, 0]
+        t, areas = _crossings(geometry.vertices, f, *rays)
+        nearest = jnp.argmin(t, axis=1)[:, None]
+        t = jnp.take_along_axis(t, nearest, 1)[:, 0]
+        areas = jnp.take_along_axis(areas, nearest[..., None], 1)[:, 0]
+        found = index[nearest[:, 0]], t, areas
         closer = t < best[1]
-        return (jnp.where(closer, index[nearest], best[0]), jnp.where(closer, t, best[1])), None
+        columns = closer, closer, closer[:, None]
+        return tuple(jnp.where(c, a, b) for c, a, b in zip(columns, found, best, strict=True)), None
 
     n = rays.reach.shape[0]
-    start = (jnp.full(n, -1, jnp.int32), jnp.full(n, MISS, jnp.float32))
-    return jax.lax.scan(visit, start, _blocks(geometry.faces))[0]
+    start = (jnp.full(n, -1, jnp.int32), jnp.full(n, MISS, jnp.float32), jnp.ones((n, 3), jnp.float32))
+    face, t, areas = jax.lax.scan(visit, start, _blocks(geometry.faces))[0]
+    return face, t, areas / areas.sum(-1, keepdims=True)
 
 
 def occluded(geometry, rays):
     """Whether anything lies on the ray before its reach."""
 
     def visit(found, block):
-        return found | (_crossings(geometry.vertices, block[2][0], *rays) < MISS).any(1), None
+        return found | (_crossings(geometry.vertices, block[2][0], *rays)[0] < MISS).any(1), None
 
     return jax.lax.scan(visit, jnp.zeros(rays.reach.shape[0], bool), _blocks(geometry.faces))[0]
 
@@ -94,7 +98,7 @@ def projections(geometry, face_shape, lines, capacity):
 
     def crossings(block):
         face, of = block
-        t = _crossings(geometry.vertices, face, begin, normal, 2.0 * depth)
+        t, _ = _crossings(geometry.vertices, face, begin, normal, 2.0 * depth)
         return jnp.where((t < MISS) & (of[None] == shape[:, None]), t - depth[:, None], MISS)
 
     return _nearest(crossings, _blocks(geometry.faces, face_shape), point.shape[0], capacity)

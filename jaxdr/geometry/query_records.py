@@ -96,10 +96,14 @@ class SectorQuery(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """Nearest crossing: `face` [N] (-1 for a miss) and ray parameter `t` [N] (meaningless for a miss)."""
+    """Nearest crossing: `face`, -1 for a miss; ray parameter `t`, huge for a miss; barycentric coordinates in the face.
+
+    They are kept inside of the face; those of a miss are of a middle.
+    """
 
     face: Int[Array, " N"]
     t: Float[Array, " N"]
+    barycentric: Float[Array, "N 3"]
 
 
 class Projections(NamedTuple):

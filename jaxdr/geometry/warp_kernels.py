@@ -21,15 +21,20 @@ def closest_hit(
     rays: Rays,
     face: wp.array(dtype=int),
     t: wp.array(dtype=float),
+    barycentric: wp.array(dtype=wp.vec3),
 ):
     i = start + wp.tid()
     face[i] = -1
     t[i] = MISS
+    barycentric[i] = wp.vec3(1.0 / 3.0)
     if rays.reach[i] > 0.0:
         query = wp.mesh_query_ray(mesh, rays.origin[i], rays.direction[i], rays.reach[i])
         if query.result:
             face[i] = query.face
             t[i] = query.t
+            # Rounding may put a hit outside of its face.
+            inside = wp.max(wp.vec3(query.u, query.v, 1.0 - query.u - query.v), wp.vec3(0.0))
+            barycentric[i] = inside / (inside[0] + inside[1] + inside[2])
 
 
 @wp.kernel

@@ -36,20 +36,20 @@ def structure(kind: str, device, moving: list, topology: list):
 def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
     """`closest_hit` and `occluded`, by `trace(kernel, geometry, rays, outputs)` for the kernels of those names."""
 
-    def closest_hit_of(geometry, rays, face, t):
-        trace("closest_hit", geometry, rays, [face, t])
+    def closest_hit_of(geometry, rays, face, t, barycentric):
+        trace("closest_hit", geometry, rays, [face, t, barycentric])
 
     def occluded_of(geometry, rays, result):
         trace("occluded", geometry, rays, [result])
 
     inputs = [records.Geometry, records.Rays]
-    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL], module)
+    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL, wp.array(dtype=wp.vec3)], module)
     occluded_call = Call(occluded_of, inputs, [WHOLE], module)
 
     def closest_hit(geometry, rays):
-        """(face, t): the nearest face in front of each ray, -1 and a huge t on a miss."""
+        """(face, t, barycentric): the nearest face in front of each ray, -1 and a huge t on a miss."""
         n = rays.reach.shape[0]
-        return hit_call(geometry, rays, dims=[n, n])
+        return hit_call(geometry, rays, dims=[n, n, n])
 
     def occluded(geometry, rays):
         """Whether anything lies on the ray before its reach."""

@@ -52,10 +52,10 @@ def delta_chain(
 
     def step(state, inputs):
         origin, direction, start, reach, reached = state
-        numbers, face = inputs
+        (numbers, face), barycentric = inputs, None
         if faces is None:
-            face = intersect(packed, start, direction, reached, rays, reach)
-        point = on_fixed_ray(packed, origin, direction, face)
+            face, _, barycentric = intersect(packed, start, direction, reached, rays, reach)
+        point = on_fixed_ray(packed, origin, direction, face, barycentric)
         scatterer = Scatterer(packed, point, -direction)
         delta = scatterer.sample_delta(numbers[:, 2:])
         goes_on = reached & point.valid & (stop_gradient(delta.probability) > 0)

@@ -72,11 +72,15 @@ def _shading_normal(packed: PackedScene, face, barycentric, normal):
 
 
 def on_fixed_ray(
-    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], face: Int[Array, " N"]
+    packed: PackedScene,
+    origin: Float[Array, "N 3"],
+    direction: Float[Array, "N 3"],
+    face: Int[Array, " N"],
+    barycentric: Float[Array, "N 3"] | None = None,
 ) -> SurfacePoint:
     """Where rays meet the moving planes of their faces: the points slide over the surface (DESIGN 1, fixed camera ray).
 
-    `face` is -1 for a miss.
+    `face` is -1 for a miss. `barycentric`: coordinates of the hits, where they are known.
     """
     valid = face >= 0
     face = jnp.where(valid, face, 0)
@@ -86,7 +90,7 @@ def on_fixed_ray(
     position = origin + scale(direction, t)
     if packed.textured or packed.normals is not None:
         barycentric = _barycentric(triangle, position)
-    else:  # nothing depends on where on its face a point is
+    elif barycentric is None:  # nothing depends on where on its face a point is
         barycentric = _barycentric(*stop_gradient((triangle, position)))
     largest = jnp.maximum(triangle.largest, _largest(origin))
     return _surface_point(packed, valid, face, barycentric, position, triangle, largest)
@@ -107,23 +111,10 @@ def material_point(
     return _surface_point(packed, valid, face, barycentric, position, triangle, triangle.largest)
 
 
-def material_hit(
-    packed: PackedScene, origin: Float[Array, "N 3"], direction: Float[Array, "N 3"], face: Int[Array, " N"]
-) -> SurfacePoint:
-    """Material points where rays meet known faces, kept inside them; `face` is -1 for a miss."""
-    valid = face >= 0
-    face = jnp.where(valid, face, 0)
-    triangle = packed.triangles(face)
-    barycentric = _hit_barycentric(*stop_gradient((triangle, origin, direction)))
-    position = interpolate(triangle[:3], barycentric)
-    return _surface_point(packed, valid, face, barycentric, position, triangle, triangle.largest)
-
-
-def _hit_barycentric(triangle: Triangles, origin, direction):
-    """Barycentric coordinates of the hits of rays, kept inside the face."""
-    slope = dot(direction, triangle.normal)
-    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
-    return _inside(_barycentric(triangle, origin + scale(direction, t)))
+def material_hit(packed: PackedScene, hit: queries.Hit) -> SurfacePoint:
+    """The material points that rays hit."""
+    valid = hit.face >= 0
+    return material_point(packed, jnp.where(valid, hit.face, 0), hit.barycentric.astype(packed.vertices.dtype), valid)
 
 
 def displaced(packed: PackedScene, point: SurfacePoint, moved: Float[Array, "N 3"]) -> SurfacePoint:
@@ -153,15 +144,18 @@ def intersect(
     active: Bool[Array, " N"],
     rays: str,
     reach: Float[Array, " N"] | float = 1e30,
-) -> Int[Array, " N"]:
-    """The nearest face on each active ray within `reach`, -1 for none. `rays` names the query implementation."""
+) -> queries.Hit:
+    """The nearest hit on each active ray within `reach`. `rays` names the query implementation."""
     reach = jnp.where(active, reach, 0.0).astype(origin.dtype)
-    return queries.closest_hit(packed.geometry, queries.Rays(origin, direction, reach), rays).face
+    return queries.closest_hit(packed.geometry, queries.Rays(origin, direction, reach), rays)
 
 
 def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[Array, "N 3"]:
     """Barycentric coordinates of the hits of rays on known faces, detached and kept inside the face."""
-    return _hit_barycentric(*stop_gradient((packed.triangles(face), origin, direction)))
+    triangle, origin, direction = stop_gradient((packed.triangles(face), origin, direction))
+    slope = dot(direction, triangle.normal)
+    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
+    return _inside(_barycentric(triangle, origin + scale(direction, t)))
 
 
 def leave(point: SurfacePoint, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:

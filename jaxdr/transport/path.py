@@ -304,15 +304,17 @@ def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards, g
 def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: _Sampled, settings: PathSettings):
     """(what sampled rays hit: material points, behind delta lobes sliding ones; the directions as they move)."""
     origin = scatterer.leave(sampled.direction)
-    face = intersect(packed, origin, sampled.direction, sampled.active, settings.rays)
-    target, direction = material_hit(packed, origin, sampled.direction, face), sampled.direction
+    found = intersect(packed, origin, sampled.direction, sampled.active, settings.rays)
+    target, direction = material_hit(packed, found), sampled.direction
     hit = target.valid
     if packed.environment_turns:
         direction = jnp.where(hit[:, None], direction, packed.turned(direction))
     if sampled.delta is not None:
         slides = sampled.chosen & hit
         direction = jnp.where(sampled.chosen[:, None], sampled.delta.wo, direction)
-        sliding = on_fixed_ray(packed, at.point.position, direction, jnp.where(slides, face, -1))
+        sliding = on_fixed_ray(
+            packed, at.point.position, direction, jnp.where(slides, found.face, -1), target.barycentric
+        )
         target = either(slides, sliding._replace(barycentric=target.barycentric), target)
     return target, direction
 

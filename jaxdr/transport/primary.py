@@ -56,8 +56,8 @@ def primary_samples(
     origin, direction = view.rays(centre + offset)
     origin = jnp.broadcast_to(origin, direction.shape)
     start, reach = view.clipped(origin, direction)
-    face = intersect(packed, start, direction, jnp.ones(pixels * count, bool), rays, reach)
-    first = on_fixed_ray(packed, origin, direction, face)
+    hit = intersect(packed, start, direction, jnp.ones(pixels * count, bool), rays, reach)
+    first = on_fixed_ray(packed, origin, direction, hit.face, hit.barycentric)
     weight, near = jnp.ones(pixels * count, dtype), None
     if form != "fixed":
         moving = material_point(packed, first.face, first.barycentric, first.valid)

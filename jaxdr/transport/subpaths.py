@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, radiance_towards
-from jaxdr.transport.interaction import SurfacePoint, detached_barycentric, intersect, material_point
+from jaxdr.transport.interaction import SurfacePoint, intersect, material_hit
 from jaxdr.transport.light_rays import light_rays
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
@@ -98,10 +98,8 @@ def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2
     """What rays from emitter samples hit, as x_1 of subpaths from emitters."""
     ray = light_rays(packed, sample, u)
     emits = (ray.pdf > 0) & (sample.pdf > 0)
-    face = intersect(packed, ray.start, ray.direction, emits, rays)
-    hit = face >= 0
-    face = jnp.where(hit, face, 0)
-    point = material_point(packed, face, detached_barycentric(packed, ray.start, ray.direction, face), hit)
+    point = material_hit(packed, intersect(packed, ray.start, ray.direction, emits, rays))
+    hit = point.valid
     infinite, has_area = sample.infinite, ~sample.infinite
     if sample.is_delta is not None:
         has_area &= ~sample.is_delta
@@ -152,10 +150,7 @@ def _step(packed: PackedScene, vertex: Subpath, u, adjoint: bool, power: int, ra
         forward = jnp.where(chosen, stop_gradient(lobe.probability), forward)
     onwards = jnp.where((forward > 0)[:, None], onwards, vertex.back)  # no zero vectors where sampling fails
     origin = scatterer.leave(onwards)
-    face = intersect(packed, origin, onwards, vertex.point.valid & (forward > 0), rays)
-    hit = face >= 0
-    face = jnp.where(hit, face, 0)
-    following = material_point(packed, face, detached_barycentric(packed, origin, onwards, face), hit)
+    following = material_hit(packed, intersect(packed, origin, onwards, vertex.point.valid & (forward > 0), rays))
     return extend(vertex, scatterer, following, onwards, forward, lobe, adjoint, power)
 
 

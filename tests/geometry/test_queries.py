@@ -63,20 +63,28 @@ def test_closest_hit(name, implementation):
     """All implementations and trimesh's Embree find the same faces, at the distances that float64 gives."""
     vertices, faces = arrays(make(name))
     origin, direction = random_rays(vertices, 4000, seed=11)
-    face, t = closest(vertices, faces, origin, direction, implementation)
+    face, t, barycentric = closest(vertices, faces, origin, direction, implementation)
     assert 0.02 < np.mean(face >= 0) < 1.0, "the rays don't test much"
     assert_same_faces(vertices, faces, origin, direction, face, embree(vertices, faces, origin, direction))
 
     few = slice(0, 128)
-    jax_face, jax_t = closest(vertices, faces, origin[few], direction[few], "jax")
+    jax_face, jax_t, jax_barycentric = closest(vertices, faces, origin[few], direction[few], "jax")
     assert_same_faces(vertices, faces, origin[few], direction[few], face[few], jax_face)
 
-    for found, distance, rays in ((face, t, slice(None)), (jax_face, jax_t, few)):
+    ours, plain = (face, t, barycentric, slice(None)), (jax_face, jax_t, jax_barycentric, few)
+    for found, distance, where, rays in (ours, plain):
         hit = found >= 0
         o, d = origin[rays][hit], direction[rays][hit]
         exact = Crossing(vertices, faces[found[hit]], o, d)
         assert np.all(np.abs(distance[hit] - exact.t) <= exact.t_error + 8 * EPS * np.abs(exact.t))
         assert np.all(exact.inside > -4), "a hit outside of its face"
+        assert np.all(where >= 0)
+        assert np.allclose(where.sum(-1), 1.0, atol=1e-6)
+        corners = vertices[faces[found[hit]]].astype(float)
+        apart = np.linalg.norm(np.einsum("nk,nkd->nd", where[hit], corners) - (o + exact.t[:, None] * d), axis=-1)
+        length = np.linalg.norm(d.astype(float), axis=-1)
+        rounding = 16 * EPS * (np.abs(corners).max((1, 2)) + np.abs(o).max(-1))
+        assert np.all(apart <= 4 * exact.t_error * length + rounding), "barycentric coordinates of another point"
 
 
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
@@ -85,7 +93,7 @@ def test_occluded_agrees_with_the_closest_hit(name, implementation):
     vertices, faces = arrays(make(name))
     count = 4000 if implementation != "jax" else 200
     origin, direction = random_rays(vertices, count, seed=12)
-    face, t = closest(vertices, faces, origin, direction, "warp")
+    face, t, _ = closest(vertices, faces, origin, direction, "warp")
     rng = np.random.default_rng(13)
     # Rays that end well before or well after what they meet first; some have no length at all.
     reach = np.where(face >= 0, t * rng.choice([0.0, 0.5, 0.9, 1.1, 2.0], count), 1e30).astype(np.float32)
@@ -135,7 +143,7 @@ def test_watertight(shape, matrix):
         some = slice(None, None, 1 if implementation != "jax" else 7)
         n = len(origin[some])
         rays = vertices, faces, origin[some], direction[some], np.full(n, FAR)
-        face, _ = ask_rays(queries.closest_hit, *rays, implementation=implementation)
+        face, *_ = ask_rays(queries.closest_hit, *rays, implementation=implementation)
         most = 1e-3 * n if implementation == "embree" else 0  # see `embree_scene.ROBUST`
         assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
         blocked = ask_rays(queries.occluded, *rays, implementation=implementation)
@@ -180,8 +188,9 @@ def test_unknown_implementation():
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 def test_an_empty_batch_of_rays(implementation):
     nothing = np.zeros((0, 3), np.float32)
-    face, t = closest(*arrays(make("box")), nothing, nothing, implementation)
+    face, t, barycentric = closest(*arrays(make("box")), nothing, nothing, implementation)
     assert face.shape == t.shape == (0,)
+    assert barycentric.shape == (0, 3)
 
 
 def test_without_embree(monkeypatch):

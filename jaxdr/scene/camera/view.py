@@ -35,16 +35,21 @@ class View(eqx.Module):
     far: float = eqx.field(static=True)
 
     @property
+    def _cofactors(self) -> Float[Array, "3 3"]:
+        """Vector products of two of the axes: y x z, z x x, x x y."""
+        axes = self.matrix.T
+        return cross(jnp.roll(axes, -1, 0), jnp.roll(axes, 1, 0))
+
+    @property
     def determinant(self) -> Float[Array, ""]:
         """World volume per volume of the frame, signed."""
-        x, y, z = self.matrix.T
-        return dot(cross(x, y), z)
+        return jnp.vdot(self.matrix[:, 0], self._cofactors[0])
 
     @property
     def inverse(self) -> Float[Array, "3 3"]:
         """Takes directions of the world to the frame."""
-        x, y, z = self.matrix.T
-        return jnp.stack([cross(y, z), cross(z, x), cross(x, y)]) / self.determinant
+        cofactors = self._cofactors
+        return cofactors / jnp.vdot(self.matrix[:, 0], cofactors[0])
 
     def local(self, points: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
         """World points in the frame (left, up, forward)."""
