@@ -86,7 +86,7 @@ def pieces(scene, settings, samples):
 
     wo, pdf, start = timed("BSDF samples", sample, packed, point, wi, u)
     active = point.valid & (pdf > 0)
-    face = timed("scattered rays", lambda packed: intersect(packed, start, wo, active, RAYS), packed)
+    face = timed("scattered rays", lambda packed: intersect(packed, start, wo, active, RAYS).face, packed)
 
     def arrive(packed, face):
         hit = face >= 0

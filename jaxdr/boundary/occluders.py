@@ -90,7 +90,7 @@ def find_occluders(
     end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
     reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
     hit, _, at = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays)
-    hidden, at = hit >= 0, at.astype(start.dtype)
+    hidden = hit >= 0
     hit = jnp.where(hidden, hit, 0)
 
     back = (facing / jnp.where(length > 0, length, 1.0)) ** 2

@@ -99,7 +99,8 @@ def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> A
 
 def closest_hit(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Hit:
     """The nearest face on each ray; t counts in lengths of `direction`."""
-    return Hit(*_asked(_module(implementation).closest_hit, (geometry,), (rays,)))
+    face, t, barycentric = _asked(_module(implementation).closest_hit, (geometry,), (rays,))
+    return Hit(face, t.astype(rays.reach.dtype), barycentric.astype(rays.reach.dtype))
 
 
 def occluded(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Bool[Array, " N"]:

@@ -114,7 +114,7 @@ def material_point(
 def material_hit(packed: PackedScene, hit: queries.Hit) -> SurfacePoint:
     """The material points that rays hit."""
     valid = hit.face >= 0
-    return material_point(packed, jnp.where(valid, hit.face, 0), hit.barycentric.astype(packed.vertices.dtype), valid)
+    return material_point(packed, jnp.where(valid, hit.face, 0), hit.barycentric, valid)
 
 
 def displaced(packed: PackedScene, point: SurfacePoint, moved: Float[Array, "N 3"]) -> SurfacePoint:

@@ -38,7 +38,7 @@ def bumpy_scene(smooth: bool) -> jd.Scene:
 def hit_faces(scene, film_points):
     origin, directions = scene.camera.rays(film_points)
     origins = jnp.broadcast_to(origin, directions.shape)
-    faces = intersect(pack(scene), origins, directions, jnp.ones(len(directions), bool), "warp")
+    faces = intersect(pack(scene), origins, directions, jnp.ones(len(directions), bool), "warp").face
     return faces[faces >= 0][:6], film_points[faces >= 0][:6]
 
 

@@ -129,7 +129,7 @@ def test_scattering_as_in_mitsuba(mitsuba, scene_file, files):
 
     @jax.jit
     def scattered(packed):
-        face = intersect(packed, origins, directions, jnp.ones(len(origins), bool), "jax")
+        face = intersect(packed, origins, directions, jnp.ones(len(origins), bool), "jax").face
         point = on_fixed_ray(packed, origins, directions, face)
         return point.valid, Scatterer(packed, point, -directions).eval(outs)
 
@@ -153,7 +153,7 @@ def test_opacity_as_in_mitsuba(mitsuba, scene_file, files):
     packed = pack(jd.Scene({"m": opaque}, jd.load_mitsuba(path).camera))
     origin, towards, _ = rays(20)
     origins, directions = (jnp.asarray(v, float) for v in (origin, towards))
-    face = intersect(packed, origins, directions, jnp.ones(20, bool), "jax")
+    face = intersect(packed, origins, directions, jnp.ones(20, bool), "jax").face
     at = texture_point(packed, on_fixed_ray(packed, origins, directions, face))
     (group,) = packed.bsdfs
     found = group.bsdf.metallic.values(jnp.zeros(20, jnp.int32), at)

@@ -173,7 +173,7 @@ def first_hits_and_record(scene, film_points, key, depth):
     packed, count = pack(scene), len(film_points)
     origin, direction = scene.camera.rays(film_points)
     origin = jnp.broadcast_to(origin, direction.shape)
-    face = intersect(packed, origin, direction, jnp.ones(count, bool), "warp")
+    face = intersect(packed, origin, direction, jnp.ones(count, bool), "warp").face
     first = on_fixed_ray(packed, origin, direction, face)
     u = jax.random.uniform(key, (count, 4))
     return first, trace_paths(packed, first, direction, u, key, PathSettings(depth, True, "warp"))

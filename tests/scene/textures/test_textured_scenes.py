@@ -155,7 +155,7 @@ def test_uvs_slide_on_a_fixed_ray_and_stay_at_a_material_point():
 
     def coordinates(shift):
         packed = pack(of.replace({"a.vertices": QUAD.vertices + shift * jnp.asarray([1.0, 0.0, 0.0])}))
-        face = intersect(packed, origin, direction, jnp.ones(1, bool), "jax")
+        face = intersect(packed, origin, direction, jnp.ones(1, bool), "jax").face
         sliding = on_fixed_ray(packed, origin, direction, face)
         material = material_point(packed, face, sliding.barycentric, sliding.valid)
         return texture_point(packed, sliding).uv[0], texture_point(packed, material).uv[0]
