@@ -6,10 +6,13 @@ from typing import Any
 
 import jax
 
-# Loops over fused operations are emitted the old way. With the new one (on by default since 2025; measured with jaxlib
-# 0.10.2, experiments/compilation) programs that gather a lot, as all here do, take half as long again, to compile and
-# to run.
-CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+# Measured with jaxlib 0.10.2 (experiments/compilation). Loops over fused operations are emitted the old way: with the
+# new one (on by default since 2025) programs that gather a lot, as all here do, take half as long again, to compile and
+# to run. Sums over short axes are loops of XLA's own: a library that it calls by default takes several times as long.
+CPU_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_DOT",
+}
 
 
 def jit(function: Callable, **settings: Any) -> Any:
@@ -18,21 +21,25 @@ def jit(function: Callable, **settings: Any) -> Any:
     Results agree with those of ``jax.jit`` to rounding. For the outermost function, ``jit(jax.grad(loss))``: JAX takes
     compiler options nowhere else, and raises ValueError ("can only be passed to top-level `jax.jit`") where the result
     is called inside of another `jax.jit`, `jax.grad` or `jax.vmap`. For a whole process
-    `XLA_FLAGS=--xla_cpu_use_fusion_emitters=false` does the same.
+    `XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_cpu_experimental_ynn_fusion_type=dot"` does the same.
     """
     return jax.jit(function, compiler_options=compiler_options(jax.default_backend()), **settings)
 
 
 @cache
 def compiler_options(backend: str) -> dict[str, Any] | None:
-    """XLA's options for a backend; None where there are none, or this version of XLA does not know them."""
+    """Those of XLA's options for a backend that this version of XLA knows; None where there are none."""
     if backend != "cpu":
         return None
+    return {name: value for name, value in CPU_OPTIONS.items() if _is_known({name: value})} or None
+
+
+def _is_known(option: dict[str, Any]) -> bool:
     try:
-        jax.jit(lambda x: x, compiler_options=CPU_OPTIONS).lower(0.0).compile()
+        jax.jit(lambda x: x, compiler_options=option).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
-        return None
-    return CPU_OPTIONS
+        return False
+    return True
 
 
 def unfolded(tree: Any) -> Any:

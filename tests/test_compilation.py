@@ -35,9 +35,13 @@ def test_no_options_elsewhere():
 
 
 def test_a_version_that_does_not_know_them(options):
+    known = dict([next(iter(compilation.CPU_OPTIONS.items()))])
     options.setattr(compilation, "CPU_OPTIONS", {"xla_cpu_no_such_option": True})
     assert compilation.compiler_options("cpu") is None
     assert jd.jit(lambda x: x + 1)(1.0) == 2.0
+    compilation.compiler_options.cache_clear()
+    options.setattr(compilation, "CPU_OPTIONS", known | {"xla_cpu_no_such_option": True})
+    assert compilation.compiler_options("cpu") == known
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="options are the CPU's")
