@@ -74,7 +74,7 @@ def derivative_terms(
     integrator = default_integrator(scene) if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
-    return _estimate(scene, key, spp, integrator, moving)
+    return _estimate(unfolded(scene), key, spp, integrator, moving)
 
 
 def _split(leaves, is_float):

@@ -18,6 +18,7 @@ from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_e
 from jaxdr.boundary.lobe_kernel import lobe_edges
 from jaxdr.boundary.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
+from jaxdr.boundary.plain_kernel import near_points, share_of_disc, shrinking_radii
 from jaxdr.boundary.silhouettes import (
     PathSegments,
     Projection,
@@ -33,7 +34,7 @@ from jaxdr.boundary.silhouettes import (
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import between, corners, dot, norm, normalize, scale, triangle_normals
+from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.interaction import SurfacePoint, leave
@@ -90,7 +91,8 @@ class KernelDensity(eqx.Module):
     - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21; their average
       is Eq. 22.
 
-    Where this differs from the paper, each difference has a switch; the values in brackets are the paper's.
+    Where this differs from the paper, each difference has a switch; the values in brackets are the paper's, all of them
+    together `plain_kernel.PLAIN`.
 
     - `widest` (0): the radius is measured at the edge and magnified by the projection to the far end, up to this share
       of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely
@@ -149,11 +151,8 @@ class KernelDensity(eqx.Module):
             raise ValueError(f"KernelDensity: capacity must be positive, got {self.capacity}")
 
     def radius_schedule(self) -> list[float]:
-        """Radius of every iteration relative to the first: r_{t+1} = r_t sqrt((t + alpha) / (t + 1)) (Eq. 21)."""
-        radii = [1.0]
-        for t in range(self.iterations - 1):
-            radii.append(radii[-1] * ((t + self.alpha) / (t + 1)) ** 0.5)
-        return radii
+        """Radius of every iteration relative to the first (Eq. 21)."""
+        return shrinking_radii(self.alpha, self.iterations)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges."""
@@ -272,8 +271,7 @@ class KernelDensity(eqx.Module):
                 valid = valid & on_face
             share = 1.0 / jnp.where(valid, width, 1.0)
         else:
-            disc = jnp.pi * r**2 if both_sides else 0.5 * jnp.pi * r**2
-            share = density * projection.stretch / disc  # Eq. 16, 19
+            share = share_of_disc(density, projection.stretch, r, both_sides)
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
         share = packed.edges.shared(edge, share * pairs.weight)
@@ -346,22 +344,7 @@ class KernelDensity(eqx.Module):
             else:
                 pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
             return pairs, pairs.element, None, None
-        edges, along, length = self._edge_points(packed, radius, key_points)
-        points = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edges]]), along)
-        points = queries.EdgePoints(points, edges, radius[edges])
-        pairs = queries.point_candidates(packed.geometry, every, points, strips, seed, **options)
-        return pairs, edges[pairs.element], along[pairs.element], length / self.points
-
-    def _edge_points(self, packed: PackedScene, radius, key):
-        """(edge, fraction along it, total length): points uniform over the length of all edges that count."""
-        start, end = corners(stop_gradient(packed.vertices)[packed.edges.vertices])
-        length = jnp.where(radius > 0, norm(end - start), 0.0)
-        cdf = jnp.cumsum(length)
-        u = (jnp.arange(self.points) + jax.random.uniform(key, (self.points,), cdf.dtype)) / self.points * cdf[-1]
-        edge = jnp.clip(jnp.searchsorted(cdf, u, side="right"), 0, cdf.shape[0] - 1)
-        before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
-        fraction = jnp.clip((u - before) / jnp.where(length[edge] > 0, length[edge], 1.0), 0.0, 1.0)
-        return edge, fraction, cdf[-1]
+        return near_points(packed, every, radius, self.points, strips, key_points, seed, options)
 
 
 def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:

@@ -17,6 +17,7 @@ from jaxdr.boundary.edge_chains import EdgeOrder
 from jaxdr.boundary.guided_edges import GuidedEdges, Prepared
 from jaxdr.boundary.primary_guides import Defended
 from jaxdr.boundary.term import Chunk, Context
+from jaxdr.compilation import unfolded
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path import PathSettings
@@ -94,7 +95,7 @@ def refit_guides(
 
 @partial(jax.jit, static_argnums=(3, 4))
 def _refitted(scene: Scene, guides: ReusedGuides, key, moving: tuple[bool, ...], settings: PathSettings):
-    found = guides.boundary.refit(pack(scene), moving, settings, guides.guides, guides.order, key)
+    found = guides.boundary.refit(pack(unfolded(scene)), moving, settings, guides.guides, guides.order, key)
     return eqx.tree_at(lambda g: g.guides, guides, found)
 
 
@@ -108,7 +109,7 @@ def _same_edges(edges: int, built: int) -> None:
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
 def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settings: PathSettings):
-    prepared = boundary.build(pack(scene), moving, settings)
+    prepared = boundary.build(pack(unfolded(scene)), moving, settings)
     return prepared.guides, prepared.order
 
 

@@ -1,5 +1,6 @@
 """Kernel density: its radii and options, the projection behind it, and a shadow under a sky."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.boundary.plain_kernel import PLAIN
 from jaxdr.boundary.silhouettes import SegmentEnds, displacement, project_edges
 from jaxdr.geometry.shapes import displaced_sphere
 from jaxdr.scene.packed import pack
@@ -28,6 +30,14 @@ def test_radius_schedule():
     # Radii fall like t^((α - 1) / 2).
     long = jd.KernelDensity(alpha=0.3, iterations=2000).radius_schedule()
     np.testing.assert_allclose(long[1999] / long[499], 4.0**-0.35, rtol=1e-2)
+
+
+def test_the_plain_kernel_is_the_papers():
+    """Each switch that `KernelDensity` has for a difference to the paper is off in it."""
+    ours, plain = jd.KernelDensity(), jd.KernelDensity(**PLAIN)
+    switches = {field.name for field in dataclasses.fields(ours)} - {"radius", "alpha", "points", "capacity"}
+    assert set(PLAIN) == switches
+    assert all(getattr(plain, name) != getattr(ours, name) for name in switches)
 
 
 @pytest.mark.parametrize(

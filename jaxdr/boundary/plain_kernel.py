@@ -1,0 +1,82 @@
+"""What is the 2026 paper's own of its kernel: points on edges, discs around their projections, radii that shrink.
+
+`KernelDensity(**PLAIN)` is the method as it is in the paper (Xu et al. 2026, Eq. 15-22).
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import between, corners, norm
+from jaxdr.scene.packed import PackedScene
+
+# The settings of `KernelDensity` that make it the paper's.
+PLAIN: dict[str, Any] = {
+    "kernel": "point",
+    "iterations": 4,
+    "widest": 0.0,
+    "concave_edges": True,
+    "visibility_ray": False,
+    "at_boundary": False,
+    "both_sides": False,
+    "clip_to_face": False,
+    "trace_background": False,
+}
+
+
+def shrinking_radii(alpha: float, iterations: int) -> list[float]:
+    """Radius of every iteration relative to the first: r_{t+1} = r_t sqrt((t + alpha) / (t + 1)) (Eq. 21)."""
+    radii = [1.0]
+    for t in range(iterations - 1):
+        radii.append(radii[-1] * ((t + alpha) / (t + 1)) ** 0.5)
+    return radii
+
+
+def near_points(
+    packed: PackedScene,
+    edges: queries.EdgeSet,
+    radius: Float[Array, " E"],
+    count: int,
+    strips: queries.StripQuery,
+    key: PRNGKeyArray,
+    seed: Int[Array, ""],
+    options: dict[str, Any],
+) -> tuple[queries.Candidates, Int[Array, " C"], Float[Array, " C"], Float[Array, ""]]:
+    """(candidates, their edges, fractions along these, length of edges per point): points on edges near targets.
+
+    `count` points are drawn. Kernel radii are those of the edges (scene units). `options` are those of `queries.point_candidates`.
+    """
+    edge, along, length = edge_points(packed, radius, count, key)
+    position = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edge]]), along)
+    points = queries.EdgePoints(position, edge, radius[edge])
+    pairs = queries.point_candidates(packed.geometry, edges, points, strips, seed, **options)
+    return pairs, edge[pairs.element], along[pairs.element], length / count
+
+
+def edge_points(
+    packed: PackedScene, radius: Float[Array, " E"], count: int, key: PRNGKeyArray
+) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, ""]]:
+    """(edge, fraction along it, total length): points uniform over the length of all edges of positive radius."""
+    start, end = corners(stop_gradient(packed.vertices)[packed.edges.vertices])
+    length = jnp.where(radius > 0, norm(end - start), 0.0)
+    cdf = jnp.cumsum(length)
+    u = (jnp.arange(count) + jax.random.uniform(key, (count,), cdf.dtype)) / count * cdf[-1]
+    edge = jnp.clip(jnp.searchsorted(cdf, u, side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
+    fraction = jnp.clip((u - before) / jnp.where(length[edge] > 0, length[edge], 1.0), 0.0, 1.0)
+    return edge, fraction, cdf[-1]
+
+
+def share_of_disc(
+    density: Float[Array, ""], stretch: Float[Array, " C"], radius: Float[Array, " C"], both_sides: bool
+) -> Float[Array, " C"]:
+    """What a boundary point counts for a path vertex within `radius` of its projection (Eq. 16, 19), per unit of area.
+
+    `density`: length of edges per point; `stretch`: projected length per length of edge.
+    """
+    disc = jnp.pi * radius**2
+    return density * stretch / (disc if both_sides else 0.5 * disc)
