@@ -48,7 +48,8 @@ def near_points(
 ) -> tuple[queries.Candidates, Int[Array, " C"], Float[Array, " C"], Float[Array, ""]]:
     """(candidates, their edges, fractions along these, length of edges per point): points on edges near targets.
 
-    `count` points are drawn. Kernel radii are those of the edges (scene units). `options` are those of `queries.point_candidates`.
+    `count` points are drawn. Kernel radii are those of the edges (scene units); `options` are for
+    `queries.point_candidates`.
     """
     edge, along, length = edge_points(packed, radius, count, key)
     position = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edge]]), along)
