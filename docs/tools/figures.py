@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 FOLDER = Path(__file__).resolve().parents[1] / "figures"
-STEP, SPP, CALLS = 0.02, 64, 4
+STEP, SPP, CALLS = 0.004, 128, 16
 INK, GLOW, SHADE, GOOD = "#333333", "#e6a700", "#9db4c8", "#c0392b"
 
 
@@ -60,10 +60,12 @@ def draw_terms() -> None:
     """The image, the terms of its derivative, their sum, and finite differences."""
     images = terms()
     names = ["image", "interior", "silhouettes", "creases", "boundary", "sum of the terms", "finite differences"]
+    names.append("their difference")
+    images["their difference"] = images["sum of the terms"] - images["finite differences"]
     figure, axes = plt.subplots(2, 4, figsize=(12, 6.3), layout="constrained")
-    for axis, name in zip(axes.flat, names, strict=False):
+    for axis, name in zip(axes.flat, names, strict=True):
         if name == "image":
-            axis.imshow(np.clip(images[name], 0, 1) ** (1 / 2.2), cmap="gray", vmin=0, vmax=1)
+            axis.imshow(np.clip(1.5 * images[name], 0, 1) ** (1 / 2.2), cmap="gray", vmin=0, vmax=1)
         else:
             axis.imshow(images[name], cmap="RdBu_r", vmin=-1.5, vmax=1.5)
         axis.set_title(name.replace("boundary", "boundary (the shadow)"))
