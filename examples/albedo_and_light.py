@@ -1,7 +1,7 @@
 """Albedo and light together: the colour of a ball and the radiance of a lamp, from one image.
 
-Nothing moves, so there are no boundary terms: it compiles in seconds. The floor's colour is known. Without something known a
-brighter lamp and a darker world would look the same.
+Nothing moves, so there are no boundary terms: it compiles in seconds. The floor's colour is known. Without something
+known a brighter lamp and a darker world would look the same.
 """
 
 import jax

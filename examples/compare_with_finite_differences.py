@@ -1,7 +1,7 @@
 """Compare with finite differences: the check to make whenever you doubt a gradient.
 
-Take the derivative image twice, by `jax.jvp` and as a difference of two images. Both images of a difference share their key, so that
-their noise cancels. Average over keys, and judge by the standard error.
+Take a derivative twice: by `jax.jvp`, and as a difference of two images. Both images of a difference share their key,
+so that their noise cancels. Average over keys, and judge by the standard error.
 """
 
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 import jaxdr as jd
 
-PIXELS, SAMPLES, KEYS, STEP = 24, 64, 16, 0.01
+PIXELS, SAMPLES, MANY, KEYS, STEP = 24, 64, 512, 16, 0.02
 
 
 def make_scene() -> jd.Scene:
@@ -27,20 +27,20 @@ def main() -> tuple[float, float]:
     scene = make_scene()
     vertices = scene.parameters()["box.vertices"]
 
-    def mean(x, key, tracer):
+    def mean(x, key, spp, tracer):
         moved = scene.replace({"box.vertices": vertices + x * jnp.array([1.0, 0.0, 0.0])})
-        return jd.render(moved, key, SAMPLES, tracer)[:, : PIXELS // 2].mean()
+        return jd.render(moved, key, spp, tracer)[:, : PIXELS // 2].mean()
 
     tracer = jd.PathTracer(max_depth=2)
     plain = jd.PathTracer(max_depth=2, boundary=None)  # images need no boundary terms
 
     @jax.jit
     def by_jvp(key):
-        return jax.jvp(lambda x: mean(x, key, tracer), (0.0,), (1.0,))[1]
+        return jax.jvp(lambda x: mean(x, key, SAMPLES, tracer), (0.0,), (1.0,))[1]
 
     @jax.jit
     def by_difference(key):
-        return (mean(STEP, key, plain) - mean(-STEP, key, plain)) / (2 * STEP)
+        return (mean(STEP, key, MANY, plain) - mean(-STEP, key, MANY, plain)) / (2 * STEP)
 
     keys = jax.random.split(jax.random.key(0), KEYS)
     ours, theirs = (jnp.array([function(key) for key in keys]) for function in (by_jvp, by_difference))
@@ -52,4 +52,4 @@ def main() -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    print("ratio %.3f ± %.3f" % main())
+    print("ratio {:.3f} ± {:.3f}".format(*main()))

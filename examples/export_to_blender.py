@@ -1,6 +1,7 @@
 """Export to Blender: write a mesh as GLB with its y axis up, so that it stands upright there.
 
-In Blender: File, Import, glTF 2.0. glTF has y up and Blender turns it to z up. jaxdr's shapes have z up, so we turn them once.
+In Blender: File, Import, glTF 2.0. glTF has y up, and Blender turns it to z up. jaxdr's shapes have z up, so we turn
+them once.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt with optimistix: where a ball and a lamp are, from one image, in a dozen steps.
 
-For a few numbers a method of second order needs far fewer steps than Adam. `jaxdr optimize` does this with more care: damping,
-blurred images, resuming (docs/recovery.md).
+For a few numbers this needs far fewer steps than Adam. `jaxdr optimize` does it with more care: damping, blurred
+images, resuming (docs/recovery.md).
 """
 
 import jax

@@ -1,7 +1,4 @@
-"""A mesh from rendered views: a sphere becomes a pawn, with `LargeSteps` and Adam for meshes.
-
-This is the heart of `jaxdr optimize configs/quickstart.toml`, in one file.
-"""
+"""A mesh from rendered views: a sphere becomes a pawn, with `LargeSteps` and Adam for meshes (configs/quickstart)."""
 
 import jax
 import jax.numpy as jnp
@@ -58,4 +55,4 @@ def main(steps: int = STEPS) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    print("Chamfer distance: %.4f before, %.4f after" % main())
+    print("Chamfer distance: {:.4f} before, {:.4f} after".format(*main()))

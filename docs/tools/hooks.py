@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).resolve().parents[2]
 OUTSIDE = ("experiments/*/README.md", "experiments/*/results/*.png", "examples/*.py", "configs/*.toml")
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
-LINK = re.compile(r"(\]\()(\.\./[^)#\s]*|results/[^)\s]*)(#[^)\s]*)?(\))")
+LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)\s]*)?(\))")  # relative ones: a colon is that of https:
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -34,12 +34,11 @@ def on_page_markdown(markdown, page, config, files):
 
 def _within(match: re.Match, source: str) -> str:
     start, target, anchor, end = match.groups()
-    folder = posixpath.dirname(source)
-    in_repository = f"docs/{folder}" if not source.startswith("experiments/") and source not in PAGES else folder
-    path = posixpath.normpath(posixpath.join(in_repository, target))
+    outside = (ROOT / source).exists()
+    path = posixpath.normpath(posixpath.join(posixpath.dirname(source if outside else f"docs/{source}"), target))
     if (ROOT / path).is_dir():
         path = f"{path}/README.md"
-    link = posixpath.relpath(path.removeprefix("docs/"), folder or ".")
+    link = posixpath.relpath(path.removeprefix("docs/"), posixpath.dirname(source) or ".")
     return f"{start}{link}{anchor or ''}{end}"
 
 
