@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from jaxdr.image_formats import exr, pfm, png, rgbe
@@ -72,7 +72,7 @@ def check_image_path(path: Path) -> None:
         raise ValueError(f"{path}: {exr.INSTALL}")
 
 
-def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"]) -> None:
+def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"] | Float[Array, "H W C"]) -> None:
     """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (8-bit sRGB, clipped).
 
     The first three hold one channel (C = 1) as well.
