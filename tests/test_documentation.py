@@ -1,6 +1,7 @@
 """README and docs as their readers have them: length, commands, code, links, names, messages, spelling, the site."""
 
 import ast
+import html
 import inspect
 import os
 import re
@@ -10,6 +11,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -167,8 +169,8 @@ def test_relative_links_lead_somewhere(page):
 
 def test_every_public_name_is_in_the_reference():
     reference = "\n".join(path.read_text() for path in (DOCS / "api").glob("*.md"))
-    shown = re.findall(r"^::: jaxdr\.(\w+)$", reference, re.MULTILINE)
-    assert sorted(shown) == sorted(public_names())
+    shown = re.findall(r"^::: jaxdr\.([\w.]+)$", reference, re.MULTILINE)
+    assert sorted(name.rpartition(".")[2] for name in shown) == sorted(public_names())
 
 
 @pytest.mark.parametrize("name", public_names())
@@ -252,8 +254,21 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    reference = "".join(path.read_text() for path in (tmp_path / "site/api").rglob("index.html"))
-    assert [name for name in public_names() if f'id="jaxdr.{name}"' not in reference] == []
+    check_reference("".join(path.read_text() for path in (tmp_path / "site/api").rglob("index.html")))
     theory = (tmp_path / "site/how_it_works/index.html").read_text()
     assert "<math" in theory and "arithmatex" not in theory and "\\frac" not in theory
     assert (tmp_path / "site/experiments/charts/results/environment_penguin.png").is_file()
+
+
+def check_reference(page: str) -> None:
+    """Every public name has its heading, the parameters that it really has, and the first words of its docstring."""
+    for name in public_names():
+        value = getattr(jd, name)
+        found = re.search(rf'<h\d id="jaxdr\.(\w+\.)*{name}".*?(?=<h\d id="jaxdr\.\w|\Z)', page, re.DOTALL)
+        assert found, name
+        text = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", "", found.group())))
+        summary = re.sub(r"[`*\s]+", " ", inspect.getdoc(value))[:20].strip()
+        assert summary in re.sub(r"[`*\s]+", " ", text), (name, summary)
+        if not isinstance(value, type) or issubclass(value, eqx.Module):
+            parameters = inspect.signature(value).parameters if callable(value) else []
+            assert [p for p in parameters if not re.search(rf"[(,*] ?{p}\b", text)] == [], name
