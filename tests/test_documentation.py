@@ -1,6 +1,8 @@
 """README and docs as their readers have them: length, commands, code, links, names, messages, spelling, the site."""
 
+import argparse
 import ast
+import dataclasses
 import html
 import inspect
 import os
@@ -20,6 +22,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr import cli
+from jaxdr.optimize import config
 
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
@@ -187,6 +190,35 @@ def test_docs_name_nothing_that_is_not_public():
 
 def test_docs_cite_no_document_that_is_not_here():
     assert [id_of(path) for path in TEXTS if re.search(r"\bDESIGN\b", path.read_text())] == []
+
+
+def test_commands_have_their_options():
+    page = (DOCS / "commands.md").read_text()
+    shared = page.split("\n## ")[0]
+    parsers = next(a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    for command, parser in parsers.items():
+        if (DOCS / f"{command}.md").exists() and f"\n## jaxdr {command}\n" not in page:
+            continue  # it has a page of its own
+        section = page.split(f"\n## jaxdr {command}\n")[1].split("\n## ")[0]
+        known = {name for action in parser._actions for name in action.option_strings} - {"-h", "--help"}
+        assert set(re.findall(r"`(--?[a-z][a-z-]*)", shared + section)) - {"--help"} == known, command
+
+
+def test_every_key_of_a_config_is_listed():
+    page = (DOCS / "commands.md").read_text()
+
+    def missing(kind, prefix: str) -> list[str]:
+        found = []
+        for field in dataclasses.fields(kind):
+            name = f"{prefix}{field.name}"
+            tables = {"lights": config.Light, "floor": config.Floor}
+            made = tables.get(name, type(field.default) if dataclasses.is_dataclass(field.default) else None)
+            if name == "target":
+                made = config.Target
+            found += missing(made, f"{name}.") if made else [] if f"`{name}`" in page else [name]
+        return found
+
+    assert missing(config.OptimizeConfig, "") == []
 
 
 # Messages

@@ -37,8 +37,10 @@ def numbers(text: str) -> list[float]:
 
 @pytest.fixture
 def printed(tmp_path, request):
-    """A function that runs a script in `tmp_path`."""
-    return lambda name: run(name, tmp_path, request.config.cache.mkdir("programs"))
+    """A function that runs a script in `tmp_path`. Compiled programs are kept where those of the tests are."""
+    kept = hasattr(request.config, "cache")  # not with -p no:cacheprovider
+    programs = request.config.cache.mkdir("programs") if kept else tmp_path
+    return lambda name: run(name, tmp_path, programs)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
