@@ -13,12 +13,12 @@ CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 
 
 def jit(function: Callable, **settings: Any) -> Any:
-    """``jax.jit(function, **settings)``, compiled for speed on the CPU; elsewhere it is ``jax.jit``.
+    """``jax.jit(function, **settings)``, compiled for speed on the CPU; elsewhere ``jax.jit`` itself.
 
-    Results agree with those of ``jax.jit`` to rounding. Use it for the outermost function only:
-    ``jit(jax.grad(loss))``. Called inside of another `jax.jit`, `jax.grad` or `jax.vmap` the result raises ValueError
-    ("can only be passed to top-level `jax.jit`"), because JAX takes compiler options nowhere else. To do the same for a
-    whole process, set `XLA_FLAGS=--xla_cpu_use_fusion_emitters=false`.
+    Results agree with those of ``jax.jit`` to rounding. For the outermost function, ``jit(jax.grad(loss))``: JAX takes
+    compiler options nowhere else, and raises ValueError ("can only be passed to top-level `jax.jit`") where the result
+    is called inside of another `jax.jit`, `jax.grad` or `jax.vmap`. For a whole process
+    `XLA_FLAGS=--xla_cpu_use_fusion_emitters=false` does the same.
     """
     return jax.jit(function, compiler_options=compiler_options(jax.default_backend()), **settings)
 
