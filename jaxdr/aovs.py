@@ -56,22 +56,23 @@ class _Settings(NamedTuple):
 def render_aovs(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "auto"
 ) -> dict[str, Array]:
-    """What camera rays hit, by name: floats [H, W, C], averaged with the pixel filter, and int32 numbers [H, W].
+    """What camera rays hit, by name: a dictionary of floats [H, W, C] and int32 numbers [H, W].
 
-    Floats are means over `spp` samples a pixel, with zero for samples that hit nothing, as of Mitsuba's `aov`
-    integrator (the image of pixels at borders mixes both sides):
+    Floats are means over `spp` samples a pixel, weighted by the pixel filter, as of Mitsuba's `aov` integrator. A
+    sample that hits nothing counts as zero. At borders both sides are mixed.
 
-    - `depth` (C = 1): distance from the camera along the ray (from the pinhole, the point on the lens, or the plane of
-      a parallel camera; Mitsuba counts from the near plane);
-    - `position`, `shading_normal` (C = 3): in world space, the normal unit and on the side that the surface has it;
-    - `albedo` (C = 3): share of the light from everywhere that is scattered towards the camera, by one sample of the
-      BSDF each: exact for diffuse surfaces. Black surfaces and backs of one-sided ones have none.
+    - `depth` (C = 1): distance along the ray, in scene units. It counts from the pinhole, from the point on the lens,
+      or from the plane of a parallel camera. (Mitsuba counts from the near plane.)
+    - `position` (C = 3): world space.
+    - `shading_normal` (C = 3): world space, unit length, on the side of the surface where its normal points.
+    - `albedo` (C = 3): share of light from everywhere that is scattered towards the camera. One sample of the BSDF
+      each: exact for diffuse surfaces. Black surfaces, and backs of one-sided ones, have zero.
 
-    Numbers are those at pixel centres, seen from the centre of the lens, -1 for nothing: `shape` counts `scene.shapes`,
-    `face` the faces of its mesh.
+    Numbers are those at pixel centres, seen from the centre of the lens; -1 means nothing. `shape` counts
+    `scene.shapes`. `face` counts the faces of that shape's mesh.
 
-    `rays` names the implementation of the ray queries. Raises ValueError for unknown names, and when differentiated:
-    the jumps at edges are not accounted for.
+    `rays` names the implementation of the ray queries, as in `PathTracer`. Raises ValueError for unknown names, and
+    when it is differentiated: its jumps at edges have no derivative. Take `jax.lax.stop_gradient` of the result.
     """
     names = tuple(names)
     for name in names:

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from jaxdr.image_formats import exr, pfm, png, rgbe
@@ -41,11 +41,11 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
     """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
 
     `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit) and `.jpg` hold sRGB, which is made
-    linear (alpha is linear already); with `raw` their numbers stay as they are, in [0, 1]: for normal maps, roughness,
-    masks.
+    linear; alpha is linear already. With `raw` their numbers stay as they are, in [0, 1]: use it for normal maps,
+    roughness and masks.
 
-    Raises ValueError that names the file for a missing or damaged one, an unknown suffix, a variant that is not
-    supported, and EXR without the package OpenEXR.
+    Raises ValueError for a missing or damaged file, an unknown suffix, a variant that is not supported, and EXR without
+    the package OpenEXR. The message names the file.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -72,13 +72,14 @@ def check_image_path(path: Path) -> None:
         raise ValueError(f"{path}: {exr.INSTALL}")
 
 
-def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"]) -> None:
-    """Write linear RGB as `.exr`, `.pfm` or `.npy` (float32, unchanged), `.hdr` (RGBE) or `.png` (8-bit sRGB, clipped).
+def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"] | Float[Array, "H W C"]) -> None:
+    """Write linear RGB [H, W, 3], top row first.
 
-    The first three hold one channel (C = 1) as well.
+    `.exr`, `.pfm` and `.npy` keep float32 values, and may hold one channel instead (C = 1). `.hdr` rounds them to RGBE.
+    `.png` holds 8-bit sRGB: values are clipped to [0, 1].
 
-    The file appears complete or not at all. Raises ValueError as `check_image_path` does, and for values that `.hdr`
-    can't hold (negative ones).
+    The file appears complete or not at all. Raises ValueError for an unknown suffix, a missing folder, EXR without the
+    package OpenEXR, and negative values in `.hdr`.
     """
     path = Path(path)
     check_image_path(path)

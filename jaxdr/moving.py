@@ -12,9 +12,13 @@ PLACES = ("position", "direction", "to_world", "fov")
 
 
 class Moving(NamedTuple):
-    """What is being differentiated that moves: shapes, camera, lights without area, the environment. Static.
+    """Which parts of a scene move in a derivative. Static: known when the program is traced.
 
-    A shape counts as well where its smooth glass bends light otherwise.
+    - `shapes`: one flag for each of `scene.shapes`, in their order. A shape counts as moving, too, where the index of
+      its smooth glass or the normals of its mirror are differentiated.
+    - `camera`: whether the camera moves.
+    - `lights`: one flag for each of `scene.lights`.
+    - `environment`: whether the environment turns.
     """
 
     shapes: tuple[bool, ...]

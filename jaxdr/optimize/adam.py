@@ -19,11 +19,11 @@ class AdamUniformState(NamedTuple):
 def adam_uniform(
     learning_rate: optax.ScalarOrSchedule, b1: float = 0.9, b2: float = 0.999, eps: float = 1e-8
 ) -> optax.GradientTransformation:
-    """Adam whose second moment is replaced by its largest component, leaf by leaf.
+    """Adam for meshes (Nicolet, Jacobson and Jakob 2021, "AdamUniform"): an optax transformation.
 
-    Nicolet, Jacobson and Jakob 2021, "Large Steps in Inverse Rendering of Geometry" ("AdamUniform"): per-component
-    scaling would undo the smoothness that `LargeSteps` gives the gradient. `learning_rate` is a number or an
-    optax schedule (a function of the step count, from 0).
+    The second moment is one number for each array, its largest component. Adam's own, one for each component, would
+    undo the smoothness that `LargeSteps` gives the gradient. `learning_rate` is a number or an optax schedule (a
+    function of the step count, from 0). Raises ValueError for `b1` or `b2` outside [0, 1), or a negative `eps`.
     """
     return optax.chain(scale_by_adam_uniform(b1, b2, eps), optax.scale_by_learning_rate(learning_rate))
 

@@ -9,11 +9,11 @@ from jaxdr.geometry.mesh import Mesh
 def chamfer(mesh: Mesh, target: Mesh, samples: int = 20_000, seed: int = 0) -> float:
     """Chamfer distance of two surfaces, as a share of the diagonal of the target's bounding box.
 
-    Half the sum of the two mean distances (not squared): from points on `mesh` to the surface of `target`, and
-    the other way round. Distances are exact, to the nearest point of any triangle; the `samples` points on each
-    surface are stratified by area. Computed on the host CPU; the same seed gives the same number.
+    It is half the sum of two mean distances (not squared): from points on `mesh` to the surface of `target`, and the
+    other way round. Distances are exact, to the nearest point of any triangle. `samples` points are drawn on each
+    surface, stratified by area. It runs on the host CPU; the same seed gives the same number.
 
-    Raises ValueError for fewer than one sample or vertices that are not finite.
+    Raises ValueError for fewer than one sample, and for vertices that are not finite.
     """
     if samples < 1:
         raise ValueError(f"chamfer: samples must be at least 1, got {samples}")

@@ -28,15 +28,15 @@ numpy.savez(sys.argv[2], vertices=vertices, faces=faces)
 
 
 def remesh_field_aligned(mesh: Mesh, vertices: int) -> Mesh:
-    """A mesh of the same surface with just so many `vertices`, its edges in long straight chains.
+    """A mesh of the same surface with exactly `vertices` vertices, whose edges form long straight chains.
 
     Jakob et al. 2015, "Instant Field-Aligned Meshes", through pyinstantmeshes: triangles along a smooth field of six
-    directions. Then the longest edges are split until the number is met (a hundredth of it or two). For sorted edges
-    of `GuidedEdges` (Yan et al. 2022, 4.3). Runs on the host; the same mesh and number give the same result. UVs are
-    dropped; a mesh with interpolated normals gets one per vertex.
+    directions. Then the longest edges are split until the number is met (one or two in a hundred). Such meshes suit the
+    sorted edges of `GuidedEdges` (Yan et al. 2022, 4.3). It runs on the host; the same mesh and number give the same
+    result. UVs are dropped. A mesh with interpolated normals gets one per vertex.
 
-    Raises ImportError without pyinstantmeshes, and ValueError for fewer than 16 vertices, for a mesh that is not finite
-    or not manifold, and where no result is manifold and, for a closed mesh, closed.
+    Raises ImportError without pyinstantmeshes. Raises ValueError for fewer than 16 vertices, for a mesh that is not
+    finite or not manifold, and where no result is manifold and, for a closed mesh, closed.
     """
     require_pyinstantmeshes()
     if vertices < LEAST:

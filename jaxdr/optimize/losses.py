@@ -1,4 +1,4 @@
-"""Losses between images: means over all pixels and channels. Masks are weights per pixel, [H, W] or [H, W, 1]."""
+"""Losses between images [H, W, 3]: means over all pixels and channels. A mask weights pixels: [H, W] or [H, W, 1]."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float

@@ -12,15 +12,15 @@ from jaxdr.geometry.mesh import Mesh
 
 
 class LargeSteps(eqx.Module):
-    """Latent coordinates u = (I + lam L) v of a mesh: gradient steps in u move v smoothly.
+    """Latent coordinates u = (I + lam L) v of a mesh. Steps in u move the vertices v smoothly.
 
-    Nicolet, Jacobson and Jakob 2021, "Large Steps in Inverse Rendering of Geometry", with the
-    combinatorial Laplacian L = D - A. A step down dE/du moves v by (I + lam L)^-2 dE/dv, a diffused gradient.
+    Nicolet, Jacobson and Jakob 2021, "Large Steps in Inverse Rendering of Geometry", with the combinatorial Laplacian L
+    = D - A. A step down dE/du moves v by (I + lam L)^-2 dE/dv, a smoothed gradient.
 
-    The matrix is factorised once, on the host in float64, for the edges of `mesh`; a mesh with new faces
-    needs a new `LargeSteps`. The object is a pytree: close over it in a jitted function or pass it as an argument.
+    `lam` is the strength of the smoothing: 0 does nothing, 19 is a good start for remeshed objects. The matrix is
+    factorised once, on the host in float64, for the edges of `mesh`. A mesh with new faces needs a new `LargeSteps`.
+    The object is a pytree: close over it in a jitted function, or pass it as an argument.
 
-    `lam` is the strength of the smoothing: 0 does nothing, 19 is a good start for remeshed objects.
     Raises ValueError when `lam` is negative or not finite.
     """
 

@@ -15,13 +15,13 @@ ENOUGH = 0.95
 def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     """A mesh of the same surface whose edges are all about `edge_length` long (scene units).
 
-    Botsch and Kobbelt 2004, "A Remeshing Approach to Multiresolution Modeling", through gpytoolbox: `iterations`
-    rounds of splitting, collapsing and flipping edges, smoothing and projecting back. Runs on the host. The
-    number of vertices changes, so preconditioner and optimiser state start afresh. UVs are dropped; a mesh
-    with interpolated normals gets one per vertex.
+    Botsch and Kobbelt 2004, "A Remeshing Approach to Multiresolution Modeling", through gpytoolbox: `iterations` rounds
+    of splitting, collapsing and flipping edges, smoothing and projecting back. It runs on the host. The number of
+    vertices changes, so start preconditioner and optimiser afresh. UVs are dropped. A mesh with interpolated normals
+    gets one per vertex.
 
-    Raises ImportError without gpytoolbox, and ValueError for an edge length that is not positive or longer than
-    the mesh, for a non-manifold mesh, and when the result is empty, not finite, non-manifold or no longer closed.
+    Raises ImportError without gpytoolbox. Raises ValueError for an edge length that is not positive or longer than the
+    mesh, for a non-manifold mesh, and when the result is empty, not finite, non-manifold or no longer closed.
     """
     remesh_botsch = require_gpytoolbox()
     check_manifold(mesh, "remesh")

@@ -35,15 +35,16 @@ def plan(
     spp: int | None = None,
     depth_tolerance: float = DEPTH_TOLERANCE,
 ) -> Plan:
-    """Choose integrator and samples for derivatives of a scene by `params`, and explain each choice in a line.
+    """Choose integrator and samples for derivatives of a scene by `params`, and say why.
 
-    `params`: names of `scene.parameters()`, or motions such as `spot.translate.x`; None for all vertices. `budget`:
-    seconds of a derivative image. What is given is kept: `max_depth`, the `boundary` estimator (or None), `spp`, or a
-    whole `integrator`. `depth_tolerance`: share of the light, and of its derivative, that longer paths may carry.
+    - `params`: names of `scene.parameters()`, or motions such as `spot.translate.x`; None for all vertices.
+    - `budget`: seconds that a derivative image may take.
+    - `max_depth`, `boundary` (an estimator or None), `spp`, `integrator`: kept as they are, if given.
+    - `depth_tolerance`: share of the light, and of its derivative, that longer paths may carry.
 
-    Runs the estimators at few samples on an image of at most 48 x 48 pixels: some minutes, nearly all of them spent on
-    compilation. Not for use under `jit`. Timings vary, and with them choices between equals: keep the plan
-    (`Plan.to_dict`) where a run has to be repeated. Raises ValueError for bad arguments, and where nothing can
+    It runs the estimators with few samples on an image of at most 48 x 48 pixels. That takes some minutes, nearly all
+    of them for compilation, and does not work under `jit`. Timings vary, and with them choices between equals. To
+    repeat a run, keep the plan (`Plan.to_dict`). Raises ValueError for bad arguments, and where nothing can
     differentiate the scene.
     """
     _check(scene, budget, max_depth, spp, integrator, boundary)

@@ -14,10 +14,10 @@ INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTrace
 
 @dataclass(frozen=True)
 class Plan:
-    """What to differentiate a scene with: `integrator`, `spp` samples per pixel, and the reasons, a line each.
+    """What to differentiate a scene with: `integrator`, `spp` samples per pixel, and the reasons in `lines`.
 
-    `figures` has what was measured. `str` gives the lines; `to_dict` a table for JSON from which `Plan.from_dict` makes
-    the same plan, with nothing measured again.
+    `figures` has what was measured. `str(plan)` gives the lines. `to_dict` makes a table for JSON, from which
+    `Plan.from_dict` makes the same plan again, with nothing measured.
     """
 
     integrator: Any

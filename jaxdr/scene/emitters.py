@@ -15,9 +15,9 @@ from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
 class AreaEmitter(eqx.Module):
-    """Emits RGB `radiance` (W / m^2 sr) from the side of the surface its normal points to.
+    """Emits RGB `radiance` (W / m^2 sr) from the side of the surface that its normal points to.
 
-    A number, three numbers, or a texture: then the radiance varies over the surface and moves with it. Raises
+    `radiance` is a number, three numbers, or a texture. A texture varies over the surface and moves with it. Raises
     ValueError for another shape, and for radiance that is negative or not finite.
     """
 

@@ -30,11 +30,11 @@ COMPARABLE = 0.25  # share of the density to which it may fall within `extent`
 class EnvironmentMap(Environment):
     """Radiance `scale` x `radiance` [H, W, 3] from all directions, on a grid of longitude and latitude.
 
-    `to_world` [4, 4] turns the map's frame into the world's: a rotation, mirrored or scaled evenly if need be (only
-    directions matter). Conventions are Mitsuba's: in the map's frame the upper border of the image is the direction +y,
-    its middle column +z, and further right comes -x. Importance sampled by luminance.
+    `to_world` [4, 4] turns the map's frame into the world's. It is a rotation; it may mirror or scale evenly, since
+    only directions matter. Conventions are Mitsuba's: in the map's frame the top of the image is the direction +y, its
+    middle column is +z, and further right comes -x. Bright pixels are sampled more often, by luminance.
 
-    Raises ValueError for an image that is no RGB image of at least 3 x 2 pixels, or a matrix that skews.
+    Raises ValueError for an image that is not RGB or has fewer than 3 x 2 pixels, and for a matrix that skews.
     """
 
     radiance: Float[Array, "H W 3"]

@@ -46,16 +46,18 @@ def load_gltf(
 ) -> Scene:
     """The scene in a glTF 2.0 file, y up, in its units: one shape for each mesh primitive of each node.
 
-    Shapes are named by their nodes, with a number where names repeat. Base colour, metallic and roughness become a
-    `Principled` BSDF with their textures, two-sided where the material is, in a `NormalMap` where there is one;
-    emissive factors become area emitters, with their textures; where nothing emits, a constant environment of radiance
-    1 does. Normals are those of the file's smoothing groups (`load_mesh`, shading "file"). The first camera is taken,
-    or one that shows the whole scene from the front. The film is `width` pixels wide and, unless `height` is given, as
-    high as the camera's aspect ratio asks for (square without one).
+    - Shapes are named by their nodes, with a number where names repeat. Normals are those of the file's smoothing
+      groups (`load_mesh`, shading "file").
+    - Base colour, metallic and roughness become a `Principled` BSDF, with their textures. It is two-sided where the
+      material is, and in a `NormalMap` where there is one.
+    - Emissive factors become area emitters, with their textures. Where nothing emits, there is a constant environment
+      of radiance 1.
+    - The first camera is taken, or one that shows the whole scene from the front.
+    - The film is `width` pixels wide. Without `height` the camera's aspect ratio gives it (square without one).
 
-    Raises one ValueError that lists whatever else is not supported (vertex colours, transparency, lights,
-    animations, other extensions); with `ignore_unsupported` that becomes warnings and the rest is loaded.
-    Raises ValueError for a missing or damaged file.
+    Raises one ValueError that lists whatever else is not supported (vertex colours, transparency, lights, animations,
+    other extensions). With `ignore_unsupported` that becomes warnings, and the rest is loaded. Raises ValueError for a
+    missing or damaged file.
     """
     path = Path(path)
     if not is_gltf(path):

@@ -25,17 +25,18 @@ INTEGRATOR_SETTINGS = (
 
 
 def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False, **variables: object) -> Scene:
-    """The scene in a Mitsuba 3 XML file.
+    """The scene in a Mitsuba 3 XML file. Units and orientations are Mitsuba's.
 
-    Keywords set the file's `$variables` and override its `<default>`s. Shapes are named by their XML ids; one without
-    id by its type (`sphere`, `sphere_1`, …); those of an instance of several by its name, `_` and theirs. Units and
-    orientations are Mitsuba's. Everything becomes meshes, instances copies of them (`jaxdr.scene.mitsuba_shapes` says
-    how fine, and where their normals come from); UVs have (0, 0) at an image's lower left, as in OBJ files. Integrator
-    and sampler are checked, but have no effect: `jaxdr.render` is given its own.
+    - Keywords set the file's `$variables` and override its `<default>`s.
+    - Shapes are named by their XML ids, one without id by its type (`sphere`, `sphere_1`, …). Those of an instance of
+      several are named by its name, `_` and theirs.
+    - Everything becomes meshes, and instances become copies of them. `jaxdr.scene.mitsuba_shapes` says how fine they
+      are, and where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
+    - Integrator and sampler are checked, but have no effect: `jaxdr.render` is given its own.
 
     Raises one ValueError that names file, line and tag of all that is wrong (values out of range, missing files, ids)
-    or not supported (elements, plugins, parameters nobody reads). With `ignore_unsupported` the latter become warnings
-    that say what happens instead. Malformed XML and a variable without value are raised on the spot.
+    or not supported (elements, plugins, parameters that nobody reads). With `ignore_unsupported` the latter become
+    warnings that say what happens instead. Malformed XML, and a variable without value, are raised at once.
     """
     root = read_document(Path(path), variables)
     properties = Properties(root)

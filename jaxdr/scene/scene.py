@@ -20,7 +20,7 @@ RESERVED = ("camera", "environment")
 
 
 class Shape(eqx.Module):
-    """A mesh with its BSDF (default: grey diffuse) and, where it glows, its emitter."""
+    """A mesh with its BSDF (default: grey diffuse) and, if it glows, its emitter. Raises ValueError for other kinds."""
 
     mesh: Mesh
     bsdf: BSDF | TwoSided = eqx.field(default_factory=Diffuse)
@@ -41,8 +41,8 @@ def _sorted_by_id(members: Mapping) -> dict:
 class Scene(eqx.Module):
     """Shapes by id, one camera, an environment or None, and lights without area by id.
 
-    Raises ValueError for ids that are empty, contain a dot, collide with `camera` and `environment`, or name both a
-    shape and a light, and for textures that do not fit the mesh of their shape.
+    Raises ValueError for an id that is empty, has a dot, is `camera` or `environment`, or names both a shape and a
+    light; and for textures that do not fit the mesh of their shape.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)

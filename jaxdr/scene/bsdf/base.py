@@ -137,7 +137,7 @@ def spreads_through(bsdf: BSDF) -> bool:
 
 
 class TwoSided(eqx.Module):
-    """Adapter: the BSDF acts alike on both sides of the surface. Parameter names pass through it."""
+    """Adapter: the BSDF acts alike on both sides of the surface. It does not appear in names of parameters."""
 
     bsdf: BSDF
 

@@ -9,10 +9,10 @@ from jaxdr.scene.bsdf.parameters import Color, Value, complex_index, rgb
 
 
 class Conductor(DeltaBSDF):
-    """Mirror reflection at a metal with complex index `eta` - i `k` (RGB); black from behind.
+    """A perfectly smooth metal with complex index `eta` - i `k` (RGB); black from behind.
 
-    Given by the name of a `material` ("Au", "Al", …) or by eta and k; a perfect mirror if by neither.
-    `specular_reflectance` (RGB in [0, 1]) scales it.
+    Give the name of a `material` ("Au", "Al", …), or `eta` and `k`. With neither it is a perfect mirror.
+    `specular_reflectance` (RGB in [0, 1]) scales the reflection.
     """
 
     eta: Color

@@ -37,9 +37,11 @@ class SmoothInterface(DeltaBSDF):
 
 
 class Dielectric(SmoothInterface):
-    """Smooth interface of two dielectrics. Refracted radiance is scaled by the squared ratio of indices.
+    """Smooth glass or water: reflects and refracts. The normal points to the outside.
 
-    Parameters are those of `SmoothInterface`.
+    `eta` = int_ior / ext_ior, the index inside over the one outside. Each is a number or a name ("bk7", "water", …).
+    `specular_reflectance` and `specular_transmittance` (RGB in [0, 1]) scale the two parts. Refracted radiance is
+    scaled by the squared ratio of indices.
     """
 
     def sample_delta(self, wi, u):

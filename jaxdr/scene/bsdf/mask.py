@@ -11,10 +11,11 @@ from jaxdr.scene.sampling import choose
 
 
 class Mask(BSDF):
-    """A BSDF on the share `opacity` of the surface; through the rest light goes straight on, from both sides.
+    """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
 
-    For a two-sided one: `TwoSided(Mask(opacity, bsdf))`. What goes through is sampled in proportion to 1 - opacity, so
-    at an opacity of exactly 1 its derivative is missed, and at exactly 0 that of the BSDF inside.
+    Both sides have the holes. For a two-sided BSDF write `TwoSided(Mask(opacity, bsdf))`. Holes are sampled in
+    proportion to 1 - opacity. So at an opacity of exactly 1 the derivative by it is missed, and at exactly 0 that of
+    the BSDF inside.
     """
 
     opacity: Number

@@ -9,15 +9,15 @@ from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 
 
 class NormalMap(BSDF):
-    """A BSDF in frames that are turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
+    """A BSDF whose normal is turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
 
-    `normal`: RGB in [0, 1], stored as (n + 1) / 2 (`Bitmap.from_file` with `raw`), n in the frame of the surface: x
-    along increasing u, z along the shading normal, y completes them. A normal that faces away from the viewer is turned
-    half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019), which hides that
-    none comes from below the surface. For a two-sided one: `TwoSided(NormalMap(normal, bsdf))`.
+    `normal` is RGB in [0, 1] and stores (n + 1) / 2; read it by `Bitmap.from_file` with `raw`. n is in the frame of the
+    surface: x along increasing u, z along the shading normal, y completes them. A normal that faces away from the
+    viewer is turned half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019). For
+    a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
 
-    Where a mapped normal begins to face away, which is at grazing angles, the image jumps inside faces; the motion of
-    that jump has no derivative.
+    Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
+    has no derivative.
     """
 
     normal: Color

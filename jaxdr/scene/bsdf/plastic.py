@@ -15,11 +15,11 @@ from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
 class Plastic(BSDF):
-    """Mirror reflection at a dielectric coat, diffuse reflection below it; black from behind (Mitsuba 3's `plastic`).
+    """A diffuse base under a smooth clear coat; black from behind (Mitsuba 3's `plastic`).
 
-    `diffuse_reflectance` (RGB in [0, 1]) of the base; light is reflected between it and the coat any number of times.
-    That shifts colours only if `nonlinear`; else every colour gains as much as white would. `eta` = int_ior / ext_ior,
-    each a number or a name. `specular_reflectance` (RGB in [0, 1]) scales the mirror.
+    `diffuse_reflectance` (RGB in [0, 1]) is that of the base. `eta` = int_ior / ext_ior of the coat, each a number or a
+    name. `specular_reflectance` (RGB in [0, 1]) scales the coat's reflection. Light bounces between base and coat any
+    number of times. With `nonlinear` that shifts colours; without it every colour gains as much as white would.
     """
 
     diffuse_reflectance: Color

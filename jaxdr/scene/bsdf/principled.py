@@ -16,11 +16,12 @@ SHARPEST = 1e-3  # alpha, as in Mitsuba
 
 
 class Principled(BSDF):
-    """Burley 2012 with the true Fresnel term for what is not metal, as Mitsuba 3's `principled`; black from behind.
+    """The material of glTF files (Burley 2012, as Mitsuba 3's `principled`); black from behind.
 
-    `base_color` (RGB), `metallic`, `roughness` and `specular`, all in [0, 1]; Mitsuba's other parameters are zero here.
-    GGX with alpha = roughness², at least 0.001; the index is that of normal reflectance 0.08 specular (the default
-    0.5: 4 %, glTF's). Where `specular` is exactly zero its derivative is taken as zero: that of the index is infinite.
+    What is not metal has the exact Fresnel term. `base_color` (RGB), `metallic`, `roughness` and `specular` are in [0,
+    1]. Mitsuba's other parameters are zero here. The facets are GGX with alpha = roughness^2, at least 0.001. At normal
+    incidence 0.08 x `specular` is reflected: the default 0.5 gives glTF's 4 %. Where `specular` is exactly zero its
+    derivative is taken as zero, since that of the index is infinite.
     """
 
     base_color: Color

@@ -11,10 +11,11 @@ from jaxdr.scene.bsdf.parameters import Color, Number, Value, complex_index, dis
 
 
 class RoughConductor(BSDF):
-    """Metal of mirror-like microfacets (Walter et al. 2007, Eq. 20); black from behind.
+    """Rough metal: microfacets that are small mirrors (Walter et al. 2007, Eq. 20); black from behind.
 
-    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"), isotropic; `material`, `eta`, `k`
-    and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost, as in Mitsuba 3.
+    `alpha` is the roughness, the same in all directions, of the `distribution` of facets ("ggx" or "beckmann").
+    `material`, `eta`, `k` and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost,
+    as in Mitsuba 3.
     """
 
     alpha: Number

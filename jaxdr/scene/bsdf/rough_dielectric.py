@@ -22,10 +22,10 @@ LEAST = 0.05  # probability of either lobe: the pilots may all see total interna
 
 
 class RoughDielectric(BSDF):
-    """Interface of two dielectrics with microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
+    """Frosted glass: microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
 
-    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"); the other parameters are those of
-    `Dielectric`. Scatters on both sides; refracted radiance is scaled by the squared ratio of indices.
+    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"). The other parameters are those of
+    `Dielectric`. Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices.
     """
 
     alpha: Number

@@ -18,11 +18,11 @@ from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
 class RoughPlastic(BSDF):
-    """Microfacet reflection at a dielectric coat, diffuse reflection below it; black from behind.
+    """A diffuse base under a rough clear coat; black from behind (Mitsuba 3's `roughplastic`).
 
-    Mitsuba 3's `roughplastic`: what the rough coat lets in, lets out and reflects back inside are integrals over its
-    facets (`jaxdr.scene.bsdf.coat`; Mitsuba's own are 2 % off for small alpha). `alpha` and `distribution` are those of
-    `RoughConductor`; int_ior / ext_ior is in [1, 2.5]; the other parameters are those of `Plastic`.
+    `alpha` and `distribution` are those of `RoughConductor`, for the coat. int_ior / ext_ior is in [1, 2.5]. The other
+    parameters are those of `Plastic`. What the coat lets in, lets out and reflects back inside are integrals over its
+    facets (`jaxdr.scene.bsdf.coat`). Mitsuba's own integrals are 2 % off for small alpha.
     """
 
     diffuse_reflectance: Color

@@ -9,10 +9,10 @@ from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 
 
 class ThinDielectric(SmoothInterface):
-    """Two parallel smooth interfaces with nothing between them: a mirror, and light that goes straight through.
+    """A thin pane of glass: it reflects, and lets the rest go straight on.
 
-    With the reflectance R of one, 2 R / (1 + R) is reflected, all orders of internal reflection summed. Parameters are
-    those of `SmoothInterface`.
+    It stands for two parallel interfaces with nothing between them. With the reflectance R of one, 2 R / (1 + R) is
+    reflected: all orders of internal reflection are summed. Parameters are those of `Dielectric`.
     """
 
     def sample_delta(self, wi, u):

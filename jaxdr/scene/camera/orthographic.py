@@ -10,14 +10,15 @@ from jaxdr.scene.film import Film
 
 
 class Orthographic(Camera):
-    """Parallel projection along +z of its frame, x to the left, y up, as in Mitsuba.
+    """A camera with parallel rays. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
 
-    The film covers x from -1 to 1 in the frame, and y in proportion to its height; `to_world` [4, 4] (camera to world)
-    says how large that is: it may scale, axis by axis. What is nearer than `near_clip` or farther than `far_clip` along
-    the axis (units of the frame) is not seen; surfaces should not cross those planes in view where they move, since the
-    cut has no derivative.
+    The film covers x from -1 to 1 in the frame, and y in proportion to its height. `to_world` [4, 4] (camera to world)
+    may scale, axis by axis: so it says how much of the world the film shows.
 
-    Raises ValueError for a matrix that can't be inverted and clips not 0 < near < far.
+    Nothing is seen that is nearer than `near_clip` or farther than `far_clip` along the axis (units of the frame). Keep
+    moving surfaces away from those planes: the cut has no derivative.
+
+    Raises ValueError for a matrix that can't be inverted, and unless 0 < near_clip < far_clip.
     """
 
     to_world: Float[Array, "4 4"]

@@ -5,15 +5,16 @@ from jaxdr.scene.film import Film
 
 
 class Perspective(PinholeCamera):
-    """Pinhole camera. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
+    """A pinhole camera. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
 
-    `to_world` [4, 4] camera-to-world (rotation, translation and uniform scale), `fov` in degrees along `fov_axis`.
-    `principal_point` [2] moves the image to the left and up by shares of the film's width and height (Mitsuba's
-    `principal_point_offset_x`, `_y`). What is nearer than `near_clip` or farther than `far_clip` along the axis (units
-    of the frame) is not seen; surfaces should not cross those planes in view where they move, since the cut has no
-    derivative.
+    - `to_world` [4, 4]: camera to world; rotation, translation and uniform scale. `look_at` makes one.
+    - `fov`: field of view in degrees along `fov_axis`.
+    - `principal_point` [2]: moves the image to the left and up, by shares of the film's width and height (Mitsuba's
+      `principal_point_offset_x`, `_y`).
+    - `near_clip`, `far_clip`: nothing nearer or farther along the axis is seen (units of the frame). Keep moving
+      surfaces away from those planes: the cut has no derivative.
 
-    Raises ValueError for a matrix that does something else, fov outside (0, 180) and clips not 0 < near < far.
+    Raises ValueError for a matrix that shears, fov outside (0, 180), and unless 0 < near_clip < far_clip.
     """
 
     def __init__(

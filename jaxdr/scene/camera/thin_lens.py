@@ -15,12 +15,12 @@ from jaxdr.scene.sampling import uniform_disk
 
 
 class ThinLens(PinholeCamera):
-    """A `Perspective` camera with a lens, a disk across its axis, that is sharp at the depth `focus_distance`.
+    """A `Perspective` camera with a lens: sharp at the depth `focus_distance`, blurred elsewhere.
 
-    `aperture_radius` and `focus_distance` are in units of the camera's frame, and parameters of the scene; the others
-    are those of `Perspective`, as seen from the lens's centre. Each sample sees through one point of the lens, uniform
-    in area, that stays fixed on it (Mitsuba's `thinlens`; Cook et al. 1984). The image does not get brighter with the
-    aperture.
+    The lens is a disk across the axis, of radius `aperture_radius`. Both lengths are in units of the camera's frame,
+    and parameters of the scene. The other parameters are those of `Perspective`, seen from the lens's centre. Each
+    sample sees through one point of the lens, uniform in area, that stays fixed on it (Mitsuba's `thinlens`; Cook et
+    al. 1984). The image does not get brighter with the aperture.
 
     Raises ValueError as `Perspective` does, and unless radius and distance are positive.
     """

@@ -14,10 +14,11 @@ from jaxdr.scene.sampling import uniform_sphere
 
 
 class DeltaLight(eqx.Module):
-    """A light without area: no ray meets it, its shadows are hard.
+    """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
-    Methods are written for fields that carry one row for every point (`PackedScene` gathers them by light) or, with
-    `stackable` off, none. `infinite`: it shines from infinitely far away, in one direction.
+    A light is `infinite` if it shines from infinitely far away, in one direction. Its methods are called with fields
+    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off the fields stay as
+    they are.
     """
 
     infinite: ClassVar[bool] = False

@@ -12,9 +12,10 @@ from jaxdr.scene.lights.base import DeltaLight, vector
 
 
 class DirectionalLight(DeltaLight):
-    """Light that travels along `direction` (any length), of RGB `irradiance` (W / m^2) on a plane across it.
+    """Parallel light that travels along `direction`, like the sun's.
 
-    Raises ValueError for a direction of zero length.
+    `direction` may have any length but zero. `irradiance` is RGB, in W / m^2 on a plane across the direction. Raises
+    ValueError for a direction of zero length.
     """
 
     direction: Float[Array, "*n 3"]

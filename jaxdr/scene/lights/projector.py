@@ -21,12 +21,12 @@ WRAPS = ("clamp", "repeat")
 
 
 class Projector(DeltaLight):
-    """The reciprocal of a pinhole camera: it throws an image [H, W, 3] along +z of its frame, x to the left, y up.
+    """Throws an image [H, W, 3] along +z of its frame, with x to the left and y up: a pinhole camera in reverse.
 
-    `to_world` [4, 4] (no scale), `fov` in degrees along `fov_axis`, as for `Perspective`. A white diffuse screen across
-    the axis at distance 1 has the radiance `scale` x `irradiance` (Mitsuba's convention; its irradiance is pi times
-    that), bilinear between texel centres. Beyond the outer centres the image goes on as `wrap` says, "clamp" or
-    "repeat" (Mitsuba's default, which lets opposite borders meet in half a texel).
+    `to_world` [4, 4] has no scale. `fov` is in degrees along `fov_axis`, as for `Perspective`. A white diffuse screen
+    across the axis at distance 1 has the radiance `scale` x `irradiance`. (That is Mitsuba's convention: the true
+    irradiance is pi times that.) Values are interpolated between texel centres. Beyond the outer centres the image goes
+    on as `wrap` says: "clamp", or "repeat" (Mitsuba's default, in which opposite borders meet within half a texel).
 
     Raises ValueError for an image that is not RGB, an unknown `wrap` or axis, or a matrix of another shape.
     """

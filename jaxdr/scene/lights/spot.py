@@ -16,10 +16,10 @@ from jaxdr.scene.lights.base import DeltaLight, vector
 
 
 class SpotLight(DeltaLight):
-    """RGB `intensity` (W / sr) from `position` along `direction` (any length), none beyond a cone around it.
+    """A cone of light from `position` along `direction` (of any length), with RGB `intensity` (W / sr).
 
-    Full within `beam_width` of the axis (degrees; default 3/4 of the cutoff angle), from there linear in the angle to
-    zero at `cutoff_angle`, as Mitsuba's.
+    The intensity is full within `beam_width` of the axis (degrees; default: 3/4 of the cutoff angle). From there it
+    falls linearly with the angle, to zero at `cutoff_angle`, as in Mitsuba.
 
     Raises ValueError unless 0 <= beam_width < cutoff_angle <= 180, and for a direction of zero length.
     """

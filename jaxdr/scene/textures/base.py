@@ -31,9 +31,9 @@ class TexturePoint(NamedTuple):
 
 
 class Texture(eqx.Module):
-    """Values over a surface: one number or RGB.
+    """Values over a surface, one number or RGB at each point. The base class of textures.
 
-    `uses_uv`: it needs texture coordinates; else one row of data for every vertex.
+    `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex.
     """
 
     uses_uv: ClassVar[bool] = True

@@ -16,13 +16,16 @@ WRAPS = ("repeat", "mirror", "clamp")
 
 
 class Bitmap(ImageTexture):
-    """An image, `pixels` [H, W] or [H, W, C] (C = 1 or 3; linear floats, the top row first), over UVs in [0, 1]².
+    """An image, `pixels` [H, W] or [H, W, C] (C = 1 or 3; linear floats, the top row first), over UVs in [0, 1]^2.
 
-    Values belong to the centres of pixels. `filter`: "bilinear" interpolates between them, "nearest" takes the nearest
-    one's (then values jump inside faces). `wrap` says what is outside of [0, 1]²: "repeat", "mirror" or "clamp".
-    `to_uv` [2, 3] or [3, 3] maps the UVs before the image is looked up. What Mitsuba 3's `bitmap` gives.
+    Values belong to the centres of pixels, as in Mitsuba 3's `bitmap`.
 
-    Raises ValueError for another shape, integers (`Bitmap.from_file` reads images), or an unknown `filter` or `wrap`.
+    - `filter`: "bilinear" interpolates. "nearest" takes the nearest pixel's value, so that values jump inside faces.
+    - `wrap`: what is outside of [0, 1]^2: "repeat", "mirror" or "clamp".
+    - `to_uv` [2, 3] or [3, 3]: maps the UVs before the image is looked up.
+
+    Raises ValueError for another shape, for integers (`Bitmap.from_file` reads images), and for an unknown `filter` or
+    `wrap`.
     """
 
     pixels: Float[Array, "*k H W C"]

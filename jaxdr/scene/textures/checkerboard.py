@@ -9,9 +9,10 @@ from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
 
 
 class Checkerboard(ImageTexture):
-    """Two by two fields over UVs in [0, 1]² and on: `color0` at the upper left and lower right, else `color1`.
+    """A checkerboard of two by two fields over UVs in [0, 1]^2, repeated beyond (Mitsuba 3's `checkerboard`).
 
-    Both are numbers or both RGB; `to_uv` [2, 3] or [3, 3] maps the UVs first. Mitsuba 3's `checkerboard`.
+    `color0` is at the upper left and lower right, `color1` at the others. Both are numbers, or both RGB. `to_uv` [2, 3]
+    or [3, 3] maps the UVs first.
     """
 
     color0: Float[Array, "*k C"]

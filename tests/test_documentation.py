@@ -1,0 +1,306 @@
+"""README and docs as their readers have them: length, commands, code, links, names, messages, spelling, the site."""
+
+import argparse
+import ast
+import dataclasses
+import html
+import inspect
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import PIL.Image
+import pytest
+
+import jaxdr as jd
+from jaxdr import cli
+from jaxdr.optimize import config
+
+ROOT = Path(__file__).resolve().parents[1]
+README, DOCS = ROOT / "README.md", ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES]
+MOST_WORDS = 900
+
+MAIN_JOB = "python3 -m venv .venv && . .venv/bin/activate\npip install -e . && jaxdr optimize configs/quickstart.toml\n"
+TESTS = 'python3 -m venv .venv && . .venv/bin/activate\npip install -e ".[test]" && python -m pytest\n'
+
+
+def fenced(path: Path, language: str | None = None) -> list[str]:
+    """Bodies of the fenced blocks of a page, of one language or of all."""
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", path.read_text(), re.DOTALL | re.MULTILINE)
+    return [body for name, body in blocks if language in (None, name)]
+
+
+def public_names() -> list[str]:
+    """What `jaxdr` gives under a name of its own: `from … import name as name`."""
+    tree = ast.parse(Path(jd.__file__).read_text())
+    imports = [alias for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    return [alias.asname for alias in imports if alias.asname == alias.name]
+
+
+def id_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+# README
+
+
+def test_the_readme_is_short():
+    assert len(README.read_text().split()) <= MOST_WORDS
+
+
+def test_the_readme_begins_with_the_two_commands():
+    assert fenced(README)[:2] == [MAIN_JOB, TESTS]
+
+
+# Code
+
+
+def small_scene(name: str) -> jd.Scene:
+    """A shape of this name, a lamp and a floor, on 8 x 8 pixels."""
+    floor = jd.Shape(jd.shapes.plane(6.0), jd.TwoSided(jd.Diffuse(0.5)))
+    lamp = jd.shapes.transformed(jd.shapes.rectangle(1.0, 1.0), jd.look_at((1, 0, 3), (0, 0, 0), (0, 1, 0)))
+    shapes = {name: jd.Shape(jd.shapes.box((0.5, 0.5, 0.5), (0, 0, 0.5))), "floor": floor}
+    shapes["lamp"] = jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(10.0))
+    camera = jd.Perspective(jd.look_at((0, -4, 3), (0, 0, 0.3), (0, 0, 1)), 30.0, jd.Film(8, 8))
+    return jd.Scene(shapes, camera)
+
+
+def nothing(folder: Path) -> dict:
+    return {}
+
+
+def imports(folder: Path) -> dict:
+    return {"jd": jd, "jax": jax, "jnp": jnp}
+
+
+def with_a_scene(name: str):
+    def names(folder: Path) -> dict:
+        import json
+
+        scene = small_scene(name)
+        vertices = scene.parameters()[f"{name}.vertices"]
+        known = {"scene": scene, "key": jax.random.key(0), "vertices": vertices, "json": json}
+        poses, images = jnp.stack([scene.camera.to_world] * 2), jnp.zeros((2, 8, 8, 3))
+        return imports(folder) | known | {"target": images[0], "poses": poses, "targets": images}
+
+    return names
+
+
+def with_files(folder: Path) -> dict:
+    from jaxdr.scene import mitsuba_bsdfs
+
+    (folder / "scene.xml").write_text(
+        '<scene version="3.0.0"><default name="width" value="8"/><sensor type="perspective"><film type="hdrfilm">'
+        '<integer name="width" value="$width"/><integer name="height" value="8"/></film></sensor>'
+        '<shape type="sphere"/></scene>'
+    )
+    jd.write_image(folder / "wood.png", np.full((4, 4, 3), 0.25))
+    PIL.Image.new("L", (4, 4), 64).save(folder / "gloss.png")
+    return imports(folder) | vars(mitsuba_bsdfs) | {"mesh": jd.shapes.rectangle()}
+
+
+# Page -> what its code takes for granted, and whether it compiles gradients.
+CODE = {
+    "README.md": (nothing, True),
+    "docs/choosing.md": (imports, False),
+    "docs/guided_edges.md": (with_a_scene("bunny"), True),
+    "docs/plan.md": (with_a_scene("spot"), True),
+    "docs/quickstart.md": (nothing, False),
+    "docs/scaling.md": (with_a_scene("spot"), False),
+    "docs/scene_files.md": (with_files, False),
+    "docs/write_a_bsdf.md": (imports, False),
+    "docs/write_an_estimator.md": (with_a_scene("spot"), True),
+}
+
+
+def test_every_page_with_code_is_run():
+    assert sorted(CODE) == sorted(id_of(path) for path in TEXTS if fenced(path, "python"))
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.slow] if slow else []) for page, (_, slow) in CODE.items()]
+)
+def test_code_runs(page, tmp_path, monkeypatch):
+    # What a loop does five hundred times it does twice here.
+    code = "\n".join(fenced(ROOT / page, "python")).replace("range(500)", "range(2)")
+    names = CODE[page][0](tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(ROOT)
+    exec(compile(code, page, "exec"), names)
+    if page == "docs/scaling.md":
+        assert np.isfinite(names["loss"](names["vertices"], 1, jax.random.key(0)))
+    if page == "README.md":
+        assert {"ball.vertices", "ball.bsdf.reflectance", "lamp.emitter.radiance"} <= set(names["names"])
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_configs_are_toml(page):
+    for block in fenced(page, "toml"):
+        assert tomllib.loads(block)
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_commands_have_known_options(page):
+    for block in fenced(page, "sh"):
+        for line in re.split(r"\n|&&", block.replace("\\\n", " ")):
+            words = shlex.split(line, comments=True)
+            if words[:1] == ["jaxdr"] and words[1:] != ["--help"]:
+                assert cli._parser().parse_args(words[1:])
+
+
+# Links
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_relative_links_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)#\s:]+)(?:#[^)\s]*)?\)", page.read_text())
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+# Names
+
+
+def test_every_public_name_is_in_the_reference():
+    reference = "\n".join(path.read_text() for path in (DOCS / "api").glob("*.md"))
+    shown = re.findall(r"^::: jaxdr\.([\w.]+)$", reference, re.MULTILINE)
+    assert sorted(name.rpartition(".")[2] for name in shown) == sorted(public_names())
+
+
+@pytest.mark.parametrize("name", public_names())
+def test_every_public_name_says_what_it_is(name):
+    assert len((inspect.getdoc(getattr(jd, name)) or "").split()) >= 5
+
+
+def test_docs_name_nothing_that_is_not_public():
+    known = {*public_names(), "__version__"}
+    for page in [README, *PAGES]:
+        used = set(re.findall(r"\bjd\.(\w+)", page.read_text()))
+        assert used <= known, (page.name, used - known)
+
+
+def test_docs_cite_no_document_that_is_not_here():
+    assert [id_of(path) for path in TEXTS if re.search(r"\bDESIGN\b", path.read_text())] == []
+
+
+def test_commands_have_their_options():
+    page = (DOCS / "commands.md").read_text()
+    shared = page.split("\n## ")[0]
+    parsers = next(a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    for command, parser in parsers.items():
+        if (DOCS / f"{command}.md").exists() and f"\n## jaxdr {command}\n" not in page:
+            continue  # it has a page of its own
+        section = page.split(f"\n## jaxdr {command}\n")[1].split("\n## ")[0]
+        known = {name for action in parser._actions for name in action.option_strings} - {"-h", "--help"}
+        assert set(re.findall(r"`(--?[a-z][a-z-]*)", shared + section)) - {"--help"} == known, command
+
+
+def test_every_key_of_a_config_is_listed():
+    page = (DOCS / "commands.md").read_text()
+
+    def missing(kind, prefix: str) -> list[str]:
+        found = []
+        for field in dataclasses.fields(kind):
+            name = f"{prefix}{field.name}"
+            tables = {"lights": config.Light, "floor": config.Floor}
+            made = tables.get(name, type(field.default) if dataclasses.is_dataclass(field.default) else None)
+            if name == "target":
+                made = config.Target
+            found += missing(made, f"{name}.") if made else [] if f"`{name}`" in page else [name]
+        return found
+
+    assert missing(config.OptimizeConfig, "") == []
+
+
+# Messages
+
+
+def messages(without: tuple[str, ...] = ()) -> list[str]:
+    """Constant words of all strings of the library, with … for what is filled in; some files may be left out."""
+    found = []
+    for path in (file for file in (ROOT / "jaxdr").rglob("*.py") if file.name not in without):
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        joined = [node for node in nodes if isinstance(node, ast.JoinedStr)]
+        pieces = {id(piece) for node in joined for piece in node.values}
+        found += ["".join(p.value if isinstance(p, ast.Constant) else "…" for p in node.values) for node in joined]
+        plain = (n for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in pieces)
+        found += [node.value for node in plain]
+    return found
+
+
+def listed_messages() -> list[str]:
+    """First column of the tables of docs/errors.md."""
+    rows = re.findall(r"^\| `([^`]+)`(?! \(from JAX\))", (DOCS / "errors.md").read_text(), re.MULTILINE)
+    return [row for row in rows if not row.startswith("OpenEXR")]
+
+
+def contains(message: str, row: str) -> bool:
+    """Whether the words of a row are in a message, in their order, with anything in the place of …."""
+    return re.search(".*".join(re.escape(part.strip()) for part in row.split("…")), message, re.DOTALL) is not None
+
+
+def test_listed_messages_exist():
+    texts = messages()
+    assert [row for row in listed_messages() if not any(contains(text, row) for text in texts)] == []
+
+
+def test_refused_derivatives_and_warnings_are_listed():
+    rows = listed_messages()
+    refusals = [text for text in messages() if text.startswith("render: ") and len(text) > 20]
+    printed = ("cli.py", "planned.py", "__init__.py")  # they tell what happens, and refuse nothing
+    warnings = [text for text in messages(printed) if text.startswith("jaxdr: ") and len(text) > 60]
+    assert len(refusals) > 10 and len(warnings) > 3
+    unlisted = [text for text in refusals + warnings if not any(contains(text, row) for row in rows)]
+    assert unlisted == []
+
+
+# Spelling
+
+
+def test_spelling(tmp_path):
+    words = tmp_path / "docstrings.txt"
+    with words.open("w") as file:
+        for path in sorted((ROOT / "jaxdr").rglob("*.py")) + sorted((ROOT / "examples").glob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
+                    print(f"{path.name}, {getattr(node, 'name', 'module')}: {ast.get_docstring(node)}", file=file)
+    command = [sys.executable, "-m", "codespell_lib", "--toml", str(ROOT / "pyproject.toml")]
+    done = subprocess.run([*command, str(words), *map(str, TEXTS)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# The site
+
+
+def test_the_site_is_built_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    check_reference("".join(path.read_text() for path in (tmp_path / "site/api").rglob("index.html")))
+    theory = (tmp_path / "site/how_it_works/index.html").read_text()
+    assert "<math" in theory and "arithmatex" not in theory and "\\frac" not in theory
+    assert (tmp_path / "site/experiments/charts/results/environment_penguin.png").is_file()
+
+
+def check_reference(page: str) -> None:
+    """Every public name has its heading, the parameters that it really has, and the first words of its docstring."""
+    for name in public_names():
+        value = getattr(jd, name)
+        found = re.search(rf'<h\d id="jaxdr\.(\w+\.)*{name}".*?(?=<h\d id="jaxdr\.\w|\Z)', page, re.DOTALL)
+        assert found, name
+        text = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", "", found.group())))
+        summary = re.sub(r"[`*\s]+", " ", inspect.getdoc(value))[:20].strip()
+        assert summary in re.sub(r"[`*\s]+", " ", text), (name, summary)
+        if not isinstance(value, type) or issubclass(value, eqx.Module):
+            parameters = inspect.signature(value).parameters if callable(value) else []
+            assert [p for p in parameters if not re.search(rf"[(,*] ?{p}\b", text)] == [], name
