@@ -37,14 +37,19 @@ class Program(NamedTuple):
 def render(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None
 ) -> Float[Array, "H W 3"]:
-    """Image [H, W, 3] of a scene, linear RGB, row 0 at the top; differentiable in every float parameter of the scene.
+    """Image [H, W, 3] of a scene: linear RGB, row 0 at the top. Differentiable in every float parameter of the scene.
 
-    `spp` samples per pixel. Works under jit, grad, vjp, jvp and vmap over keys; the same key and arguments give the
-    same image bit for bit on CPU. Image and derivative use independent keys split from `key`. Which parameters are
-    differentiated is known when the program is traced, and only the terms they need are compiled. Without an
-    `integrator` it is `PathTracer()`, with `LineSampling` where `KernelDensity` fails by nature; `jaxdr.plan` measures.
-    Raises ValueError for spp < 1 or an argument of the wrong kind; a derivative by an estimator that fails by nature on
-    the scene comes with an `EstimatorWarning`.
+    - `key`: a JAX random key. The same key and arguments give the same image, bit for bit on CPU. Image and derivative
+      use independent keys that are split from it.
+    - `spp`: samples per pixel.
+    - `integrator`: `PathTracer()` if left out, with `LineSampling` where `KernelDensity` fails by nature. `jaxdr.plan`
+      measures which one suits.
+
+    Works under jit, grad, vjp, jvp, and vmap over keys. Which parameters are differentiated is known when the program
+    is traced, and only the terms they need are compiled.
+
+    Raises ValueError for spp < 1 or an argument of the wrong kind. Warns with `EstimatorWarning` where the derivative's
+    estimator fails by nature on the scene.
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
@@ -64,11 +69,16 @@ def render(
 def derivative_terms(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None, moving: Moving | None = None
 ) -> dict[str, Float[Array, "H W 3"]]:
-    """The image that `render`'s derivative is taken of, by term: differentiate it to see each term on its own.
+    """The terms of which `render`'s derivative is the sum, by name: differentiate them to see each on its own.
 
-    Keys: `interior` (the image in value), `silhouettes`, `creases`, `boundary` (zero in value); with a box filter and
-    indirect light `pixel_borders`, with lights without area `shadows`, with mirrors and smooth glass `chains`, with
-    `primary="warp"` `warp` in place of `silhouettes` and `creases`.
+    - `interior`: the image in value. All others are zero in value.
+    - `silhouettes`, `creases`: edges that move in the image.
+    - `boundary`: visibility changes behind the first hit.
+    - `pixel_borders`: with a box filter and indirect light.
+    - `shadows`: with lights without area.
+    - `chains`: with mirrors and smooth glass.
+    - `warp`: with `primary="warp"`, in place of `silhouettes` and `creases`.
+
     Everything counts as moving unless `moving` says otherwise.
     """
     integrator = default_integrator(scene) if integrator is None else integrator

@@ -12,7 +12,7 @@ m being the unit normal of the plane through edge and line, towards the faces. A
     I' = integral of h(q) (dq / dA) f_s L |t x w_B| V d  dw_B dx_B
 
 (f_s without its cosine). Behind more bounces the importance of x_D takes the place of h dq / dA, and x_D is a material
-point. In jaxdr's form of the first hit x_D' is how it slides along the camera ray (DESIGN 1), or a mixture.
+point. In jaxdr's form of the first hit x_D' is how it slides along the camera ray, or a mixture.
 """
 
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Random chords through the far ends of path segments, and what a boundary point on one weighs (DESIGN 2b).
+"""Random chords through the far ends of path segments, and what a boundary point on one weighs.
 
 A centre c is drawn with density p(c) and a direction phi uniform in [0, pi). Every piece dl of a boundary curve is
 crossed by the centres of a strip of area |sin(phi - phi_l)| dl dt (Cauchy-Crofton), so for any kernel k whose integral

@@ -1,4 +1,4 @@
-"""How edges in the image are drawn: by projected length times an estimate of the jump of radiance (DESIGN 1)."""
+"""How edges in the image are drawn: by projected length times an estimate of the jump of radiance."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Discontinuities in the image plane: silhouettes and creases seen directly, with both sides (DESIGN 1).
+"""Discontinuities in the image plane: silhouettes and creases seen directly, with both sides.
 
 With the camera ray fixed, the image is an integral over the film whose integrand jumps across projected edges. Its
 derivative is the line integral of (L on one side - L on the other) times the normal velocity of the edge. The two sides

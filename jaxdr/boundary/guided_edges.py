@@ -81,22 +81,24 @@ class _Drawn(NamedTuple):
 
 
 class GuidedEdges(eqx.Module):
-    """Boundary term of every segment behind the first hit, from segments drawn on edges; every field is static.
+    """Boundary term from segments that are drawn on edges. All fields are static.
 
-    Unbiased whatever the guide. Contributions are splatted onto the film.
+    It is unbiased, whatever the guide. Contributions are splatted onto the film.
 
-    - `sampling`: "emitter" draws segments for what emitters send towards them and the rest by direction, "direction"
-      all by direction, "mis" (Yan et al. 2022, 4.2) the emitters' light by both.
-    - `guide`: "none"; "grid", a regular one over edges and directions (Zhang et al. 2020); "kdtree", trees with
-      trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected to silhouettes (Zhang
-      et al. 2023), for small emitters. Built once for every image. A tenth of the segments or more is drawn without
-      it, as many as its fit asks for.
+    - `guide`: where segments are drawn. "none"; "grid", a regular one over edges and directions (Zhang et al. 2020);
+      "kdtree", trees with trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected
+      to silhouettes (Zhang et al. 2023), for small emitters. It is built once for every image. A tenth of the segments
+      or more is drawn without it.
+    - `sampling`: "emitter" draws segments for what emitters send towards them, and the rest by direction. "direction"
+      draws all by direction. "mis" finds the emitters' light by both (Yan et al. 2022, 4.2).
     - `samples`: segments per path sample and strategy.
-    - `cells`: of a grid, along the edges and along both numbers of the direction; `leaves`: of all kd-trees of a
-      strategy, about; a projective guide has a quarter, as a power of two.
+    - `cells`: of a grid, along the edges and along both numbers of the direction.
+    - `leaves`: of all kd-trees of a strategy, about. A projective guide has a quarter, as a power of two.
     - `guide_samples`: evaluations in every cell of a grid, node of a kd-tree, or leaf of a projective guide.
-    - `sort`: the edges in long chains (Yan et al. 2022, 4.3), so that a guide meets fewer jumps along them.
     - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
+    - `sort`: put the edges into long chains (Yan et al. 2022, 4.3), so that a guide meets fewer jumps along them.
+
+    Raises ValueError for options out of range.
     """
 
     guide: Literal["none", "grid", "kdtree", "projective"] = eqx.field(static=True, default="none")

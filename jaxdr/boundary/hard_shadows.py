@@ -6,7 +6,7 @@ jumps there is the light's own contribution. Where a light ends abruptly of its 
 takes the silhouette's place.
 
 With the camera ray fixed, the direct light of first hits has line integrals of jump x normal velocity over the film, as
-silhouettes have (DESIGN 1). Of light that is scattered on, the line is on the receiver, and path vertices are connected
+silhouettes have. Of light that is scattered on, the line is on the receiver, and path vertices are connected
 to points on it as they are to emitters; the velocity counts relative to the material point there.
 """
 

@@ -83,40 +83,43 @@ class _Held(NamedTuple):
 
 
 class KernelDensity(eqx.Module):
-    """Boundary term of every segment behind the first hit, by kernel density (Eq. 15-20); every field is static.
+    """Boundary term by kernel density (Xu et al. 2026, Eq. 15-20). All fields are static.
+
+    Path segments that pass close to a silhouette are samples of the boundary integral.
 
     - `radius`: kernel radius, relative to the bounding-box diagonal of the shape whose edge it is.
-    - `kernel`: "edge" integrates the kernel along the projected edge exactly; "point" is the paper's: `points` points
-      drawn uniformly on all edges, a disc around each projection (Eq. 16, 19).
-    - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21; their average
+    - `kernel`: "edge" integrates the kernel along the projected edge exactly. "point" is the paper's: `points` points
+      drawn uniformly on all edges, with a disc around each projection (Eq. 16, 19).
+    - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21. Their average
       is Eq. 22.
+    - `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
+      random without bias, with a warning.
 
-    Where this differs from the paper, each difference has a switch; the values in brackets are the paper's, all of them
-    together `plain_kernel.PLAIN`.
+    Where this differs from the paper, each difference has a switch. Values in brackets are the paper's; all of them
+    together are `jaxdr.boundary.plain_kernel.PLAIN`.
 
-    - `widest` (0): the radius is measured at the edge and magnified by the projection to the far end, up to this share
+    - `widest` (0): the radius is measured at the edge, and magnified by the projection to the far end, up to this share
       of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely
       met: ten times the variance on a mesh that shadows itself.
     - `concave_edges` (True): count concave edges of closed one-sided shapes, which never bound what is visible.
     - `visibility_ray` (False): drop silhouettes that are hidden, by one ray that passes just beside the edge.
-    - `at_boundary` (False): evaluate BSDF, geometric term and radiance on the boundary and not at the path's own
-      vertex, which is off to one side by r/2 on average: a bias of first order in r.
-    - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides of the
-      boundary. Corners of the boundary then cause no bias and half the variance is gone.
+    - `at_boundary` (False): evaluate BSDF, geometric term and radiance on the boundary, not at the path's own vertex.
+      That vertex is off to one side by r/2 on average: a bias of first order in r.
+    - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides. Corners
+      of the boundary then cause no bias, and half the variance is gone.
     - `clip_to_face` (False): the strip ends at the outline of an emitter of few faces, and of any face larger than the
-      kernel, and is normalised by the width that is left.
-    - `trace_background` (False): what lies behind silhouettes near BSDF-sampled directions is found by a ray past the
-      edge, and its radiance by a path from there, see `lobe_kernel`. The kernel is then one over directions, of radius
-      `radius` at the edge and at most 45 degrees.
-    - `iterations` (4): with `kernel="edge"` and all of the above nothing is biased at any radius but light from
-      emitters of many small faces, so that nothing has to shrink.
+      kernel. It is normalised by the width that is left.
+    - `trace_background` (False): a ray past the edge finds what lies behind silhouettes near BSDF-sampled directions,
+      and a path from there finds its radiance. The kernel is then one over directions, of radius `radius` at the edge
+      and at most 45 degrees.
+    - `iterations` (4): with `kernel="edge"` and all of the above only light from emitters of many small faces is
+      biased, so nothing has to shrink.
 
-    `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
-    random without bias, with a warning. Direct light is weighted by emitter sampling alone, without MIS.
+    Direct light is weighted by emitter sampling alone, without MIS. With a `BidirectionalPathTracer` every strategy
+    counts with its weight. Kernels then lie on the visible side, whatever `both_sides` and `trace_background` say:
+    corners below 180 degrees, and curved targets, cause a bias of first order in r.
 
-    With a `BidirectionalPathTracer` every strategy counts with its weight, for paths with the vertex near the boundary
-    moved onto it. Kernels then lie on the visible side, whatever `both_sides` and `trace_background` say: corners of
-    what is visible below 180 degrees cause a bias of first order in r, and so does a curved target.
+    Raises ValueError for options out of range.
     """
 
     radius: float = eqx.field(static=True, default=0.02)

@@ -1,4 +1,4 @@
-"""Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius (DESIGN 2b)."""
+"""Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius."""
 
 from typing import ClassVar, NamedTuple
 
@@ -44,21 +44,22 @@ class _Held(NamedTuple):
 
 
 class LineSampling(eqx.Module):
-    """Boundary term of every segment behind the first hit, by line sampling; every field is static.
+    """Boundary term by line sampling: every silhouette that crosses a random chord. All fields are static.
 
-    Unbiased, and without a radius. Light of area emitters is found by chords on the emitters, all other light
-    (environment, indirect) by geodesic chords around BSDF-sampled directions. Where the integrator's sampling is "mis"
-    and there are both kinds, both find the light of area emitters; and chords around an environment map's samples find
-    its light as well.
+    It is unbiased and has no radius. Light of area emitters is found by chords on the emitters. All other light
+    (environment, indirect) is found by geodesic chords around BSDF-sampled directions. Where the integrator's sampling
+    is "mis", both kinds find the light of area emitters, and chords around an environment map's samples find its light.
 
-    - `chords`: chords of each kind per path sample. They need not be as many as the paths: a pilot sends them to the
-      pixels whose shadows they find, and to the path vertices that carry most.
-    - `pilot`: pilot chords per chord; 0 spreads chords by throughput alone.
+    - `chords`: chords of each kind per path sample. A pilot sends them to the pixels whose shadows it finds, and to the
+      path vertices that carry most.
+    - `pilot`: pilot chords per chord. 0 spreads chords by throughput alone.
     - `floor`: importance that every pixel keeps, relative to the mean over pixels.
     - `reach`: half-length of geodesic chords, relative to the lobe's width (`BSDF.lobe_width`); at most 1.4 radians.
     - `backgrounds`: paths traced from what lies behind silhouettes, per path sample.
     - `capacity`: room for crossings, as a share of the number of chords. What exceeds it is thinned at random without
       bias, with a warning.
+
+    Raises ValueError for options out of range.
     """
 
     chords: float = eqx.field(static=True, default=1.0)

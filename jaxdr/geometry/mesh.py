@@ -21,19 +21,24 @@ from jaxdr.geometry.vector import cross, dot, normalize, scale
 class Mesh(eqx.Module):
     """Indexed triangles, counter-clockwise seen from outside.
 
-    Positions, UVs and normals are indexed separately, so a UV seam or a hard edge never splits a vertex. Vertices (and
-    UVs) are the float leaves; the topology is integer leaves built once on the host.
+    Positions, UVs and normals are indexed separately: a UV seam or a hard edge never splits a vertex. Vertices and UVs
+    are float leaves, which may be differentiated. The topology is integer leaves, built once on the host.
 
     **Fields**
 
-    - `vertices`: positions, in scene units.
-    - `faces`: corner -> row of `vertices`.
-    - `uvs`, `uv_faces`: texture coordinates, (0, 0) at an image's lower left as in OBJ files, and corner -> row of
-      `uvs`; both None without texture coordinates.
-    - `normal_faces`: corner -> smoothing group, whose corners share one interpolated normal; None for flat shading.
+    - `vertices` [V, 3]: positions, in scene units.
+    - `faces` [F, 3]: corner -> row of `vertices`.
+    - `uvs` [T, 2], `uv_faces` [F, 3]: texture coordinates, (0, 0) at an image's lower left as in OBJ files, and corner
+      -> row of `uvs`. Both are None without texture coordinates.
+    - `normal_faces` [F, 3]: corner -> smoothing group, whose corners share one interpolated normal; None for flat
+      shading.
     - `edges`: the edges and the faces at them, in spatial order (trees over them need no sorting).
     - `closed`: watertight and consistently oriented, that is, every edge is interior.
     - `normal_group_count`: number of smoothing groups G, zero for flat shading.
+
+    Raises ValueError for arrays of another shape or kind, values that are not finite, indices out of range, and meshes
+    without area. Warns of faces without area, which are dropped, and of edges that lie on others without sharing
+    vertices.
     """
 
     vertices: Float[Array, "V 3"]

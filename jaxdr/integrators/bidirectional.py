@@ -56,29 +56,27 @@ class _Connected:
 
 
 class BidirectionalPathTracer(eqx.Module):
-    """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`; every field is static.
+    """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`. All fields are static.
 
-    Paths from the camera and from emitters are joined in all ways: caustics and light from behind corners cost a
-    fraction of the samples, everything else some more time each. One thing more is in the image: light of points,
-    spots, projectors and from one direction that mirrors and smooth glass throw onto surfaces. No path from the camera
-    finds it, so that `PathTracer` leaves it out.
+    Paths from the camera and from emitters are joined in all ways. Caustics and light from behind corners take a
+    fraction of the samples; everything else takes some more time. One thing more is in the image: light of points,
+    spots, projectors and parallel lights that mirrors and smooth glass throw onto surfaces. No path from the camera
+    finds it.
 
-    In what moves nothing (reflectance, roughness, radiance, intensity, textures, also the rotation of an environment)
-    its derivative needs no boundary terms. In what does (vertices, camera) all vertices of paths are material points,
-    the first hits too, so the pixel filter is differentiated and has to be Gaussian where surfaces move in the image.
-    `boundary` is the estimator of visibility changes, `KernelDensity` or `WarpedArea`, for the segments of paths that
-    all strategies find (docs/bidirectional_boundary.md); silhouettes in the image are explicit, as `PathTracer` has
-    them. With None visibility changes are missing. Raises ValueError for the boundary terms of lights without area.
-    Paths over delta lobes do not move with what bends them: derivatives by anything that moves, by the index of smooth
-    glass or by normals of mirrors raise ValueError in scenes with delta lobes.
+    Its derivative by what moves nothing (reflectance, roughness, radiance, intensity, textures, also the rotation of an
+    environment) needs no boundary terms. By what moves (vertices, camera) all vertices of paths are material points,
+    the first hits too. So the pixel filter is differentiated, and has to be Gaussian where surfaces move in the image.
 
     - `max_depth`: longest path in segments, as `PathTracer` counts.
-    - `heuristic`: "balance" or "power" (2) combination of all strategies.
-    - `boundary`: estimator of visibility changes behind the first hit, or None: the interior term only.
-    - `edge_samples`: as of `PathTracer`.
-    - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample; memory is
-      proportional to it and independent of the samples per pixel, but there is a sample of every pixel at least.
-    - `rays`: as of `PathTracer`.
+    - `heuristic`: "balance" or "power" (2) combination of all ways to find a path.
+    - `boundary`: `KernelDensity` or `WarpedArea`, for visibility changes behind the first hit, or None for the interior
+      term only. Silhouettes in the image are explicit, as in `PathTracer`.
+    - `edge_samples`, `rays`: as of `PathTracer`.
+    - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample. Memory is
+      proportional to it, and independent of the samples per pixel; but one sample of every pixel is the least.
+
+    Raises ValueError for boundary terms of lights without area. In scenes with mirrors or smooth glass it raises
+    ValueError for derivatives by anything that moves, by the index of smooth glass and by normals of mirrors.
     """
 
     max_depth: int = eqx.field(static=True, default=3)

@@ -36,22 +36,24 @@ from jaxdr.transport.radiance import arriving_radiance
 
 
 class PathTracer(eqx.Module):
-    """Unidirectional path tracing with next-event estimation; every field is static but what `ReusedGuides` hold.
+    """Path tracing from the camera, with next-event estimation. Fields are static, but for `ReusedGuides`.
 
-    - `max_depth`: longest path in segments, as Mitsuba counts: 1 = emitters seen directly, 2 = direct light, ...
-    - `boundary`: estimator of visibility changes behind the first hit, or None: then the derivative lacks them *and*
-      the moving silhouettes and creases in the image (interior term only).
-    - `primary`: "fixed_ray" (camera rays stay, moving edges in the image are explicit) or "material" (first hits move
-      with their surfaces and the Gaussian pixel filter is differentiated; for discontinuous textures). "warp" is
-      "material" with warped areas in place of the silhouettes in the image, for a boundary of `WarpedArea`.
-    - `sampling`: "mis" combines emitter and BSDF sampling; "emitter" leaves the BSDF-sampled emission out, which is
-      faster where emitters are small and always noisier where they are large or near.
-    - `edge_samples`: points on silhouettes, and as many on creases, in the image per path sample. None: 1/8 for direct
-      light, 1 with indirect light, whose noise does not cancel between the two sides of a silhouette.
-    - `chunk_size`: paths traced at once, four times as many in images that nobody differentiates; memory is
-      proportional to it and independent of the samples per pixel.
-    - `rays`: implementation of the ray queries, "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
+    - `max_depth`: longest path in segments, as Mitsuba counts: 1 is emitters seen directly, 2 is direct light.
+    - `boundary`: estimator of visibility changes behind the first hit. With None the derivative lacks them, *and* it
+      lacks silhouettes and creases in the image: it is the interior term only.
+    - `primary`: how first hits move. "fixed_ray": camera rays stay, and moving edges in the image are explicit.
+      "material": first hits move with their surfaces, and the Gaussian pixel filter is differentiated; for textures
+      that jump. "warp": as "material", with warped areas in place of silhouettes; for a boundary of `WarpedArea`.
+    - `sampling`: "mis" combines emitter and BSDF sampling. "emitter" leaves BSDF-sampled emission out. That is faster
+      where emitters are small, and always noisier where they are large or near.
+    - `edge_samples`: points on silhouettes, and as many on creases, per path sample. None: 1/8 for direct light, and 1
+      with indirect light, whose noise does not cancel between the two sides of a silhouette.
+    - `chunk_size`: paths traced at once; four times as many in images that nobody differentiates. Memory is
+      proportional to it, and independent of the samples per pixel.
+    - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
+
+    Raises ValueError for options out of range.
     """
 
     max_depth: int = eqx.field(static=True, default=3)

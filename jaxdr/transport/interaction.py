@@ -78,7 +78,7 @@ def on_fixed_ray(
     face: Int[Array, " N"],
     barycentric: Float[Array, "N 3"] | None = None,
 ) -> SurfacePoint:
-    """Where rays meet the moving planes of their faces: the points slide over the surface (DESIGN 1, fixed camera ray).
+    """Where rays meet the moving planes of their faces: the points slide over the surface (fixed camera ray).
 
     `face` is -1 for a miss. `barycentric`: coordinates of the hits, where they are known.
     """

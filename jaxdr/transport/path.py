@@ -1,6 +1,6 @@
 """Unidirectional path tracing: measurement contributions and the segments they came through.
 
-A path starts at a first hit x_1 that the caller provides; every later vertex is a material point (DESIGN 1). With
+A path starts at a first hit x_1 that the caller provides; every later vertex is a material point. With
 throughput T_1 = 1 the contribution of the vertices k = 1, 2, ... is the sum of
 
     T_k f(x_k, y) G(x_k, y) J(y) L_e(y) w / p(y)                     y an emitter sample, p per area (light)

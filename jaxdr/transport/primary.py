@@ -1,4 +1,4 @@
-"""The camera's end of the paths: film points, rays, first hits, and how the first hits move (DESIGN 1)."""
+"""The camera's end of the paths: film points, rays, first hits, and how the first hits move."""
 
 from typing import NamedTuple
 
