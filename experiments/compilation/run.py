@@ -9,10 +9,10 @@ from pathlib import Path
 
 from experiments import common
 from experiments.compilation import options as compiler_options
-from experiments.compilation import rates, scenes, size
+from experiments.compilation import oracles, rates, scenes, size
 from experiments.compilation.trees import versions
 
-PARTS = {"size": size.main, "rates": rates.main, "options": compiler_options.main}
+PARTS = {"size": size.main, "rates": rates.main, "oracles": oracles.main, "options": compiler_options.main}
 
 
 def main():
@@ -22,6 +22,8 @@ def main():
     parser.add_argument(
         "--case", choices=scenes.CASES, action="append", help="of `size`; may be repeated; default: all"
     )
+    parser.add_argument("--scene", choices=oracles.SCENES, action="append", help="of `oracles`; may be repeated")
+    parser.add_argument("--jit", choices=size.JITS, action="append", help="of `size`; may be repeated; default: both")
     parser.add_argument("--no-compile", action="store_true", help="`size` counts and lowers, and compiles nothing")
     options = parser.parse_args()
     found = versions(options.tree)

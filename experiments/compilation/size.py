@@ -78,12 +78,12 @@ def _timed(stage):
     return answer, time.perf_counter() - start
 
 
-def row(label: str, tree, name: str, compiled: bool, size: int) -> dict:
-    """A case's row: both `jit`, each in a fresh process; of what they share, the process of `jax.jit`."""
+def row(label: str, tree, name: str, jits, compiled: bool, size: int) -> dict:
+    """A case's row: each `jit` in a fresh process; of what they share, the process of the first."""
     found = {"case": name, "tree": label}
     if compiled:
         found["import"] = trees.import_seconds(tree)
-    for jit in JITS if compiled else JITS[1:]:
+    for jit in jits if compiled else JITS[1:]:
         made = common.in_fresh_process(program, tree, name, jit, compiled, size)
         found = made["sizes"] | {k: v for k, v in made["seconds"].items() if k in ("scene", "image")} | found
         found |= {f"{jit} {stage}": taken for stage, taken in made["seconds"].items()}
@@ -97,7 +97,7 @@ def main(options, versions: dict) -> str:
     size = 16 if options.quick else 128
     for name in options.case or (["README, depth 2"] if options.quick else scenes.CASES):
         for label, tree in versions.items():
-            rows.append(row(label, tree, name, not options.no_compile, size))
+            rows.append(row(label, tree, name, options.jit or JITS, not options.no_compile, size))
             print(common.table(rows[-1:], COLUMNS).splitlines()[-1], flush=True)
             common.write_json(folder / "size.json", {"rows": rows, "lines": lines, "size": size, "spp": SPP})
     rooms = sorted({room for counts in lines.values() for room in counts} - {"sum"})
