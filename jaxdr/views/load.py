@@ -96,14 +96,15 @@ def _read(frames: Sequence[Frame], names: Sequence[str]) -> list[View]:
                 f"{views[0].height}; all photographs must be of one size"
             )
         focal, centre = frame.lens(width, height)
-        views.append(View(name, frame.path, image, alpha, frame.to_world, focal, centre, frame.held_out))
+        backdrop = alpha is None or frame.mask is not None
+        views.append(View(name, frame.path, image, alpha, frame.to_world, focal, centre, frame.held_out, backdrop))
     return views
 
 
 def _without_idle_alpha(views: Sequence[View]) -> tuple[View, ...]:
     """Without alpha, where it says that the object fills every picture: then it is only a channel of the format."""
     if all(view.alpha is not None and (view.alpha == 1).all() for view in views):
-        return tuple(dataclasses.replace(view, alpha=None) for view in views)
+        return tuple(dataclasses.replace(view, alpha=None, backdrop=True) for view in views)
     for view in views:
         if view.alpha is None and any(other.alpha is not None for other in views):
             raise ValueError(

@@ -20,6 +20,7 @@ class View:
     - `to_world`: camera to world; the columns are left, up, forward, position, as `jaxdr.look_at` has them.
     - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
     - `held_out`: kept for judging, never used in fitting.
+    - `backdrop`: whether the picture shows what is behind the object; one cut out by its own alpha does not.
     """
 
     name: str
@@ -30,6 +31,7 @@ class View:
     focal: float
     centre: tuple[float, float]
     held_out: bool = False
+    backdrop: bool = True
 
     @property
     def width(self) -> int:

@@ -29,7 +29,7 @@ def test_nerf_synthetic(tmp_path):
     assert view.path == tmp_path / "train" / "r_1.png"
     np.testing.assert_allclose(view.to_world, poses(4)[1], atol=1e-12)
     np.testing.assert_allclose([view.focal, view.fov, *view.centre], [FOCAL, FOV, SIZE / 2, SIZE / 2])
-    np.testing.assert_allclose(view.image, from_srgb(np.float32([128 / 255])), rtol=1e-6)
+    np.testing.assert_allclose(view.image, from_srgb(np.full((SIZE, SIZE, 3), 128 / 255)), rtol=1e-6)
     np.testing.assert_array_equal(view.alpha, disc())
     assert views.masked
 

@@ -1,0 +1,122 @@
+"""A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxdr.compilation import jit
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
+from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
+from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
+from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, first_light, resampled, solid_angles
+from jaxdr.optimize.reconstruction.unknowns import (
+    State,
+    Unknowns,
+    carried,
+    from_latent,
+    optimizer,
+    to_latent,
+)
+from jaxdr.optimize.remesh import remesh_to
+from jaxdr.views.record import View
+
+FIRST_ALBEDO, FIRST_ROUGHNESS = 0.4, 0.5  # logits of them are those of what the sigmoid makes of it
+
+
+class Stage(NamedTuple):
+    """What stays while a level does.
+
+    - `mesh`: its topology, at the positions it began with; `start`: steps done by then; `number`: of the level.
+    - `steps`: preconditioner; `transformation`: optimiser; `photographs`: of the fitted views.
+    - `gradient`: see `view_gradient`, compiled; `update`: compiled (state, gradient by the unknowns) -> state.
+    """
+
+    number: int
+    start: int
+    mesh: Mesh
+    steps: LargeSteps
+    transformation: optax.GradientTransformation
+    photographs: list[Cut]
+    gradient: Callable
+    update: Callable
+
+    def unknowns(self, state: State) -> Unknowns:
+        """The unknowns as they are now."""
+        return from_latent(self.steps, state.latent)
+
+    def fresh(self, unknowns: Unknowns) -> State:
+        """The state with these unknowns, and optimisers that begin."""
+        latent = to_latent(self.steps, unknowns)
+        return State(latent, self.transformation.init(latent))
+
+    def current_mesh(self, state: State) -> Mesh:
+        """The mesh as it is now."""
+        return self.mesh.with_vertices(self.unknowns(state).vertices)
+
+    def photograph(self, view: int) -> Photograph:
+        """What a view is compared with."""
+        cut = self.photographs[view]
+        alpha = None if cut.alpha is None else jnp.asarray(cut.alpha)
+        return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(view, jnp.int32))
+
+
+def make_stage(
+    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, start: int, mesh: Mesh
+) -> Stage:
+    """A level for a mesh."""
+    level = config.levels[number]
+    steps = LargeSteps(mesh, level.lam)
+    transformation = optimizer(config.rates, config.unknown, config.steps, start)
+    expected = _expected(mesh, find_backdrop(views, level.sky), level)
+    weights = config.priors
+
+    @jit
+    def update(state: State, gradient: Unknowns) -> State:
+        prior = jax.grad(prior_loss)(from_latent(steps, state.latent), expected, weights)
+        total = from_latent(steps, jax.tree.map(jnp.add, gradient, prior))
+        updates, moments = transformation.update(total, state.optimizer, state.latent)
+        return State(jax.tree.map(jnp.add, state.latent, updates), moments)
+
+    gradient = jit(view_gradient(config.integrator.build(), config.samples, config.priors.mask))
+    photographs = cuts(views, pose, level.resolution)
+    return Stage(number, start, mesh, steps, transformation, photographs, gradient, update)
+
+
+def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
+    angles = solid_angles(level.sky)
+    columns = 2 * (level.sky - 1)
+    if backdrop is None:
+        nothing = np.zeros((level.sky, columns))
+        backdrop = Backdrop(np.ones((level.sky, columns, 3)), nothing, nothing)
+    edges = jnp.asarray(mesh.edges.vertices, jnp.int32)
+    return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
+
+
+def first_unknowns(config: ReconstructConfig, views: Sequence[View], mesh: Mesh) -> Unknowns:
+    """Grey, half rough, under a grey sky, or one that the photographs show."""
+    rows, count = config.levels[0].sky, len(mesh.vertices)
+    light = first_light(views, find_backdrop(views, rows), rows)
+    roughness = (FIRST_ROUGHNESS - 0.05) / 0.95
+    values = (
+        np.asarray(mesh.vertices),
+        np.full((count, 3), np.log(FIRST_ALBEDO / (1 - FIRST_ALBEDO))),
+        np.full((count, 1), np.log(roughness / (1 - roughness))),
+        light,
+        np.zeros((len(views), 3)),
+    )
+    return Unknowns(*(jnp.asarray(value, float) for value in values))
+
+
+def next_mesh(mesh: Mesh, unknowns: Unknowns, level: Level) -> tuple[Mesh, Unknowns]:
+    """The mesh remeshed for a level, with the unknowns carried over. Raises ValueError where remeshing fails."""
+    new = remesh_to(mesh, level.vertices).smooth()
+    albedo, roughness = carried(mesh, new, unknowns.albedo, unknowns.roughness)
+    light = resampled(np.asarray(unknowns.light), level.sky)
+    values = (new.vertices, albedo, roughness, light, unknowns.exposure)
+    return new, Unknowns(*(jnp.asarray(value, float) for value in values))
