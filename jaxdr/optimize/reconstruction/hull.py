@@ -31,10 +31,10 @@ def initial_surface(views: Sequence[View], kind: str, grid: int) -> tuple[Mesh, 
 
 
 def _sphere(views: Sequence[View]) -> tuple[Mesh, Pose]:
-    """A sphere around the point that the cameras look at, as large as half of what the nearest of them sees."""
+    """A sphere around the point that the cameras look at, half as wide as what the nearest of them sees."""
     centre, reach = _look(views)
     mesh = shapes.sphere(4, radius=0.5)
-    return mesh, Pose(centre, 0.5 * reach)
+    return mesh, Pose(centre, reach)
 
 
 def _look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:

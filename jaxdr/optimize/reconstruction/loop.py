@@ -94,7 +94,7 @@ class _Run:
         level = self.config.levels[0]
         mesh = remesh_to(self.surface, level.vertices).smooth()
         stage = make_stage(self.config, self.fitted, self.pose, 0, 0, mesh)
-        return 0, stage, stage.fresh(first_unknowns(self.config, self.fitted, mesh))
+        return 0, stage, stage.fresh(first_unknowns(self.config, self.fitted, self.pose, mesh))
 
     def restored(self) -> tuple[int, Stage, State]:
         """Steps done, stage and state of the checkpoint; the beginning where there is none yet."""

@@ -75,7 +75,7 @@ def _averaged(pixels: Float[np.ndarray, "H W C"], size: tuple[int, int]) -> Floa
 def _bounds(alpha: Float[np.ndarray, "H W"]) -> tuple[int, int, int, int]:
     """(x0, y0, x1, y1) of the object."""
     rows, columns = np.flatnonzero((alpha > 0.1).any(1)), np.flatnonzero((alpha > 0.1).any(0))
-    return columns[0], rows[0], columns[-1] + 1, rows[-1] + 1
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 def _window_size(alphas, full: tuple[int, int]) -> tuple[int, int]:

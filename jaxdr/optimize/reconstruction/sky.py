@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxdr.optimize.reconstruction.paint import GREY
 from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.views.record import View
 
@@ -58,10 +59,10 @@ def solid_angles(rows: int) -> Float[np.ndarray, "H 1"]:
 
 
 def first_light(views: Sequence[View], backdrop: Backdrop | None, rows: int) -> Float[np.ndarray, "H W 3"]:
-    """Logarithms of the light to start with: grey, so bright that the object may have an albedo of 0.4; and what is
-    known of it."""
+    """Logarithms of the light to start with: grey, so bright that the object has the albedo that it starts with;
+    and what is known of it."""
     seen = [view.image[view.alpha > 0.5] if view.alpha is not None else view.image.reshape(-1, 3) for view in views]
-    bright = float(np.mean([colors.mean() for colors in seen])) / 0.4
+    bright = float(np.mean([colors.mean() for colors in seen])) / GREY
     light = np.full((rows, columns_of(rows), 3), np.log(max(bright, DARKEST)))
     if backdrop is not None:
         share = backdrop.weight[..., None]

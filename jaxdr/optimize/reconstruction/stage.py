@@ -13,9 +13,12 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
+from jaxdr.optimize.reconstruction.paint import first_albedo
 from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
 from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, first_light, resampled, solid_angles
 from jaxdr.optimize.reconstruction.unknowns import (
+    ROUGHEST,
+    SMOOTHEST,
     State,
     Unknowns,
     carried,
@@ -26,7 +29,7 @@ from jaxdr.optimize.reconstruction.unknowns import (
 from jaxdr.optimize.remesh import remesh_to
 from jaxdr.views.record import View
 
-FIRST_ALBEDO, FIRST_ROUGHNESS = 0.4, 0.5  # logits of them are those of what the sigmoid makes of it
+FIRST_ROUGHNESS = 0.5
 
 
 class Stage(NamedTuple):
@@ -98,14 +101,15 @@ def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
     return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
 
 
-def first_unknowns(config: ReconstructConfig, views: Sequence[View], mesh: Mesh) -> Unknowns:
-    """Grey, half rough, under a grey sky, or one that the photographs show."""
+def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Unknowns:
+    """Painted as the photographs show it, half rough, under a grey sky, or one that the photographs show."""
     rows, count = config.levels[0].sky, len(mesh.vertices)
     light = first_light(views, find_backdrop(views, rows), rows)
-    roughness = (FIRST_ROUGHNESS - 0.05) / 0.95
+    albedo = first_albedo(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
+    roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
         np.asarray(mesh.vertices),
-        np.full((count, 3), np.log(FIRST_ALBEDO / (1 - FIRST_ALBEDO))),
+        np.log(albedo / (1 - albedo)),
         np.full((count, 1), np.log(roughness / (1 - roughness))),
         light,
         np.zeros((len(views), 3)),
