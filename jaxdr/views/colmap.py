@@ -29,6 +29,8 @@ def colmap_frames(folder: Path) -> list[Frame]:
     """
     pycolmap = require_pycolmap()
     model = find_model(folder)
+    if model is None:
+        raise ValueError(f"{folder}: has no COLMAP model; expected cameras, images and points3D in sparse/0")
     pycolmap.logging.minloglevel = 3  # what is wrong is said once, by us
     try:
         found = pycolmap.Reconstruction(str(model))
@@ -56,7 +58,7 @@ def _frame(folder: Path, model: Path, image: Any, camera: Any) -> Frame:
     held_out = Path(image.name).name.startswith("test_")
     size = (int(camera.width), int(camera.height))
     mask = find_mask(folder, image.name)
-    return Frame(picture, mask, pose, source, focal, None, centre, size, held_out)
+    return Frame(picture, mask, pose, source, focal, 0.0, centre, size, held_out)
 
 
 def require_pycolmap() -> Any:

@@ -1,7 +1,7 @@
 """How well renderings agree with photographs: PSNR, SSIM, and overlap of masks."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -82,7 +82,7 @@ def score_pictures(
             )
     scale = _channel_scale(pictures, views) if match_channels else np.ones(3)
     scores = [_score(picture, view, scale) for picture, view in zip(pictures, views, strict=True)]
-    return Evaluation(tuple(scores), tuple(float(x) for x in scale))
+    return Evaluation(tuple(scores), (float(scale[0]), float(scale[1]), float(scale[2])))
 
 
 def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
@@ -106,7 +106,7 @@ def _score(picture, view: View, scale) -> Score:
     error = float(((rendered - photograph) ** 2).mean())
     psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB: the same to the last bit
     size = min(11, view.height, view.width)
-    ssim = structural_similarity(
+    ssim: Any = structural_similarity(
         rendered,
         photograph,
         data_range=1.0,

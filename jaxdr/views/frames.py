@@ -14,8 +14,8 @@ SQUARE = 1e-3
 class Frame:
     """A photograph as a folder describes it. `size` (width, height), `centre` and None in them: as the picture says.
 
-    `focal`: along x and y, in pixels, or `angle`: horizontal field of view, in radians. `source`: file and entry, for
-    messages.
+    `focal`: along x and y, in pixels; without it `angle`: horizontal field of view, in radians. `source`: file and
+    entry, for messages.
     """
 
     path: Path
@@ -23,7 +23,7 @@ class Frame:
     to_world: Float[np.ndarray, "4 4"]
     source: str
     focal: tuple[float, float] | None = None
-    angle: float | None = None
+    angle: float = 0.0
     centre: tuple[float | None, float | None] = (None, None)
     size: tuple[int | None, int | None] = (None, None)
     held_out: bool = False

@@ -55,13 +55,9 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None) -> View
 def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> list[Frame]:
     """The frames with those marked that are held out."""
 
-    def matches(frame: Frame) -> bool:
-        relative = frame.path.relative_to(folder).as_posix() if frame.path.is_relative_to(folder) else ""
-        return any(fnmatch(name, holdout) for name in (frame.path.name, frame.path.stem, relative))
-
     chosen = [frame.held_out for frame in frames]
     if holdout is not None:
-        matching = [matches(frame) for frame in frames]
+        matching = [_matches(frame.path, folder, holdout) for frame in frames]
         if not any(matching):
             raise ValueError(f"{folder}: no picture matches the holdout pattern {holdout!r}; take another one")
         chosen = [a or b for a, b in zip(chosen, matching, strict=True)]
@@ -70,6 +66,12 @@ def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> lis
     if all(chosen):
         raise ValueError(f"{folder}: all pictures are held out, none is left to fit; hold out fewer")
     return [dataclasses.replace(frame, held_out=held) for frame, held in zip(frames, chosen, strict=True)]
+
+
+def _matches(path: Path, folder: Path, pattern: str) -> bool:
+    """Whether a pattern is that of a picture's name, with or without suffix, or of its path in the folder."""
+    relative = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else ""
+    return any(fnmatch(name, pattern) for name in (path.name, path.stem, relative))
 
 
 def _names(folder: Path, frames: Sequence[Frame]) -> list[str]:

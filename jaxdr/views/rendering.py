@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +63,7 @@ def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integ
     seen = Scene(scene.shapes, camera, scene.environment, scene.lights)
     full = render(seen, key, spp=spp, integrator=integrator)
     glowing = {name: Shape(shape.mesh, Diffuse(0.0), AreaEmitter(1.0)) for name, shape in scene.shapes.items()}
-    alone = dataclasses.replace(integrator, max_depth=1)
+    alone: Any = dataclasses.replace(cast(Any, integrator), max_depth=1)
     alpha = render(Scene(glowing, camera), key, spp=spp, integrator=alone)[..., 0]
     if scene.environment is None:
         return Layers(full, alpha, jnp.zeros_like(full))

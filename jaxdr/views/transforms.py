@@ -51,15 +51,15 @@ def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_ou
     else:
         mask = find_mask(folder, picture.name)
     pose = checked_pose(entry.get("transform_matrix"), source) @ FROM_OPENGL
-    focal = angle = None
+    focal, angle = None, 0.0
     if "fl_x" in values:
         focal = (_number(values, "fl_x", source), _number(values, "fl_y" if "fl_y" in values else "fl_x", source))
     elif "camera_angle_x" in values:
         angle = _number(values, "camera_angle_x", source)
     else:
         raise ValueError(f"{source}: says neither fl_x nor camera_angle_x; the focal length is needed")
-    centre = tuple(_number(values, name, source) if name in values else None for name in ("cx", "cy"))
-    size = tuple(int(_number(values, name, source)) if name in values else None for name in ("w", "h"))
+    x, y, w, h = (_number(values, name, source) if name in values else None for name in ("cx", "cy", "w", "h"))
+    centre, size = (x, y), (None if w is None else int(w), None if h is None else int(h))
     return Frame(picture, mask, pose, source, focal, angle, centre, size, held_out)
 
 

@@ -24,9 +24,9 @@ class Atlas(NamedTuple):
 def unwrap(mesh: Mesh) -> Atlas:
     """Charts side by side, by xatlas. Raises ImportError without it."""
     xatlas = require_xatlas()
-    vertices, faces, uvs = xatlas.parametrize(
-        np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32), np.asarray(mesh.vertex_normals())
-    )
+    points, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+    found: Any = xatlas.parametrize(points, faces, np.asarray(mesh.vertex_normals(), np.float32))
+    vertices, faces, uvs = found
     return Atlas(vertices.astype(np.int64), faces.astype(np.int64), np.asarray(uvs, float))
 
 
@@ -52,7 +52,7 @@ def bake(atlas: Atlas, values: Float[np.ndarray, "V C"], size: int) -> Float[np.
     inside = np.zeros(size * size, bool)
     inside[ray] = True
     texture, inside = texture.reshape(size, size, -1), inside.reshape(size, size)
-    nearest = distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    nearest: Any = distance_transform_edt(~inside, return_distances=False, return_indices=True)
     return texture[tuple(nearest)]
 
 
@@ -64,6 +64,7 @@ def write_glb(
     Positions stay as they are. The file appears complete or not at all.
     """
     import trimesh
+    from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
     atlas = unwrap(mesh)
@@ -81,13 +82,14 @@ def write_glb(
         np.asarray(mesh.vertices)[atlas.vertices],
         atlas.faces,
         vertex_normals=np.asarray(mesh.vertex_normals())[atlas.vertices],
-        visual=trimesh.visual.TextureVisuals(uv=atlas.uvs, material=material),
+        visual=TextureVisuals(uv=atlas.uvs, material=material),
         process=False,
     )
     scene = trimesh.Scene()
     scene.add_geometry(cut, node_name=NAME, geom_name=NAME)
+    data: Any = scene.export(file_type="glb", include_normals=True)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(scene.export(file_type="glb", include_normals=True))
+        temporary.write_bytes(data)
 
 
 def require_xatlas() -> Any:

@@ -55,7 +55,7 @@ def visual_hull(views: Sequence[View], grid: int) -> tuple[Float[np.ndarray, "V 
     Of every cell the least of the signed distances (to the outline, in the image, times depth over focal length) of all
     views, and the zero level of that (marching cubes). Raises ValueError where no cell is inside of all masks.
     """
-    fields = [_signed_distance(view.alpha) for view in views]
+    fields = [_signed_distance(view.alpha) for view in views if view.alpha is not None]
     centre, reach = _look(views)
     low, high = centre - 1.5 * reach, centre + 1.5 * reach
     values = _least(views, fields, low, high, (COARSE,) * 3)
@@ -76,7 +76,8 @@ def _signed_distance(alpha: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"
     from scipy.ndimage import distance_transform_edt
 
     inside = alpha > 0.5
-    return np.where(inside, distance_transform_edt(inside) - 0.5, 0.5 - distance_transform_edt(~inside))
+    within, without = (np.asarray(distance_transform_edt(side)) for side in (inside, ~inside))
+    return np.where(inside, within - 0.5, 0.5 - without)
 
 
 def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
@@ -105,8 +106,8 @@ def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
 def _surface(values, low, cell):
     from skimage.measure import label, marching_cubes
 
-    pieces, count = label(values > 0, return_num=True, connectivity=1)
-    sizes = np.bincount(pieces.ravel(), minlength=count + 1)
+    pieces = np.asarray(label(values > 0, connectivity=1))
+    sizes = np.bincount(pieces.ravel(), minlength=2)
     sizes[0] = 0
     keep = np.flatnonzero(sizes >= SMALL * sizes.sum())
     away = -0.5 * float(cell.min())

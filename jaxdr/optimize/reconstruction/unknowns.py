@@ -1,7 +1,7 @@
 """What is unknown, as numbers that any step keeps meaningful, and the scene they stand for."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -68,7 +68,7 @@ def optimizer(rates: Rates, unknown: Sequence[str], steps: int, start: int) -> o
         decay = optax.exponential_decay(first, steps, rates.final)
         return lambda count: decay(count + start)
 
-    made = {"vertices": adam_uniform(rate("vertices"))}
+    made: dict[Any, Any] = {"vertices": adam_uniform(rate("vertices"))}
     for name in ("albedo", "roughness", "light", "exposure"):
         if name not in unknown:
             made[name] = optax.set_to_zero()
@@ -76,7 +76,8 @@ def optimizer(rates: Rates, unknown: Sequence[str], steps: int, start: int) -> o
             made[name] = adam_uniform(rate(name))
         else:
             made[name] = optax.adam(rate(name), b2=0.99, eps=1e-6)
-    return optax.partition(made, Unknowns(*Unknowns._fields))
+    labels: Any = Unknowns(*Unknowns._fields)  # type: ignore[arg-type]
+    return optax.partition(made, labels)
 
 
 def to_latent(steps: LargeSteps, unknowns: Unknowns) -> Unknowns:
@@ -90,11 +91,11 @@ def from_latent(steps: LargeSteps, latent: Unknowns) -> Unknowns:
     return latent._replace(vertices=both[:, :3], roughness=both[:, 3:])
 
 
-def carried(old: Mesh, new: Mesh, *values: Float[np.ndarray, "V C"]) -> list[Float[np.ndarray, "W C"]]:
+def carried(old: Mesh, new: Mesh, *values: Float[np.ndarray | Array, "V C"]) -> list[Float[np.ndarray, "W C"]]:
     """Values at the vertices of a mesh for those of another one: of the three nearest, by inverse distance."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    distance, nearest = cKDTree(np.asarray(old.vertices, float)).query(np.asarray(new.vertices, float), k=3)
+    distance, nearest = KDTree(np.asarray(old.vertices, float)).query(np.asarray(new.vertices, float), k=3)
     weight = 1 / np.maximum(distance, 1e-6)
     weight = (weight / weight.sum(1, keepdims=True))[..., None]
     return [(weight * np.asarray(value, float)[nearest]).sum(1) for value in values]
