@@ -30,14 +30,14 @@ class Priors:
     - `mask`: squared difference of coverage and mask: pins the outline where object and background look alike.
     - `albedo`: colours of neighbouring vertices differ little, or rarely: fills in what no photograph shows.
     - `light`: neighbouring directions send alike light: a dull surface does not tell them apart.
-    - `white`: the light is grey on average: of the product of light and albedo the photographs see only one colour.
+    - `white`: the light is about grey: of the product of light and albedo the photographs see only one colour.
     - `background`: the light is what the photographs show behind the object, where all of them agree on it.
     """
 
     mask: float = 1.0
     albedo: float = 0.02
-    light: float = 0.002
-    white: float = 0.01
+    light: float = 0.0002
+    white: float = 0.02
     background: float = 0.1
 
     def __post_init__(self):
@@ -56,7 +56,7 @@ class Rates:
     vertices: float = 0.05
     albedo: float = 0.05
     roughness: float = 0.05
-    light: float = 0.05
+    light: float = 0.1
     exposure: float = 0.01
     final: float = 0.1
 

@@ -16,7 +16,7 @@ from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
-from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, next_mesh
+from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, next_unknowns
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
 from jaxdr.views.evaluate import require_skimage
@@ -122,7 +122,8 @@ class _Run:
         number = stage.number + 1
         level = self.config.levels[number]
         try:
-            mesh, unknowns = next_mesh(stage.current_mesh(state), stage.unknowns(state), level)
+            current, unknowns = stage.current_mesh(state), stage.unknowns(state)
+            mesh, unknowns = next_unknowns(self.config, self.fitted, self.pose, number, current, unknowns)
         except ValueError as problem:
             raise ValueError(
                 f"after step {done} the mesh can't be remeshed to {level.vertices} vertices ({problem}); lower "

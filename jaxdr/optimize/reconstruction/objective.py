@@ -19,6 +19,7 @@ DARK = 0.02  # linear; darker pixels weigh no more than those: an 8-bit photogra
 OUTLIER = 0.3  # sRGB; beyond it a difference counts by its size and not by its square
 WHITE = 0.995  # photographs are clipped from here on
 LAMP = 0.3  # logarithm of radiance; larger differences of neighbouring directions are outlines of lamps
+TINT = 0.5  # of the mean light; colours well beyond it are those of lamps
 JUMP = 0.05  # albedo; differences of neighbours well beyond it are edges of paint, and count by their size
 
 
@@ -110,8 +111,9 @@ def prior_loss(unknowns: Unknowns, expected: Expected, weights: Priors) -> Float
     smooth = huber(albedo[a] - albedo[b], JUMP).mean()
     even = huber(light - jnp.roll(light, 1, axis=1), LAMP).mean() + huber(light[1:] - light[:-1], LAMP).mean()
     radiance = jnp.exp(light)
-    mean = (radiance * expected.solid_angles[..., None]).sum((0, 1))
-    white = ((mean / luminance(mean) - 1.0) ** 2).sum()
+    grey = luminance(radiance)[..., None]
+    mean = (grey * expected.solid_angles[..., None]).sum()
+    white = (huber(radiance / mean - grey / mean, TINT).mean(-1) * expected.solid_angles).sum()
     error = radiance - expected.radiance
     error = jnp.where(expected.clipped[..., None] > 0, jnp.minimum(error, 0.0), error) * tone_weight(expected.radiance)
     known = (huber(error, OUTLIER).mean(-1) * expected.weight * expected.solid_angles).sum()

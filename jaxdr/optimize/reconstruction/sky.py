@@ -7,13 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxdr.optimize.reconstruction.paint import GREY
 from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.views.record import View
 
 # The map's frame has y up; the world z, as in the data sets that people have. Only where the poles lie depends on it.
 TO_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
-DARKEST = 1e-3  # radiance that a map starts with at least
+DARKEST = 1e-3  # radiance that counts: logarithms need one
 WHITE = 0.99  # photographs are clipped from here on
 AGREE = 0.5  # share of the variance of the backgrounds that a map of directions must explain to count
 ENOUGH = 4  # pixels that must show a direction
@@ -58,16 +57,12 @@ def solid_angles(rows: int) -> Float[np.ndarray, "H 1"]:
     return ((np.cos(edges[:-1]) - np.cos(edges[1:])) / 2 / columns_of(rows))[:, None]
 
 
-def first_light(views: Sequence[View], backdrop: Backdrop | None, rows: int) -> Float[np.ndarray, "H W 3"]:
-    """Logarithms of the light to start with: grey, so bright that the object has the albedo that it starts with;
-    and what is known of it."""
-    seen = [view.image[view.alpha > 0.5] if view.alpha is not None else view.image.reshape(-1, 3) for view in views]
-    bright = float(np.mean([colors.mean() for colors in seen])) / GREY
-    light = np.full((rows, columns_of(rows), 3), np.log(max(bright, DARKEST)))
-    if backdrop is not None:
-        share = backdrop.weight[..., None]
-        light = (1 - share) * light + share * np.log(np.maximum(backdrop.radiance, DARKEST))
-    return light
+def directions(rows: int) -> Float[np.ndarray, "H W 3"]:
+    """Unit directions of the texels, in the frame of the map."""
+    theta = np.pi * np.arange(rows)[:, None] / (rows - 1)
+    phi = 2 * np.pi * (np.arange(columns_of(rows))[None, :] + 0.5) / columns_of(rows)
+    height = np.broadcast_to(np.cos(theta), (rows, columns_of(rows)))
+    return np.stack([np.sin(theta) * np.sin(phi), height, -np.sin(theta) * np.cos(phi)], -1)
 
 
 def find_backdrop(views: Sequence[View], rows: int) -> Backdrop | None:

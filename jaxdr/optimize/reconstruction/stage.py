@@ -7,15 +7,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
-from jaxdr.optimize.reconstruction.paint import first_albedo
+from jaxdr.optimize.reconstruction.paint import (
+    BRIGHTEST,
+    DARKEST,
+    ROWS,
+    first_light_and_albedo,
+    seen_colors,
+)
 from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
-from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, first_light, resampled, solid_angles
+from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, resampled, solid_angles
 from jaxdr.optimize.reconstruction.unknowns import (
     ROUGHEST,
     SMOOTHEST,
@@ -24,12 +31,15 @@ from jaxdr.optimize.reconstruction.unknowns import (
     carried,
     from_latent,
     optimizer,
+    reflectance,
     to_latent,
 )
 from jaxdr.optimize.remesh import remesh_to
 from jaxdr.views.record import View
 
 FIRST_ROUGHNESS = 0.5
+DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
+DETAIL = 3.0  # most by which the paint that a finer mesh shows changes the albedo
 
 
 class Stage(NamedTuple):
@@ -102,25 +112,42 @@ def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
 
 
 def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Unknowns:
-    """Painted as the photographs show it, half rough, under a grey sky, or one that the photographs show."""
-    rows, count = config.levels[0].sky, len(mesh.vertices)
-    light = first_light(views, find_backdrop(views, rows), rows)
-    albedo = first_albedo(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
+    """The paint and the light that explain the dull colours that photographs show, half rough."""
+    count = len(mesh.vertices)
+    radiance, albedo = first_light_and_albedo(mesh, _seen(config, views, pose, mesh), find_backdrop(views, ROWS))
+    radiance = np.maximum(radiance, DIM * radiance.mean())
     roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
         np.asarray(mesh.vertices),
-        np.log(albedo / (1 - albedo)),
-        np.full((count, 1), np.log(roughness / (1 - roughness))),
-        light,
+        _logit(albedo),
+        np.full((count, 1), _logit(roughness)),
+        resampled(np.log(radiance), config.levels[0].sky),
         np.zeros((len(views), 3)),
     )
     return Unknowns(*(jnp.asarray(value, float) for value in values))
 
 
-def next_mesh(mesh: Mesh, unknowns: Unknowns, level: Level) -> tuple[Mesh, Unknowns]:
-    """The mesh remeshed for a level, with the unknowns carried over. Raises ValueError where remeshing fails."""
+def _seen(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Float[np.ndarray, "V 3"]:
+    return seen_colors(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
+
+
+def _logit(share):
+    return np.log(share / (1 - share))
+
+
+def next_unknowns(
+    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, mesh: Mesh, unknowns: Unknowns
+) -> tuple[Mesh, Unknowns]:
+    """The mesh remeshed for a level, with the unknowns carried over. Raises ValueError where remeshing fails.
+
+    A finer mesh shows more of the paint: what photographs show of it, relative to what the old mesh could hold of that,
+    multiplies the albedo.
+    """
+    level = config.levels[number]
     new = remesh_to(mesh, level.vertices).smooth()
-    albedo, roughness = carried(mesh, new, unknowns.albedo, unknowns.roughness)
+    old_seen, seen = (np.maximum(_seen(config, views, pose, each), DARKEST) for each in (mesh, new))
+    albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
+    albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
     light = resampled(np.asarray(unknowns.light), level.sky)
-    values = (new.vertices, albedo, roughness, light, unknowns.exposure)
+    values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)
     return new, Unknowns(*(jnp.asarray(value, float) for value in values))
