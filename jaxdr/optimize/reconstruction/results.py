@@ -51,7 +51,7 @@ def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
     roughness = np.asarray(roughness_of(result.unknowns.roughness), float)
     write_glb(folder.path / "asset.glb", result.mesh, albedo, roughness, size)
     light = np.asarray(result.unknowns.light, float)
-    folder.save_light(np.exp(resampled(light, FINER * (len(light) - 1) + 1)))
+    folder.save_light(resampled(np.exp(light), FINER * (len(light) - 1) + 1))
 
 
 def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
