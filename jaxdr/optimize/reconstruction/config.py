@@ -90,7 +90,7 @@ class Samples:
 
     image: int = 4
     gradient: int = 4
-    pictures: int = 64
+    pictures: int = 256
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():
