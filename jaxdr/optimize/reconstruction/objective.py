@@ -24,10 +24,12 @@ JUMP = 0.05  # albedo; differences of neighbours well beyond it are edges of pai
 
 
 class Photograph(NamedTuple):
-    """What one view is compared with: colours (over black where there is alpha), alpha or None, its number."""
+    """What one view is compared with: colours (over black where there is alpha), alpha or None, weight of the colours,
+    its number."""
 
     color: Float[Array, "H W 3"]
     alpha: Float[Array, "H W"] | None
+    trust: Float[Array, "H W"]
     number: Int[Array, ""]
 
 
@@ -57,7 +59,7 @@ def picture_loss(
     error = jnp.exp(exposure) * shown - photograph.color
     clipped = photograph.color >= WHITE
     error = jnp.where(clipped, jnp.minimum(error, 0.0), error) * tone_weight(photograph.color)
-    loss = huber(error, OUTLIER).mean()
+    loss = (huber(error, OUTLIER) * photograph.trust[..., None]).mean()
     if photograph.alpha is None:
         return loss
     return loss + mask_weight * ((parts.alpha - photograph.alpha) ** 2).mean()

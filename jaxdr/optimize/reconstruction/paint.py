@@ -36,7 +36,7 @@ def seen_colors(mesh: Mesh, photographs: Sequence[Cut]) -> Float[np.ndarray, "V 
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         free, column, row = free[inside], column[inside], row[inside]
         if cut.alpha is not None:
-            whole = cut.alpha[row, column] > 0.99
+            whole = np.minimum(cut.alpha, cut.trust)[row, column] > 0.99
             free, column, row = free[whole], column[whole], row[whole]
         shown[free] = cut.color[row, column]
     known = np.isfinite(seen[..., 0]).any(0)

@@ -29,10 +29,15 @@ class Pose(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """A photograph of a level: `color` [H, W, 3] linear, over black where there is `alpha` [H, W], and its camera."""
+    """A photograph of a level: `color` linear, over black where there is `alpha`, and its camera.
+
+    `trust`: share of a pixel whose colour is the object's or black for certain. Pixels at the border of a mask show
+    both the object and what is behind it.
+    """
 
     color: Float[np.ndarray, "H W 3"]
     alpha: Float[np.ndarray, "H W"] | None
+    trust: Float[np.ndarray, "H W"]
     camera: Pinhole
 
 
@@ -42,9 +47,9 @@ def cuts(views: Sequence[View], pose: Pose, resolution: int) -> list[Cut]:
     Without masks nothing is cut off. Light is averaged over the area of the new pixels.
     """
     reduced = [_reduced(view, resolution) for view in views]
-    height, width = _window_size([alpha for _, alpha, _ in reduced], reduced[0][0].shape[:2])
+    height, width = _window_size([alpha for _, alpha, _, _ in reduced], reduced[0][0].shape[:2])
     made = []
-    for view, (color, alpha, scale) in zip(views, reduced, strict=True):
+    for view, (color, alpha, trust, scale) in zip(views, reduced, strict=True):
         x0, y0 = (0, 0) if alpha is None else _corner(alpha, width, height)
         window = np.s_[y0 : y0 + height, x0 : x0 + width]
         focal = view.focal * scale[0]
@@ -52,17 +57,28 @@ def cuts(views: Sequence[View], pose: Pose, resolution: int) -> list[Cut]:
         fov = np.degrees(2 * np.arctan(0.5 * width / focal))
         axis = (0.5 - centre[0] / width, 0.5 - centre[1] / height)
         camera = Pinhole(*(jnp.asarray(x, float) for x in (pose.moved(view.to_world), fov, axis)))
-        made.append(Cut(color[window], None if alpha is None else alpha[window], camera))
+        made.append(Cut(color[window], None if alpha is None else alpha[window], trust[window], camera))
     return made
 
 
 def _reduced(view: View, resolution: int):
-    """(colours over black, alpha, (pixels along x and y a pixel of the photograph))."""
+    """(colours over black, alpha, trust, (pixels along x and y a pixel of the photograph))."""
     share = min(1.0, resolution / max(view.width, view.height))
     size = max(1, round(view.width * share)), max(1, round(view.height * share))
     color = _averaged(view.over_black, size)
     alpha = None if view.alpha is None else _averaged(view.alpha[..., None], size)[..., 0]
-    return color, alpha, (size[0] / view.width, size[1] / view.height)
+    trust = _averaged(_trust(view)[..., None], size)[..., 0]
+    return color, alpha, trust, (size[0] / view.width, size[1] / view.height)
+
+
+def _trust(view: View) -> Float[np.ndarray, "H W"]:
+    """0 beside the border of a mask, else 1."""
+    if view.alpha is None or not view.backdrop:
+        return np.ones((view.height, view.width), np.float32)
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    same = maximum_filter(view.alpha, 3) == minimum_filter(view.alpha, 3)
+    return same.astype(np.float32)
 
 
 def _averaged(pixels: Float[np.ndarray, "H W C"], size: tuple[int, int]) -> Float[np.ndarray, "h w C"]:

@@ -76,7 +76,7 @@ class Stage(NamedTuple):
         """What a view is compared with."""
         cut = self.photographs[view]
         alpha = None if cut.alpha is None else jnp.asarray(cut.alpha)
-        return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(view, jnp.int32))
+        return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(cut.trust), jnp.asarray(view, jnp.int32))
 
 
 def make_stage(

@@ -33,8 +33,9 @@ def layers(color, alpha, behind=0.0) -> Layers:
     return Layers(jnp.full(shape, color) + (1 - alpha)[..., None] * behind, alpha, behind)
 
 
-def photograph(color, alpha=1.0) -> Photograph:
-    return Photograph(jnp.full((4, 5, 3), color), None if alpha is None else jnp.full((4, 5), alpha), jnp.int32(0))
+def photograph(color, alpha=1.0, trust=1.0) -> Photograph:
+    alpha = None if alpha is None else jnp.full((4, 5), alpha)
+    return Photograph(jnp.full((4, 5, 3), color), alpha, jnp.full((4, 5), trust), jnp.int32(0))
 
 
 def test_small_differences_count_as_encoded_ones_and_what_is_behind_does_not():
@@ -53,6 +54,10 @@ def test_coverage_counts_by_its_weight():
     # Without a mask the whole picture counts, and coverage does not.
     loss = picture_loss(layers(0.0, 0.5, 0.4), STILL, photograph(0.2, None), 2.0)
     np.testing.assert_allclose(loss, 0.0, atol=1e-10)
+
+
+def test_colours_that_nobody_knows_do_not_count():
+    assert picture_loss(layers(0.5, 1.0), STILL, photograph(0.2, trust=0.0), 1.0) == 0
 
 
 def test_where_a_photograph_is_clipped_the_rendering_may_be_brighter():

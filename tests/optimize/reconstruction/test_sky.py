@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxdr.optimize.reconstruction.sky import (
+    TO_WORLD,
     columns_of,
+    directions,
     environment,
     find_backdrop,
-    first_light,
     resampled,
     solid_angles,
 )
@@ -58,9 +59,9 @@ def test_backgrounds_that_agree_are_the_sky():
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     got = np.asarray(environment(jnp.asarray(light, jnp.float32)).eval(jnp.asarray(direction, jnp.float32)))
     np.testing.assert_allclose(got, radiance(direction), atol=0.06)
-    start = first_light(views, found, ROWS)
-    np.testing.assert_allclose(np.exp(start)[known], found.radiance[known], rtol=1e-5)
-    assert np.ptp(start[~known]) == 0
+    # Texels cover finite angles: their means are the sky at their middle but for its curvature.
+    middle = radiance(directions(ROWS) @ TO_WORLD[:3, :3].T)
+    assert np.abs(found.radiance - middle)[known].mean() < 0.03
 
 
 def test_backgrounds_that_do_not_agree_are_none():

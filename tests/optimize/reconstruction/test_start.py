@@ -10,8 +10,9 @@ import pytest
 import jaxdr as jd
 from jaxdr.geometry import shapes
 from jaxdr.optimize.reconstruction.hull import initial_surface
-from jaxdr.optimize.reconstruction.paint import BRIGHTEST, DARKEST, first_albedo
+from jaxdr.optimize.reconstruction.paint import first_light_and_albedo, seen_colors
 from jaxdr.optimize.reconstruction.pictures import Pose, cuts
+from jaxdr.optimize.reconstruction.sky import TO_WORLD, directions, solid_angles
 from jaxdr.scene.camera import look_at
 from jaxdr.views.record import View
 from tests.views.folders import write_nerf
@@ -96,15 +97,47 @@ def test_reduced_pictures_keep_the_light():
         np.testing.assert_allclose(one.alpha.sum() / 4, other.alpha.sum(), rtol=1e-4)
 
 
+def test_colours_at_the_border_of_a_mask_are_not_trusted():
+    view = all_around()[0]
+    (cut,) = cuts([view], Pose(CENTRE, 0.6), 64)  # a picture with its background, and a mask
+    (bare,) = cuts([dataclasses.replace(view, backdrop=False)], Pose(CENTRE, 0.6), 64)
+    assert (bare.trust == 1).all() and 0.05 < (cut.trust == 0).mean() < 0.3
+    inside, outside = cut.alpha[cut.trust == 1] == 1, cut.alpha[cut.trust == 1] == 0
+    assert inside.any() and outside.any() and (inside | outside).all()
+
+
 def test_paint_is_what_the_photographs_show():
     def paint(point):
         return np.array([0.6, 0.2, 0.1]) if point[2] > CENTRE[2] else np.array([0.1, 0.2, 0.6])
 
     mesh = shapes.sphere(3, radius=0.5).smooth()
-    albedo = first_albedo(mesh, cuts(all_around(paint=paint), Pose(CENTRE, 2 * RADIUS), 64))
+    colors = seen_colors(mesh, cuts(all_around(paint=paint), Pose(CENTRE, 2 * RADIUS), 64))
     z = np.asarray(mesh.vertices)[:, 2]
-    upper, lower = albedo[z > 0.05], albedo[z < -0.05]
-    # Mean of all channels 0.3 both in the photographs and at the start: nothing is scaled.
-    np.testing.assert_allclose(upper, np.broadcast_to([0.6, 0.2, 0.1], upper.shape), atol=0.03)
-    np.testing.assert_allclose(lower, np.broadcast_to([0.1, 0.2, 0.6], lower.shape), atol=0.03)
-    assert albedo.min() >= DARKEST and albedo.max() <= BRIGHTEST
+    upper, lower = colors[z > 0.08], colors[z < -0.08]
+    np.testing.assert_allclose(upper, np.broadcast_to([0.6, 0.2, 0.1], upper.shape), atol=0.01)
+    np.testing.assert_allclose(lower, np.broadcast_to([0.1, 0.2, 0.6], lower.shape), atol=0.01)
+
+
+def test_what_no_photograph_shows_gets_the_colour_of_the_rest():
+    mesh = shapes.sphere(2, radius=0.5).smooth()
+    colors = seen_colors(mesh, cuts([view_of_a_ball((0, 0, 1))], Pose(CENTRE, 2 * RADIUS), 64))
+    np.testing.assert_allclose(colors, 1.0, atol=1e-6)
+
+
+def test_shading_is_told_from_paint():
+    # A white lamp from above, a surface of two paints in patches: light explains the shading, albedo the patches.
+    mesh = shapes.sphere(4, radius=0.5).smooth()
+    normals = np.asarray(mesh.vertex_normals(), float)
+    patches = np.where(np.sin(15 * normals[:, :1]) * np.sin(15 * normals[:, 1:2]) > 0, 1.0, 0.5)
+    lit = 0.15 + np.maximum(normals @ [0.0, 0.6, 0.8], 0.0)
+    albedo = patches * [0.5, 0.4, 0.2]
+    light, found = first_light_and_albedo(mesh, albedo * lit[:, None], None)
+    assert (light >= 0).all() and np.ptp(light, axis=2).max() == 0
+    scale = (found * albedo).sum() / (found**2).sum()
+    raw = albedo * lit[:, None]
+    raw_scale = (raw * albedo).sum() / (raw**2).sum()
+    error, raw_error = np.abs(scale * found - albedo).mean(), np.abs(raw_scale * raw - albedo).mean()
+    assert error < 0.35 * raw_error
+    towards = (light[..., :1] * directions(len(light)) * solid_angles(len(light))[..., None]).sum((0, 1))
+    towards = TO_WORLD[:3, :3] @ (towards / np.linalg.norm(towards))
+    assert towards @ [0.0, 0.6, 0.8] > 0.9
