@@ -43,7 +43,8 @@ def bake(atlas: Atlas, values: Float[np.ndarray, "V C"], size: int) -> Float[np.
     x, y = np.meshgrid(np.arange(size) + 0.5, size - np.arange(size) - 0.5)
     origins = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
     directions = np.broadcast_to([0.0, 0, -1], origins.shape)
-    face, ray = charts.ray.intersects_id(origins, directions, multiple_hits=False)
+    hits: Any = charts.ray.intersects_id(origins, directions, multiple_hits=False)
+    face, ray = hits
     corners = flat[atlas.faces[face]]
     weights = trimesh.triangles.points_to_barycentric(corners, origins[ray] * [1, 1, 0])
     found = np.asarray(values, float)[atlas.vertices[atlas.faces[face]]]
