@@ -74,7 +74,7 @@ class _Run:
                 state, row, shown = self.step(stage, state, done)
                 done += 1
                 self.folder.add_metrics({**row, "step": done, "seconds": round(self.seconds(), 2)})
-                progress.step(loss=row["loss"], level=stage.number + 1)
+                progress.step(loss=row["loss"], level=float(stage.number + 1))
                 if self.due(done, self.config.report.pictures):
                     self.folder.save_picture(done, *shown)
                 if self.due(done, self.config.report.checkpoint) or self.interruption.requested:
@@ -121,14 +121,10 @@ class _Run:
         """The next level: another mesh and sky, optimisers that begin."""
         number = stage.number + 1
         level = self.config.levels[number]
-        try:
-            current, unknowns = stage.current_mesh(state), stage.unknowns(state)
-            mesh, unknowns = next_unknowns(self.config, self.fitted, self.pose, number, current, unknowns)
-        except ValueError as problem:
-            raise ValueError(
-                f"after step {done} the mesh can't be remeshed to {level.vertices} vertices ({problem}); lower "
-                "rates.vertices or raise lam of the levels"
-            ) from None
+        current, unknowns = stage.current_mesh(state), stage.unknowns(state)
+        mesh, unknowns, problem = next_unknowns(self.config, self.fitted, self.pose, number, current, unknowns)
+        if problem:
+            progress.say(f"after step {done}: kept the mesh as it was ({problem})")
         progress.say(
             f"after step {done}: level {number + 1} of {len(self.config.levels)}: {len(mesh.vertices)} vertices, "
             f"photographs of {level.resolution} pixels, a sky of {level.sky} rows"

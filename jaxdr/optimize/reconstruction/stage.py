@@ -137,17 +137,20 @@ def _logit(share):
 
 def next_unknowns(
     config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, mesh: Mesh, unknowns: Unknowns
-) -> tuple[Mesh, Unknowns]:
-    """The mesh remeshed for a level, with the unknowns carried over. Raises ValueError where remeshing fails.
+) -> tuple[Mesh, Unknowns, str]:
+    """(the mesh remeshed for a level, the unknowns carried over, why remeshing failed or nothing: then it is the same).
 
     A finer mesh shows more of the paint: what photographs show of it, relative to what the old mesh could hold of that,
     multiplies the albedo.
     """
     level = config.levels[number]
-    new = remesh_to(mesh, level.vertices).smooth()
+    light = jnp.asarray(resampled(np.asarray(unknowns.light), level.sky), float)
+    try:
+        new = remesh_to(mesh, level.vertices).smooth()
+    except ValueError as problem:
+        return mesh, unknowns._replace(light=light), str(problem)
     old_seen, seen = (np.maximum(_seen(config, views, pose, each), DARKEST) for each in (mesh, new))
     albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
     albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
-    light = resampled(np.asarray(unknowns.light), level.sky)
     values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)
-    return new, Unknowns(*(jnp.asarray(value, float) for value in values))
+    return new, Unknowns(*(jnp.asarray(value, float) for value in values)), ""

@@ -91,7 +91,7 @@ def from_latent(steps: LargeSteps, latent: Unknowns) -> Unknowns:
     return latent._replace(vertices=both[:, :3], roughness=both[:, 3:])
 
 
-def carried(old: Mesh, new: Mesh, *values: Float[np.ndarray | Array, "V C"]) -> list[Float[np.ndarray, "W C"]]:
+def carried(old: Mesh, new: Mesh, *values: Float[np.ndarray | Array, "V _"]) -> list[Float[np.ndarray, "W _"]]:
     """Values at the vertices of a mesh for those of another one: of the three nearest, by inverse distance."""
     from scipy.spatial import KDTree
 
