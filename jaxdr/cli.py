@@ -1,4 +1,4 @@
-"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr plan`, `jaxdr optimize`, `jaxdr chart`.
+"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr plan`, `jaxdr optimize`, `jaxdr reconstruct`, `jaxdr chart`.
 
 Compiled programs are kept in the user's cache folder, which each command says first, in a line on stderr.
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
@@ -8,6 +8,7 @@ exit code 2, before anything is written. A run that meets NaN ends with exit cod
 import argparse
 import contextlib
 import json
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -32,9 +33,11 @@ from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, NotFinite
+from jaxdr.optimize.reconstruction.config import reconstruct_config
+from jaxdr.optimize.reconstruction.loop import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
-from jaxdr.optimize.strict_toml import read_toml, split_assignment
+from jaxdr.optimize.strict_toml import override_table, read_toml, split_assignment
 from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan
 from jaxdr.program_cache import keep_programs, leave_out, user_folder
 from jaxdr.render import render
@@ -242,6 +245,27 @@ def _optimize(options) -> int:
     return 0
 
 
+def _reconstruct(options) -> int:
+    if options.config:
+        source, table = options.config, read_toml(Path(options.config), options.set)
+    else:
+        source, table = "--set", override_table({}, options.set, "the defaults")
+    config = reconstruct_config(table, source, options.folder, options.output, options.holdout or "")
+    try:
+        summary = reconstruct(config, resume=options.resume, overwrite=options.overwrite)
+    except Interrupted as interruption:
+        command = ["jaxdr", "reconstruct", options.folder, "-o", options.output]
+        for name, values in (("--config", [options.config]), ("--holdout", [options.holdout]), ("--set", options.set)):
+            command += [word for value in values if value for word in (name, value)]
+        raise Interrupted(f"{interruption}; go on with: {shlex.join(command)} --resume") from None
+    overlap = f", overlap of masks {summary['iou']['mean']:.4f}" if "iou" in summary else ""
+    print(
+        f"{Path(config.output) / 'asset.glb'}: views {summary['judged_by']}: PSNR {summary['psnr']['mean']:.2f} dB"
+        f"{overlap} in {summary['seconds']:.0f} s"
+    )
+    return 0
+
+
 def _chart(options) -> int:
     path = Path(options.config)
     config = chart_config(read_toml(path, options.set), path)
@@ -381,6 +405,14 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("config", metavar="CONFIG.toml")
         command.add_argument("--resume", action="store_true", help=kept)
         command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+    command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs with known cameras.")
+    command.add_argument("folder", metavar="FOLDER", help="NeRF synthetic scene, instant-ngp or COLMAP folder")
+    command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for asset.glb and the rest")
+    command.add_argument("--config", metavar="CONFIG.toml", help="settings that differ from the defaults")
+    what = "pictures that are held out and not used, such as '*_7' (default: the test pictures, or every eighth)"
+    command.add_argument("--holdout", metavar="PATTERN", help=what)
+    command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
+    command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     return parser
 
 

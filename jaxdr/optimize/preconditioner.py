@@ -39,12 +39,12 @@ class LargeSteps(eqx.Module):
         self.lam = float(lam)
         self.factors = Factors(edges, degrees, self.lam)
 
-    def to_latent(self, vertices: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
-        """u = (I + lam L) v. Raises ValueError for another number of vertices than the mesh's."""
+    def to_latent(self, vertices: Float[Array, "V n"]) -> Float[Array, "V n"]:
+        """u = (I + lam L) v, column by column. Raises ValueError for another number of vertices than the mesh's."""
         self._check(vertices, "vertices")
         return self._multiply(vertices)
 
-    def from_latent(self, latent: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+    def from_latent(self, latent: Float[Array, "V n"]) -> Float[Array, "V n"]:
         """v = (I + lam L)^-1 u, by the factors made at construction.
 
         Works under jit, vmap and both modes of differentiation. The solve runs on the host in float64; the
@@ -53,7 +53,7 @@ class LargeSteps(eqx.Module):
         self._check(latent, "latent")
         return jax.lax.custom_linear_solve(self._multiply, latent, lambda _, b: self.factors(b), symmetric=True)
 
-    def _multiply(self, x: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+    def _multiply(self, x: Float[Array, "V n"]) -> Float[Array, "V n"]:
         a, b = self.edges[:, 0], self.edges[:, 1]
         neighbours = jnp.zeros_like(x).at[a].add(x[b]).at[b].add(x[a])
         return x + self.lam * (self.degrees[:, None] * x - neighbours)

@@ -24,6 +24,11 @@ def read_toml(path: Path, overrides: Sequence[str] = ()) -> dict:
         raise ValueError(f"{path}: can't be read ({problem.strerror}); expected a TOML file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise ValueError(f"{path}: is not valid TOML: {problem}") from None
+    return override_table(table, overrides, str(path))
+
+
+def override_table(table: dict, overrides: Sequence[str], source: str) -> dict:
+    """The table, which came from `source`, with `a.b=c` overrides applied. Raises ValueError as `read_toml` does."""
     for override in overrides:
         key, value = split_assignment(override)
         *parents, last = key.split(".")
@@ -31,7 +36,7 @@ def read_toml(path: Path, overrides: Sequence[str] = ()) -> dict:
         for i, parent in enumerate(parents):
             inner = inner.setdefault(parent, {})
             if not isinstance(inner, dict):
-                raise ValueError(f"--set {override}: {'.'.join(parents[: i + 1])} is not a table in {path}")
+                raise ValueError(f"--set {override}: {'.'.join(parents[: i + 1])} is not a table in {source}")
         inner[last] = value
     return table
 

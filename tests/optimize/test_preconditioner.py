@@ -42,6 +42,14 @@ def test_from_latent_inverts_to_latent(mesh):
     np.testing.assert_allclose(back, VERTICES, atol=5e-6)
 
 
+@pytest.mark.parametrize("columns", [1, 4])
+def test_any_number_of_columns_is_solved_one_by_one(mesh, columns):
+    steps = LargeSteps(mesh, 3.0)
+    values = jnp.asarray(np.random.default_rng(1).normal(size=(6, columns)), jnp.float32)
+    np.testing.assert_allclose(steps.to_latent(values), dense_matrix(3.0) @ values, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(steps.from_latent(steps.to_latent(values)), values, atol=1e-5)
+
+
 def test_gradient_in_latent_is_the_preconditioned_gradient(mesh):
     steps = LargeSteps(mesh, 7.0)
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3)), jnp.float32)

@@ -1,0 +1,76 @@
+"""A reconstruction against the truth that `truth/` of a folder of photographs holds.
+
+    python -m experiments.reconstruction.score PHOTOS OUT --sky OTHER.hdr
+
+Chamfer distance (mean of both directions, the longest side of the true mesh is 1), PSNR and overlap of masks of the
+written pictures of the held-out views, the same of `asset.glb` and the light as `load_gltf` reads them, and PSNR under
+another sky after one factor a colour channel. Prints JSON.
+"""
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+
+import jaxdr as jd
+from jaxdr.optimize.reconstruction.sky import TO_WORLD
+from jaxdr.views.evaluate import Evaluation, score_pictures
+from jaxdr.views.pictures import read_picture
+
+SPP, DEPTH = 256, 3
+
+
+def main() -> None:
+    """Print all figures of one result."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("photos", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--sky", type=Path, required=True, help="the sky of truth/relit")
+    options = parser.parse_args()
+    photos, out, views = options.photos, options.out, jd.load_views(options.photos).held_out
+    asset = jd.load_gltf(out / "asset.glb")
+    light = jd.load_image(next(out.glob("light.*")))
+    tracer = jd.PathTracer(max_depth=DEPTH, boundary=None)
+    relit = [_relit(view, photos / "truth" / "relit" / f"r_{i}.png") for i, view in enumerate(views)]
+
+    def under(radiance) -> jd.Scene:
+        return jd.Scene(asset.shapes, views[0].camera, jd.EnvironmentMap(radiance, TO_WORLD))
+
+    figures = {
+        "chamfer": _chamfer(out / "asset.glb", photos / "truth" / "mesh.obj"),
+        "pictures": _summary(score_pictures([_picture(out / "test" / f"{view.name}.png") for view in views], views)),
+        "asset": _summary(jd.evaluate_views(under(light), views, spp=SPP, integrator=tracer)),
+        "relit": _summary(
+            jd.evaluate_views(under(jd.load_image(options.sky)), relit, spp=SPP, integrator=tracer, match_channels=True)
+        ),
+    }
+    print(json.dumps(figures, indent=2))
+
+
+def _chamfer(found: Path, true: Path) -> float:
+    """Mean of both directions, over the longest side of the true mesh."""
+    target = jd.load_mesh(true)
+    extent = np.ptp(np.asarray(target.vertices), axis=0)
+    return jd.chamfer(jd.load_mesh(found), target) * float(np.linalg.norm(extent) / extent.max())
+
+
+def _picture(path: Path) -> np.ndarray:
+    """Linear RGB multiplied by alpha, and alpha."""
+    pixels = jd.load_image(path)
+    return np.concatenate([pixels[..., :3] * pixels[..., 3:], pixels[..., 3:]], -1)
+
+
+def _relit(view: jd.View, path: Path) -> jd.View:
+    """The view with its photograph under the other sky."""
+    image, alpha = read_picture(path, None)
+    return dataclasses.replace(view, image=image, alpha=alpha)
+
+
+def _summary(evaluation: Evaluation) -> dict:
+    return {name: value for name, value in evaluation.to_dict().items() if name != "views"}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""What `jaxdr reconstruct` can be told: frozen dataclasses, one a TOML table. All of it has defaults.
+
+Lengths are relative to the object: its longest side, at the start, is 1.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Literal
+
+from jaxdr.optimize.config import Integrator, require
+from jaxdr.optimize.strict_toml import build
+
+
+@dataclass(frozen=True)
+class Start:
+    """The first surface: the visual `hull` of the masks, on a grid of so many cells along its longest side, or a
+    `sphere` around the point at which the cameras look. "auto" is the hull where there are masks."""
+
+    kind: Literal["auto", "hull", "sphere"] = "auto"
+    grid: int = 96
+
+    def __post_init__(self):
+        require(16 <= self.grid <= 512, "grid", "must be between 16 and 512", self.grid)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Weights of what is expected beside the photographs; 0 leaves one out.
+
+    - `mask`: squared difference of coverage and mask: pins the outline where object and background look alike.
+    - `albedo`: colours of neighbouring vertices differ little, or rarely: fills in what no photograph shows.
+    - `light`: neighbouring directions send alike light: a dull surface does not tell them apart.
+    - `white`: the light is about grey: of the product of light and albedo the photographs see only one colour.
+    - `background`: the light is what the photographs show behind the object, where all of them agree on it.
+    """
+
+    mask: float = 1.0
+    albedo: float = 0.02
+    light: float = 0.0002
+    white: float = 0.02
+    background: float = 0.1
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            require(value >= 0, name, "must not be negative", value)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Step sizes at the start; all fall to the share `final` of them, exponentially, until the end.
+
+    `vertices` is that of `adam_uniform` on the latent coordinates of `LargeSteps`; the others are those of Adam, on
+    logits of albedo and roughness and on logarithms of light and exposure.
+    """
+
+    vertices: float = 0.05
+    albedo: float = 0.05
+    roughness: float = 0.05
+    light: float = 0.1
+    exposure: float = 0.01
+    final: float = 0.1
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            require(value > 0, name, "must be positive", value)
+
+
+@dataclass(frozen=True)
+class Level:
+    """A stage from coarse to fine: so many `steps`, with photographs of `resolution` pixels along their longer side
+    (never more than they have), a mesh of so many `vertices` with a preconditioner of strength `lam`, a sky of `sky`
+    rows, and the gradient of so many `views` a step."""
+
+    steps: int
+    resolution: int
+    vertices: int
+    views: int = 2
+    lam: float = 4.0
+    sky: int = 17
+
+    def __post_init__(self):
+        for name, least in (("steps", 1), ("resolution", 8), ("vertices", 50), ("views", 1), ("sky", 3)):
+            require(getattr(self, name) >= least, name, f"must be at least {least}", getattr(self, name))
+        require(self.lam >= 0, "lam", "must not be negative", self.lam)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples per pixel: of the `image` in the loss, its `gradient`, and the `pictures` of the result."""
+
+    image: int = 4
+    gradient: int = 4
+    pictures: int = 256
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            require(value >= 1, name, "must be at least 1", value)
+
+
+@dataclass(frozen=True)
+class Report:
+    """How often, in steps: `pictures` on the way, a `checkpoint`. `turntable`: its frames, 0 for none. `texture`: width
+    of the textures, in pixels."""
+
+    pictures: int = 50
+    checkpoint: int = 50
+    turntable: int = 24
+    texture: int = 1024
+
+    def __post_init__(self):
+        for name in ("pictures", "checkpoint"):
+            require(getattr(self, name) >= 1, name, "must be at least 1", getattr(self, name))
+        require(self.turntable >= 0, "turntable", "must not be negative", self.turntable)
+        require(16 <= self.texture <= 8192, "texture", "must be between 16 and 8192", self.texture)
+
+
+LEVELS = (
+    Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
+    Level(steps=220, resolution=200, vertices=12000, views=2, sky=33),
+)
+
+
+@dataclass(frozen=True)
+class ReconstructConfig:
+    """Everything about one reconstruction. The same photographs, config and seed give the same result, bit for bit on
+    CPU. `unknown`: what is found beside the vertices. `holdout`: pattern of pictures that are held out, see
+    `jaxdr.load_views`."""
+
+    folder: str
+    output: str
+    holdout: str = ""
+    seed: int = 0
+    unknown: tuple[Literal["albedo", "roughness", "light", "exposure"], ...] = ("albedo", "roughness", "light")
+    start: Start = Start()
+    integrator: Integrator = field(default_factory=Integrator)
+    samples: Samples = Samples()
+    priors: Priors = Priors()
+    rates: Rates = Rates()
+    levels: tuple[Level, ...] = LEVELS
+    report: Report = Report()
+
+    def __post_init__(self):
+        require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
+        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(len(self.levels) >= 1, "levels", "there must be at least one", self.levels)
+        primary = self.integrator.primary
+        require(primary == "fixed_ray", "integrator.primary", 'must be "fixed_ray" with box pixels', primary)
+        require(not self.integrator.planned, "integrator", '"auto" is for `jaxdr optimize`; name both', self.integrator)
+
+    @property
+    def steps(self) -> int:
+        """Steps of all levels."""
+        return sum(level.steps for level in self.levels)
+
+
+def reconstruct_config(table: dict, source: str, folder: str, output: str, holdout: str = "") -> ReconstructConfig:
+    """The config of a TOML table, for these photographs. Raises ValueError that names source, key and what is expected.
+
+    What the command line says goes before the table.
+    """
+    given = {"folder": folder, "output": output} | ({"holdout": holdout} if holdout else {})
+    return build(ReconstructConfig, table | given, source)

@@ -1,0 +1,88 @@
+"""For people: a page with photographs, renderings and errors side by side, and the object turning."""
+
+import base64
+import dataclasses
+import html
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from jaxdr.images import atomic_path, diverging, to_srgb
+from jaxdr.integrators import Integrator
+from jaxdr.optimize.reconstruction.output import OutputFolder
+from jaxdr.optimize.reconstruction.pictures import Pose
+from jaxdr.scene.camera import look_at
+from jaxdr.scene.scene import Scene
+from jaxdr.views.evaluate import Evaluation
+from jaxdr.views.record import View
+from jaxdr.views.rendering import render_views
+
+DIFFERENCE = 0.25  # of encoded grey values: the ends of the colours of errors
+TURN_SPP = 32
+STYLE = (
+    "body{font:15px sans-serif;margin:2em;background:#fff;color:#222}td,th{padding:4px 8px;text-align:left}"
+    "img{image-rendering:pixelated;width:256px}"
+)
+
+
+def report_page(
+    views: Sequence[View],
+    pictures: Sequence[Float[np.ndarray, "H W 4"]],
+    scores: Evaluation,
+    kind: str,
+    turntable: bool,
+    folder: OutputFolder,
+) -> str:
+    """HTML that needs no other file: a row a view, with photograph, rendering, difference and figures."""
+    summary = scores.to_dict()
+    figures = "".join(
+        f"<tr><td>{name}</td><td>{summary[key]['mean']:.4g}</td><td>{summary[key]['worst']:.4g}</td></tr>"
+        for key, name in (("psnr", "PSNR (dB)"), ("ssim", "SSIM"), ("iou", "overlap of masks"))
+        if key in summary
+    )
+    rows = []
+    for view, picture, score in zip(views, pictures, scores.scores, strict=True):
+        photograph, rendering = to_srgb(view.over_black), to_srgb(picture[..., :3])
+        difference = (rendering.astype(float) - photograph).mean(-1) / 255
+        cells = "".join(f"<td>{_image(x)}</td>" for x in (photograph, rendering, diverging(difference, DIFFERENCE)))
+        overlap = "" if score.iou is None else f"<br>overlap {score.iou:.4f}"
+        rows.append(
+            f"<tr>{cells}<td>{html.escape(view.name)}<br>{score.psnr:.2f} dB<br>"
+            f"SSIM {score.ssim:.4f}{overlap}</td></tr>"
+        )
+    turning = ""
+    if turntable:
+        data = base64.b64encode((folder.path / "turntable.gif").read_bytes()).decode()
+        turning = f'<p><img src="data:image/gif;base64,{data}" alt="the object turning"></p>'
+    title = html.escape(f"Reconstruction of {folder.config.folder}")
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+        f"<h1>{title}</h1><p>Views that were {kind}. Red: the rendering is too bright; blue: too dark.</p>"
+        f"<table><tr><th></th><th>mean</th><th>worst</th></tr>{figures}</table>{turning}"
+        f"<table><tr><th>photograph</th><th>rendering</th><th>difference</th><th></th></tr>{''.join(rows)}</table></html>\n"
+    )
+
+
+def save_turntable(
+    folder: OutputFolder, scene: Scene, like: View, pose: Pose, frames: int, integrator: Integrator, seed: int
+) -> None:
+    """`turntable.gif`: the object from all around, at the distance of a photograph, over black."""
+    distance = float(np.linalg.norm(like.to_world[:3, 3] - pose.centre))
+    views = []
+    for angle in 2 * np.pi * np.arange(frames) / frames:
+        offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])
+        turned = look_at(pose.centre + offset, pose.centre, (0, 0, 1))
+        views.append(dataclasses.replace(like, to_world=turned, centre=(like.width / 2, like.height / 2)))
+    pictures = render_views(scene, views, spp=TURN_SPP, seed=seed, integrator=integrator)
+    images = [Image.fromarray(to_srgb(picture[..., :3])) for picture in pictures]
+    with atomic_path(folder.path / "turntable.gif") as temporary:
+        images[0].save(temporary, format="GIF", save_all=True, append_images=images[1:], duration=80, loop=0)
+
+
+def _image(pixels: UInt8[np.ndarray, "H W 3"]) -> str:
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, format="PNG")
+    return f'<img src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}" alt="">'

@@ -1,0 +1,118 @@
+"""Where albedo and light start: the colours that photographs show, and the light that explains their shading."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.reconstruction.pictures import Cut
+from jaxdr.optimize.reconstruction.sky import TO_WORLD, Backdrop, columns_of, directions, solid_angles
+
+LIFT = 1e-3  # of the longest side: visibility is asked for from so far above the surface
+GREY = 0.3  # mean albedo to start with, a common one; the light takes the rest
+DARKEST, BRIGHTEST = 0.03, 0.9  # albedo to start with
+ROWS = 9  # of the light that is solved for: shading of dull surfaces tells no more
+SMOOTH, ROUNDS = 0.03, 4  # weight of differences of neighbouring directions; rounds of reweighting
+
+
+def seen_colors(mesh: Mesh, photographs: Sequence[Cut]) -> Float[np.ndarray, "V 3"]:
+    """Median colour of every vertex over the photographs that see it; of what none of them sees, that of the rest.
+
+    Highlights are in few of them, so the median is the dull part.
+    """
+    points, normals = np.asarray(mesh.vertices, float), np.asarray(mesh.vertex_normals(), float)
+    surface = _surface(mesh)
+    seen = np.full((len(photographs), len(points), 3), np.nan, np.float32)
+    for cut, shown in zip(photographs, seen, strict=True):
+        height, width, _ = cut.color.shape
+        to_world = np.asarray(cut.camera.to_world, float)
+        away = to_world[:3, 3] - points
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        facing = np.flatnonzero(np.einsum("ni,ni->n", away, normals) > 0.3)
+        free = facing[~surface.ray.intersects_any(points[facing] + LIFT * normals[facing], away[facing])]
+        column, row = np.floor(_projected(points[free], cut, width, height)).astype(int)
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        free, column, row = free[inside], column[inside], row[inside]
+        if cut.alpha is not None:
+            whole = np.minimum(cut.alpha, cut.trust)[row, column] > 0.99
+            free, column, row = free[whole], column[whole], row[whole]
+        shown[free] = cut.color[row, column]
+    known = np.isfinite(seen[..., 0]).any(0)
+    colors = np.full(points.shape, GREY)
+    if known.any():
+        colors[known] = np.nanmedian(seen[:, known], axis=0)
+        colors[~known] = np.median(colors[known], axis=0)
+    return colors
+
+
+def first_light_and_albedo(
+    mesh: Mesh, colors: Float[np.ndarray, "V 3"], backdrop: Backdrop | None
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "V 3"]]:
+    """(radiance of a grey sky of 9 rows, albedo at the vertices) that explain dull colours of a surface together.
+
+    The light is that under which a surface of one grey would look most like them, by least squares with no negative
+    light and with outliers reweighted: light explains what it can, paint the rest. A `backdrop` of 9 rows is what is
+    known of it, up to a factor. The albedo is what is left, of a mean of 0.3 where nothing else is known.
+    """
+    from scipy.optimize import nnls
+
+    shading = _shading(mesh)
+    brightness = colors.mean(1)
+    rows, columns = ROWS, columns_of(ROWS)
+    differences = SMOOTH * np.sqrt(len(colors)) * GREY * _differences(rows, columns)
+    weight = np.ones(len(colors))
+    light = np.zeros(rows * columns)
+    for _ in range(ROUNDS):
+        matrix = np.concatenate([weight[:, None] * GREY * shading, differences])
+        light, _ = nnls(matrix, np.concatenate([weight * brightness, np.zeros(len(differences))]), maxiter=10_000)
+        error = np.abs(GREY * shading @ light - brightness)
+        weight = 1 / np.sqrt(np.maximum(error, max(0.5 * float(np.median(error)), 1e-6)))
+        weight /= weight.mean()
+    radiance = np.repeat(light.reshape(rows, columns, 1), 3, axis=2)
+    if backdrop is not None:
+        known = backdrop.weight[..., None]
+        radiance = (1 - known) * radiance + known * np.maximum(
+            backdrop.radiance, radiance * backdrop.clipped[..., None]
+        )
+    lit = shading @ radiance.reshape(-1, 3)
+    albedo = colors / np.maximum(lit, 0.1 * lit.mean())
+    return radiance, np.clip(albedo, DARKEST, BRIGHTEST)
+
+
+def _shading(mesh: Mesh) -> Float[np.ndarray, "V T"]:
+    """Radiance that a white dull surface reflects at every vertex, for a unit of light of every texel of the sky."""
+    points, normals = np.asarray(mesh.vertices, float), np.asarray(mesh.vertex_normals(), float)
+    towards = directions(ROWS).reshape(-1, 3) @ TO_WORLD[:3, :3].T
+    angles = 4 * np.pi * np.broadcast_to(solid_angles(ROWS), (ROWS, columns_of(ROWS))).ravel()
+    cosine = np.maximum(normals @ towards.T, 0.0)
+    vertex, texel = np.nonzero(cosine)
+    hidden = _surface(mesh).ray.intersects_any(points[vertex] + LIFT * normals[vertex], towards[texel])
+    cosine[vertex[hidden], texel[hidden]] = 0.0
+    return cosine * angles / np.pi
+
+
+def _differences(rows: int, columns: int) -> Float[np.ndarray, "D T"]:
+    """Differences of neighbouring texels."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    pairs = [(number, np.roll(number, -1, axis=1)), (number[:-1], number[1:])]
+    one, other = (np.concatenate([pair[i].ravel() for pair in pairs]) for i in (0, 1))
+    matrix = np.zeros((len(one), rows * columns))
+    matrix[np.arange(len(one)), one] += 1
+    matrix[np.arange(len(one)), other] -= 1
+    return matrix / np.sqrt(len(one))
+
+
+def _surface(mesh: Mesh) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+
+
+def _projected(points: Float[np.ndarray, "n 3"], cut: Cut, width: int, height: int) -> Float[np.ndarray, "2 n"]:
+    """Film points (pixels) on the host: JAX would compile anew for every number of points."""
+    to_world, fov, axis = (np.asarray(x, float) for x in cut.camera)
+    left, up, depth = ((points - to_world[:3, 3]) @ to_world[:3, :3]).T
+    focal = 0.5 * width / np.tan(np.radians(fov) / 2)
+    return np.stack([(0.5 - axis[0]) * width - focal * left / depth, (0.5 - axis[1]) * height - focal * up / depth])

@@ -1,0 +1,96 @@
+"""The result of a reconstruction: asset, light, cameras, and how well it agrees with held-out photographs."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.reconstruction.asset import write_glb
+from jaxdr.optimize.reconstruction.config import ReconstructConfig
+from jaxdr.optimize.reconstruction.output import OutputFolder
+from jaxdr.optimize.reconstruction.page import report_page, save_turntable
+from jaxdr.optimize.reconstruction.pictures import Pose
+from jaxdr.optimize.reconstruction.sky import resampled
+from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, roughness_of, scene_of
+from jaxdr.scene.scene import Scene
+from jaxdr.views.evaluate import score_pictures
+from jaxdr.views.record import View, Views
+from jaxdr.views.rendering import render_views
+from jaxdr.views.transforms import FROM_OPENGL
+
+FINER = 4  # the light is written with so many texels for one, interpolated as it was used
+
+
+class Result(NamedTuple):
+    """What was found: `mesh` in the world of the cameras, `unknowns` with its vertices, `pose` of the object."""
+
+    mesh: Mesh
+    unknowns: Unknowns
+    pose: Pose
+
+    @classmethod
+    def of(cls, mesh: Mesh, unknowns: Unknowns, pose: Pose) -> "Result":
+        """From the frame of the object to the world of the cameras."""
+        vertices = unknowns.vertices * pose.scale + jnp.asarray(pose.centre, unknowns.vertices.dtype)
+        return cls(mesh.with_vertices(vertices), unknowns._replace(vertices=vertices), pose)
+
+    def scene(self, view: View) -> Scene:
+        """The scene, seen as a photograph sees it."""
+        return scene_of(self.mesh, self.unknowns, view.camera)
+
+
+def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
+    """`asset.glb` and the light."""
+    albedo = np.asarray(reflectance(result.unknowns.albedo), float)
+    roughness = np.asarray(roughness_of(result.unknowns.roughness), float)
+    write_glb(folder.path / "asset.glb", result.mesh, albedo, roughness, size)
+    light = np.asarray(result.unknowns.light, float)
+    folder.save_light(resampled(np.exp(light), FINER * (len(light) - 1) + 1))
+
+
+def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
+    """Renderings of the held-out views, their scores, page and turntable; returns the scores.
+
+    Without held-out photographs those that were fitted are shown, and called so.
+    """
+    save_cameras(folder, views.views)
+    shown = views.held_out or views.fitted
+    tracer = dataclasses.replace(config.integrator.build(), boundary=None)
+    seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
+    scene = result.scene(shown[0])
+    settings = {"spp": config.samples.pictures, "seed": seed, "integrator": tracer}
+    pictures = render_views(scene, shown, **settings)
+    for view, picture in zip(shown, pictures, strict=True):
+        if views.held_out:
+            folder.save_test(view.name, picture, view.alpha is not None)
+    scores = score_pictures(pictures, shown)
+    kind = "held out" if views.held_out else "fitted"
+    if config.report.turntable:
+        save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
+    folder.write_text("report.html", report_page(shown, pictures, scores, kind, bool(config.report.turntable), folder))
+    return {"judged_by": kind, **scores.to_dict()}
+
+
+def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
+    """`transforms.json`: the cameras of all photographs, as instant-ngp has them."""
+    frames = [
+        {
+            "file_path": str(view.path.resolve()),
+            "transform_matrix": (view.to_world @ FROM_OPENGL).tolist(),
+            "fl_x": view.focal,
+            "fl_y": view.focal,
+            "cx": view.centre[0],
+            "cy": view.centre[1],
+            "w": view.width,
+            "h": view.height,
+            "held_out": view.held_out,
+        }
+        for view in views
+    ]
+    folder.write_text("transforms.json", json.dumps({"frames": frames}, indent=1) + "\n")

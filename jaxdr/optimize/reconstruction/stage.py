@@ -1,0 +1,156 @@
+"""A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Float
+
+from jaxdr.compilation import jit
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
+from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
+from jaxdr.optimize.reconstruction.paint import (
+    BRIGHTEST,
+    DARKEST,
+    ROWS,
+    first_light_and_albedo,
+    seen_colors,
+)
+from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
+from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, resampled, solid_angles
+from jaxdr.optimize.reconstruction.unknowns import (
+    ROUGHEST,
+    SMOOTHEST,
+    State,
+    Unknowns,
+    carried,
+    from_latent,
+    optimizer,
+    reflectance,
+    to_latent,
+)
+from jaxdr.optimize.remesh import remesh_to
+from jaxdr.views.record import View
+
+FIRST_ROUGHNESS = 0.5
+DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
+DETAIL = 3.0  # most by which the paint that a finer mesh shows changes the albedo
+
+
+class Stage(NamedTuple):
+    """What stays while a level does.
+
+    - `mesh`: its topology, at the positions it began with; `start`: steps done by then; `number`: of the level.
+    - `steps`: preconditioner; `transformation`: optimiser; `photographs`: of the fitted views.
+    - `gradient`: see `view_gradient`, compiled; `update`: compiled (state, gradient by the unknowns) -> state.
+    """
+
+    number: int
+    start: int
+    mesh: Mesh
+    steps: LargeSteps
+    transformation: optax.GradientTransformation
+    photographs: list[Cut]
+    gradient: Callable
+    update: Callable
+
+    def unknowns(self, state: State) -> Unknowns:
+        """The unknowns as they are now."""
+        return from_latent(self.steps, state.latent)
+
+    def fresh(self, unknowns: Unknowns) -> State:
+        """The state with these unknowns, and optimisers that begin."""
+        latent = to_latent(self.steps, unknowns)
+        return State(latent, self.transformation.init(latent))
+
+    def current_mesh(self, state: State) -> Mesh:
+        """The mesh as it is now."""
+        return self.mesh.with_vertices(self.unknowns(state).vertices)
+
+    def photograph(self, view: int) -> Photograph:
+        """What a view is compared with."""
+        cut = self.photographs[view]
+        alpha = None if cut.alpha is None else jnp.asarray(cut.alpha)
+        return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(cut.trust), jnp.asarray(view, jnp.int32))
+
+
+def make_stage(
+    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, start: int, mesh: Mesh
+) -> Stage:
+    """A level for a mesh."""
+    level = config.levels[number]
+    steps = LargeSteps(mesh, level.lam)
+    transformation = optimizer(config.rates, config.unknown, config.steps, start)
+    expected = _expected(mesh, find_backdrop(views, level.sky), level)
+    weights = config.priors
+
+    @jit
+    def update(state: State, gradient: Unknowns) -> State:
+        prior = jax.grad(prior_loss)(from_latent(steps, state.latent), expected, weights)
+        total = from_latent(steps, jax.tree.map(jnp.add, gradient, prior))
+        updates, moments = transformation.update(total, state.optimizer, state.latent)
+        return State(jax.tree.map(jnp.add, state.latent, updates), moments)
+
+    gradient = jit(view_gradient(config.integrator.build(), config.samples, config.priors.mask))
+    photographs = cuts(views, pose, level.resolution)
+    return Stage(number, start, mesh, steps, transformation, photographs, gradient, update)
+
+
+def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
+    angles = solid_angles(level.sky)
+    columns = 2 * (level.sky - 1)
+    if backdrop is None:
+        nothing = np.zeros((level.sky, columns))
+        backdrop = Backdrop(np.ones((level.sky, columns, 3)), nothing, nothing)
+    edges = jnp.asarray(mesh.edges.vertices, jnp.int32)
+    return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
+
+
+def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Unknowns:
+    """The paint and the light that explain the dull colours that photographs show, half rough."""
+    count = len(mesh.vertices)
+    radiance, albedo = first_light_and_albedo(mesh, _seen(config, views, pose, mesh), find_backdrop(views, ROWS))
+    radiance = np.maximum(radiance, DIM * radiance.mean())
+    roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
+    values = (
+        np.asarray(mesh.vertices),
+        _logit(albedo),
+        np.full((count, 1), _logit(roughness)),
+        resampled(np.log(radiance), config.levels[0].sky),
+        np.zeros((len(views), 3)),
+    )
+    return Unknowns(*(jnp.asarray(value, float) for value in values))
+
+
+def _seen(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Float[np.ndarray, "V 3"]:
+    return seen_colors(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
+
+
+def _logit(share):
+    return np.log(share / (1 - share))
+
+
+def next_unknowns(
+    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, mesh: Mesh, unknowns: Unknowns
+) -> tuple[Mesh, Unknowns, str]:
+    """(the mesh remeshed for a level, the unknowns carried over, why remeshing failed or nothing: then it is the same).
+
+    A finer mesh shows more of the paint: what photographs show of it, relative to what the old mesh could hold of that,
+    multiplies the albedo.
+    """
+    level = config.levels[number]
+    light = jnp.asarray(resampled(np.asarray(unknowns.light), level.sky), float)
+    try:
+        new = remesh_to(mesh, level.vertices).smooth()
+    except ValueError as problem:
+        return mesh, unknowns._replace(light=light), str(problem)
+    old_seen, seen = (np.maximum(_seen(config, views, pose, each), DARKEST) for each in (mesh, new))
+    albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
+    albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
+    values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)
+    return new, Unknowns(*(jnp.asarray(value, float) for value in values)), ""

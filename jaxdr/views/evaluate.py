@@ -1,0 +1,132 @@
+"""How well renderings agree with photographs: PSNR, SSIM, and overlap of masks."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.images import to_srgb
+from jaxdr.integrators import Integrator
+from jaxdr.scene.scene import Scene
+from jaxdr.views.record import View, Views
+from jaxdr.views.rendering import render_views
+
+
+class Score(NamedTuple):
+    """Agreement of one rendering with its photograph: `psnr` in dB, `ssim`, and `iou` of the masks or None.
+
+    PSNR and SSIM are of 8-bit sRGB, over black where the photograph has a mask or alpha.
+    """
+
+    name: str
+    psnr: float
+    ssim: float
+    iou: float | None
+
+
+class Evaluation(NamedTuple):
+    """Scores of several views. `scale`: RGB factors that the renderings were multiplied by."""
+
+    scores: tuple[Score, ...]
+    scale: tuple[float, float, float]
+
+    def to_dict(self) -> dict:
+        """Mean and worst of every figure, and the figures of the views."""
+        summary: dict = {}
+        for name in ("psnr", "ssim", "iou"):
+            values = [getattr(score, name) for score in self.scores]
+            if None not in values:
+                summary[name] = {"mean": float(np.mean(values)), "worst": float(np.min(values))}
+        return {**summary, "scale": list(self.scale), "views": [score._asdict() for score in self.scores]}
+
+
+def evaluate_views(
+    scene: Scene,
+    views: Views | Sequence[View],
+    *,
+    spp: int = 64,
+    seed: int = 0,
+    match_channels: bool = False,
+    integrator: Integrator | None = None,
+) -> Evaluation:
+    """Scores of a scene rendered from the cameras of photographs: of `Views` those held out, or of a list all.
+
+    `spp`: samples per pixel. With `match_channels` the renderings are first multiplied by one factor a colour channel,
+    the same in all views: for another sky, whose brightness nothing tells. Put the sky into the scene (`environment`).
+
+    Raises ValueError without any view, and ImportError without scikit-image.
+    """
+    chosen = views.held_out if isinstance(views, Views) else tuple(views)
+    require_skimage()
+    if not chosen:
+        raise ValueError("evaluate_views: there is no view to judge by; hold some out (load_views, holdout=...)")
+    pictures = render_views(scene, chosen, spp=spp, seed=seed, integrator=integrator)
+    return score_pictures(pictures, chosen, match_channels=match_channels)
+
+
+def score_pictures(
+    pictures: Sequence[Float[np.ndarray, "H W 4"]], views: Sequence[View], *, match_channels: bool = False
+) -> Evaluation:
+    """Scores of pictures (linear RGB multiplied by alpha, and alpha), one a photograph; see `evaluate_views`.
+
+    Raises ValueError for another number or size of pictures.
+    """
+    if len(pictures) != len(views) or not views:
+        raise ValueError(f"score_pictures: {len(pictures)} pictures for {len(views)} photographs; give one each")
+    for picture, view in zip(pictures, views, strict=True):
+        if picture.shape != (view.height, view.width, 4):
+            raise ValueError(
+                f"score_pictures: the picture of {view.name} has shape {list(picture.shape)}, expected "
+                f"{[view.height, view.width, 4]}"
+            )
+    scale = _channel_scale(pictures, views) if match_channels else np.ones(3)
+    scores = [_score(picture, view, scale) for picture, view in zip(pictures, views, strict=True)]
+    return Evaluation(tuple(scores), (float(scale[0]), float(scale[1]), float(scale[2])))
+
+
+def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
+    """The factors that bring the pictures nearest to the photographs (least squares), where these are not clipped."""
+    above, below = np.zeros(3), np.zeros(3)
+    for picture, view in zip(pictures, views, strict=True):
+        photograph = view.over_black.astype(float)
+        inside = (photograph.max(-1, keepdims=True) < 0.99) & (_mask(view) > 0.5)[..., None]
+        above += (inside * picture[..., :3] * photograph).sum((0, 1))
+        below += (inside * picture[..., :3] ** 2).sum((0, 1))
+    return np.where(below > 0, above / np.where(below > 0, below, 1.0), 1.0)
+
+
+def _mask(view: View) -> Float[np.ndarray, "H W"]:
+    return np.ones((view.height, view.width)) if view.alpha is None else view.alpha
+
+
+def _score(picture, view: View, scale) -> Score:
+    structural_similarity = require_skimage()
+    rendered, photograph = (to_srgb(x).astype(float) / 255 for x in (picture[..., :3] * scale, view.over_black))
+    error = float(((rendered - photograph) ** 2).mean())
+    psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB: the same to the last bit
+    size = min(11, view.height, view.width)
+    ssim: Any = structural_similarity(
+        rendered,
+        photograph,
+        data_range=1.0,
+        channel_axis=2,
+        win_size=size - 1 + size % 2,
+        gaussian_weights=size == 11,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    iou = None
+    if view.alpha is not None:
+        one, other = picture[..., 3] > 0.5, view.alpha > 0.5
+        iou = float((one & other).sum() / max((one | other).sum(), 1))
+    return Score(view.name, float(psnr), float(ssim), iou)
+
+
+def require_skimage():
+    """scikit-image's SSIM. Raises ImportError that says how to install it."""
+    try:
+        from skimage.metrics import structural_similarity
+    except ImportError as missing:
+        raise ImportError('SSIM needs scikit-image, which is optional: pip install "jaxdr[reconstruct]"') from missing
+    return structural_similarity

@@ -1,0 +1,73 @@
+"""What a reader finds out about a photograph before its picture is read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+# Pixels may be oblong by this share of their size: less than a tenth of a pixel at the border of a large picture.
+SQUARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A photograph as a folder describes it. `size` (width, height), `centre` and None in them: as the picture says.
+
+    `focal`: along x and y, in pixels; without it `angle`: horizontal field of view, in radians. `source`: file and
+    entry, for messages.
+    """
+
+    path: Path
+    mask: Path | None
+    to_world: Float[np.ndarray, "4 4"]
+    source: str
+    focal: tuple[float, float] | None = None
+    angle: float = 0.0
+    centre: tuple[float | None, float | None] = (None, None)
+    size: tuple[int | None, int | None] = (None, None)
+    held_out: bool = False
+
+    def lens(self, width: int, height: int) -> tuple[float, tuple[float, float]]:
+        """(focal length, principal point), in pixels of a picture of this size.
+
+        Raises ValueError that names the source where the size is not that of the camera, or the lens is impossible.
+        """
+        for name, told, found in zip(("width", "height"), self.size, (width, height), strict=True):
+            if told is not None and told != found:
+                raise ValueError(
+                    f"{self.source}: says {name} {told}, {self.path.name} has {found} pixels; "
+                    "scale the pictures or the camera"
+                )
+        if self.focal is None:
+            fx = fy = 0.5 * width / np.tan(0.5 * self.angle) if 0 < self.angle < np.pi else 0.0
+        else:
+            fx, fy = self.focal
+        if not (np.isfinite([fx, fy]).all() and fx > 0 and fy > 0):
+            raise ValueError(f"{self.source}: the focal length must be positive, got {self.focal or self.angle}")
+        if abs(fx / fy - 1) > SQUARE:
+            raise ValueError(
+                f"{self.source}: pixels that are not square (focal lengths {fx:.6g} and {fy:.6g}) are not supported; "
+                "resize the pictures"
+            )
+        x, y = self.centre
+        centre = width / 2 if x is None else float(x), height / 2 if y is None else float(y)
+        if not np.isfinite(centre).all():
+            raise ValueError(f"{self.source}: the principal point must be two numbers, got {self.centre}")
+        return float(np.sqrt(fx * fy)), centre
+
+
+def checked_pose(matrix, source: str) -> Float[np.ndarray, "4 4"]:
+    """A camera-to-world matrix without scale. Raises ValueError that names the source for anything else."""
+    try:
+        pose = np.asarray(matrix, float)
+    except (TypeError, ValueError):
+        pose = np.empty(0)
+    if pose.shape == (3, 4):
+        pose = np.vstack([pose, [0, 0, 0, 1]])
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError(f"{source}: transform_matrix must be 4 x 4 finite numbers; write the pose anew")
+    axes = pose[:3, :3]
+    if not (np.allclose(axes.T @ axes, np.eye(3), atol=1e-3) and np.linalg.det(axes) > 0):
+        raise ValueError(f"{source}: the pose must be a rotation and a translation (no scale, no mirror); normalise it")
+    return pose

@@ -1,0 +1,129 @@
+"""Folders of photographs with known cameras."""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+
+from jaxdr.views.colmap import colmap_frames, find_model
+from jaxdr.views.frames import Frame
+from jaxdr.views.pictures import check_masks_have_pictures, read_picture
+from jaxdr.views.record import View, Views, common_point
+from jaxdr.views.transforms import is_transforms, transforms_frames
+
+EVERY = 8  # where nothing says which pictures are held out
+
+
+def load_views(folder: str | os.PathLike, *, holdout: str | None = None) -> Views:
+    """Photographs with known cameras, from a folder.
+
+    Layouts: `transforms_train.json` and `transforms_test.json` of the NeRF synthetic scenes, `transforms.json` of
+    instant-ngp (intrinsics of all frames or of each), and COLMAP models, text or binary, in `sparse/0`, `sparse`, or
+    the folder itself, with the pictures in `images`. PNG and JPEG hold sRGB, EXR, HDR and PFM linear RGB. Masks (white:
+    the object) are in `masks` under the pictures' names, or named by `mask_path`; else alpha says where the object is.
+
+    Held out are the frames of `transforms_test.json`, pictures of a COLMAP model called `test_*`, and those whose name
+    matches the pattern `holdout` ("*_7", "test/*"). Where there are none of these, it is every eighth picture, the
+    first of each eight, if there are at least eight.
+
+    All pictures are of one size. Raises ValueError that names file, fault and remedy for a folder of another kind, for
+    missing or damaged pictures, masks without pictures or pictures without masks, sizes that differ, lenses that are no
+    pinhole, and cameras that look away from each other; ImportError for a COLMAP model without pycolmap.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: is not a folder; expected one with photographs and cameras")
+    if is_transforms(folder):
+        frames = transforms_frames(folder)
+    elif find_model(folder) is not None:
+        frames = colmap_frames(folder)
+    else:
+        raise ValueError(
+            f"{folder}: has neither transforms.json, transforms_train.json nor a COLMAP model (sparse/0/cameras.bin or "
+            ".txt); cameras must be known"
+        )
+    check_masks_have_pictures(folder, {frame.mask for frame in frames if frame.mask})
+    _check_directions(folder, frames)
+    frames = _held_out(folder, frames, holdout)
+    names = _names(folder, frames)
+    return Views(folder, _without_idle_alpha(_read(frames, names)))
+
+
+def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> list[Frame]:
+    """The frames with those marked that are held out."""
+
+    chosen = [frame.held_out for frame in frames]
+    if holdout is not None:
+        matching = [_matches(frame.path, folder, holdout) for frame in frames]
+        if not any(matching):
+            raise ValueError(f"{folder}: no picture matches the holdout pattern {holdout!r}; take another one")
+        chosen = [a or b for a, b in zip(chosen, matching, strict=True)]
+    if not any(chosen) and len(frames) >= EVERY:
+        chosen = [i % EVERY == 0 for i in range(len(frames))]
+    if all(chosen):
+        raise ValueError(f"{folder}: all pictures are held out, none is left to fit; hold out fewer")
+    return [dataclasses.replace(frame, held_out=held) for frame, held in zip(frames, chosen, strict=True)]
+
+
+def _matches(path: Path, folder: Path, pattern: str) -> bool:
+    """Whether a pattern is that of a picture's name, with or without suffix, or of its path in the folder."""
+    relative = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else ""
+    return any(fnmatch(name, pattern) for name in (path.name, path.stem, relative))
+
+
+def _names(folder: Path, frames: Sequence[Frame]) -> list[str]:
+    """Names of files without suffix; where held out or fitted pictures share one, with their folders before it."""
+    stems = [(frame.held_out, frame.path.stem) for frame in frames]
+    if len(set(stems)) == len(stems):
+        return [stem for _, stem in stems]
+    names = []
+    for frame in frames:
+        path = frame.path.relative_to(folder) if frame.path.is_relative_to(folder) else frame.path
+        names.append("_".join(path.with_suffix("").parts).strip("_/\\"))
+    return names
+
+
+def _read(frames: Sequence[Frame], names: Sequence[str]) -> list[View]:
+    """The frames with their pictures."""
+    views: list[View] = []
+    for frame, name in zip(frames, names, strict=True):
+        image, alpha = read_picture(frame.path, frame.mask)
+        height, width = image.shape[:2]
+        if views and (width, height) != (views[0].width, views[0].height):
+            raise ValueError(
+                f"{frame.path}: has {width} x {height} pixels, {views[0].path.name} has {views[0].width} x "
+                f"{views[0].height}; all photographs must be of one size"
+            )
+        focal, centre = frame.lens(width, height)
+        backdrop = alpha is None or frame.mask is not None
+        views.append(View(name, frame.path, image, alpha, frame.to_world, focal, centre, frame.held_out, backdrop))
+    return views
+
+
+def _without_idle_alpha(views: Sequence[View]) -> tuple[View, ...]:
+    """Without alpha, where it says that the object fills every picture: then it is only a channel of the format."""
+    if all(view.alpha is not None and (view.alpha == 1).all() for view in views):
+        return tuple(dataclasses.replace(view, alpha=None, backdrop=True) for view in views)
+    for view in views:
+        if view.alpha is None and any(other.alpha is not None for other in views):
+            raise ValueError(
+                f"{view.path}: has no mask and no alpha, other pictures have; give all of them one, or none"
+            )
+    return tuple(views)
+
+
+def _check_directions(folder: Path, frames: Sequence[Frame]) -> None:
+    """Raise ValueError where most cameras have the point that they should look at behind them."""
+    poses = np.stack([frame.to_world for frame in frames])
+    if len(frames) < 2:
+        return
+    depth = np.einsum("ni,ni->n", common_point(poses) - poses[:, :3, 3], poses[:, :3, 2])
+    behind = int((depth <= 0).sum())
+    if 2 * behind > len(frames):
+        raise ValueError(
+            f"{folder}: {behind} of {len(frames)} cameras look away from the point nearest to their axes, so they see "
+            "nothing in common; check that poses are camera to world and look along -z (COLMAP: world to camera, +z)"
+        )

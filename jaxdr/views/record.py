@@ -1,0 +1,98 @@
+"""What a photograph with a known camera is, and a set of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.film import Box, Film
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One photograph and its pinhole camera.
+
+    - `name`: the name of its file without suffix; `path`: the file.
+    - `image`: linear RGB, not multiplied by alpha.
+    - `alpha`: share of each pixel that the object covers, in [0, 1]; None where nothing says.
+    - `to_world`: camera to world; the columns are left, up, forward, position, as `jaxdr.look_at` has them.
+    - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
+    - `held_out`: kept for judging, never used in fitting.
+    - `backdrop`: whether the picture shows what is behind the object; one cut out by its own alpha does not.
+    """
+
+    name: str
+    path: Path
+    image: Float[np.ndarray, "H W 3"]
+    alpha: Float[np.ndarray, "H W"] | None
+    to_world: Float[np.ndarray, "4 4"]
+    focal: float
+    centre: tuple[float, float]
+    held_out: bool = False
+    backdrop: bool = True
+
+    @property
+    def width(self) -> int:
+        """Width, in pixels."""
+        return self.image.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Height, in pixels."""
+        return self.image.shape[0]
+
+    @property
+    def fov(self) -> float:
+        """Horizontal field of view, in degrees."""
+        return float(np.degrees(2 * np.arctan(0.5 * self.width / self.focal)))
+
+    @property
+    def principal_point(self) -> tuple[float, float]:
+        """Where the axis is, as `jaxdr.Perspective` takes it: shares of width and height to the left and up."""
+        return 0.5 - self.centre[0] / self.width, 0.5 - self.centre[1] / self.height
+
+    @property
+    def camera(self) -> Perspective:
+        """The camera, with a box filter: a pixel of a photograph collects the light of its own square."""
+        film = Film(self.width, self.height, Box())
+        return Perspective(self.to_world, self.fov, film, principal_point=self.principal_point)
+
+    @property
+    def over_black(self) -> Float[np.ndarray, "H W 3"]:
+        """Linear RGB with black where the object is not."""
+        return self.image if self.alpha is None else self.image * self.alpha[..., None]
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Photographs of one object, all of one size. `fitted` are those to learn from, `held_out` those to judge by."""
+
+    folder: Path
+    views: tuple[View, ...]
+
+    @property
+    def fitted(self) -> tuple[View, ...]:
+        """Those to learn from."""
+        return tuple(view for view in self.views if not view.held_out)
+
+    @property
+    def held_out(self) -> tuple[View, ...]:
+        """Those to judge by."""
+        return tuple(view for view in self.views if view.held_out)
+
+    @property
+    def masked(self) -> bool:
+        """Whether every photograph says where the object is."""
+        return all(view.alpha is not None for view in self.views)
+
+
+def common_point(poses: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "3"]:
+    """The point nearest to the axes of all cameras (least squares); that of one camera, or of parallel ones, lies at
+    the shortest distance from the cameras' mean."""
+    forward, origin = poses[:, :3, 2], poses[:, :3, 3]
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
+    mean = origin.mean(0)
+    offset = np.einsum("nij,nj->i", across, origin - mean)
+    return mean + np.linalg.lstsq(across.sum(0), offset, rcond=1e-6)[0]

@@ -1,0 +1,110 @@
+"""Renderings of a scene as a photograph with alpha has it: the object without what is behind, and its coverage."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from jaxdr.compilation import jit
+from jaxdr.integrators import Integrator, PathTracer
+from jaxdr.integrators.defaults import default_integrator
+from jaxdr.render import render
+from jaxdr.scene.bsdf import Diffuse
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.emitters import AreaEmitter
+from jaxdr.scene.film import Box, Film
+from jaxdr.scene.scene import Scene, Shape
+from jaxdr.views.record import View
+
+
+class Pinhole(NamedTuple):
+    """What differs between cameras of one program: pose, field of view in degrees, principal point."""
+
+    to_world: Float[Array | np.ndarray, "4 4"]
+    fov: Float[Array | np.ndarray, ""]
+    principal_point: Float[Array | np.ndarray, "2"]
+
+    @classmethod
+    def of(cls, view: View) -> "Pinhole":
+        """The camera of a photograph."""
+        return cls(*(jnp.asarray(x, float) for x in (view.to_world, view.fov, view.principal_point)))
+
+    def camera(self, film: Film) -> Perspective:
+        """The camera with a film."""
+        return Perspective(self.to_world, self.fov, film, principal_point=self.principal_point)
+
+
+class Layers(NamedTuple):
+    """A picture in parts: `full` [H, W, 3] with what is behind, `alpha` [H, W], `behind` [H, W, 3] the sky alone."""
+
+    full: Float[Array, "H W 3"]
+    alpha: Float[Array, "H W"]
+    behind: Float[Array, "H W 3"]
+
+    @property
+    def over_black(self) -> Float[Array, "H W 3"]:
+        """The object over black: the full picture without the share of the sky.
+
+        Exact where the sky is the same all over a pixel that the object covers in part, and in all other pixels.
+        """
+        return self.full - (1.0 - self.alpha)[..., None] * self.behind
+
+
+def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integrator: Integrator) -> Layers:
+    """The parts of the picture of a scene; differentiable like `render`.
+
+    Image and alpha share their film points, so what is behind cancels between them sample by sample.
+    """
+    seen = Scene(scene.shapes, camera, scene.environment, scene.lights)
+    full = render(seen, key, spp=spp, integrator=integrator)
+    glowing = {name: Shape(shape.mesh, Diffuse(0.0), AreaEmitter(1.0)) for name, shape in scene.shapes.items()}
+    alone: Any = dataclasses.replace(cast(Any, integrator), max_depth=1)
+    alpha = render(Scene(glowing, camera), key, spp=spp, integrator=alone)[..., 0]
+    if scene.environment is None:
+        return Layers(full, alpha, jnp.zeros_like(full))
+    x0, y0, width, height = camera.film.window
+    rows, columns = jnp.meshgrid(jnp.arange(height) + y0 + 0.5, jnp.arange(width) + x0 + 0.5, indexing="ij")
+    _, directions = camera.rays(jnp.stack([columns, rows], -1).astype(full.dtype).reshape(-1, 2))
+    sky = jnp.broadcast_to(scene.environment.eval(directions), (height * width, 3))
+    return Layers(full, alpha, sky.reshape(full.shape))
+
+
+def render_views(
+    scene: Scene, views: Sequence[View], *, spp: int = 64, seed: int = 0, integrator: Integrator | None = None
+) -> list[Float[np.ndarray, "H W 4"]]:
+    """Pictures of the scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
+
+    What is behind the object is left out. `spp`: samples per pixel. `integrator`: default as in `render`. All views of
+    one size share a program. Raises ValueError for spp < 1.
+    """
+    if int(spp) != spp or spp < 1:
+        raise ValueError(f"render_views: spp must be a positive whole number of samples per pixel, got {spp}")
+    integrator = integrator or _without_boundary(default_integrator(scene))
+    key = jax.random.key(seed)
+    pictures = []
+    for i, view in enumerate(views):
+        program = _program(view.width, view.height, int(spp), integrator)
+        pictures.append(picture(program(scene, Pinhole.of(view), jax.random.fold_in(key, i))))
+    return pictures
+
+
+def picture(parts: Layers) -> Float[np.ndarray, "H W 4"]:
+    """The object over black, with alpha, on the host."""
+    alpha = np.asarray(parts.alpha)
+    color = np.where(alpha[..., None] > 0, np.maximum(np.asarray(parts.over_black), 0.0), 0.0)
+    return np.concatenate([color, np.clip(alpha, 0.0, 1.0)[..., None]], -1)
+
+
+@lru_cache(maxsize=8)
+def _program(width: int, height: int, spp: int, integrator: Integrator) -> Callable:
+    film = Film(width, height, Box())
+    return jit(lambda scene, pinhole, key: layers(scene, pinhole.camera(film), key, spp, integrator))
+
+
+def _without_boundary(integrator: Integrator) -> Integrator:
+    return dataclasses.replace(integrator, boundary=None) if isinstance(integrator, PathTracer) else integrator

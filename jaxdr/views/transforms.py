@@ -1,0 +1,83 @@
+"""`transforms*.json`: NeRF synthetic scenes and instant-ngp."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from jaxdr.views.frames import Frame, checked_pose
+from jaxdr.views.pictures import find_mask, find_picture
+
+TRAIN, TEST, ALL = "transforms_train.json", "transforms_test.json", "transforms.json"
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")  # the same without distortion
+# x to the right, y up, z backward becomes x to the left, y up, z forward.
+FROM_OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])
+
+
+def is_transforms(folder: Path) -> bool:
+    """Whether a folder has the layout."""
+    return any((folder / name).is_file() for name in (TRAIN, ALL))
+
+
+def transforms_frames(folder: Path) -> list[Frame]:
+    """All frames of a folder: those of `transforms_test.json` are held out. Raises ValueError that names the file."""
+    if not (folder / TRAIN).is_file():
+        return _frames(folder, folder / ALL, False)
+    test = _frames(folder, folder / TEST, True) if (folder / TEST).is_file() else []
+    return _frames(folder, folder / TRAIN, False) + test
+
+
+def _frames(folder: Path, path: Path, held_out: bool) -> list[Frame]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as problem:
+        raise ValueError(f"{path}: is not readable JSON ({problem}); write it anew") from None
+    entries = document.get("frames") if isinstance(document, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise ValueError(f"{path}: has no frames; expected a list `frames` of pictures with transform_matrix")
+    return [_frame(folder, path, document, entry, i, held_out) for i, entry in enumerate(entries)]
+
+
+def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_out: bool) -> Frame:
+    source = f"{path}: frames[{number}]"
+    if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
+        raise ValueError(f"{source}: has no file_path; every frame names its picture")
+    values = {**{name: value for name, value in document.items() if name != "frames"}, **entry}
+    _check_lens(values, source)
+    picture = find_picture(folder, entry["file_path"], path)
+    if isinstance(entry.get("mask_path"), str):
+        mask = find_picture(folder, entry["mask_path"], path)
+    else:
+        mask = find_mask(folder, picture.name)
+    pose = checked_pose(entry.get("transform_matrix"), source) @ FROM_OPENGL
+    focal, angle = None, 0.0
+    if "fl_x" in values:
+        focal = (_number(values, "fl_x", source), _number(values, "fl_y" if "fl_y" in values else "fl_x", source))
+    elif "camera_angle_x" in values:
+        angle = _number(values, "camera_angle_x", source)
+    else:
+        raise ValueError(f"{source}: says neither fl_x nor camera_angle_x; the focal length is needed")
+    x, y, w, h = (_number(values, name, source) if name in values else None for name in ("cx", "cy", "w", "h"))
+    centre, size = (x, y), (None if w is None else int(w), None if h is None else int(h))
+    return Frame(picture, mask, pose, source, focal, angle, centre, size, held_out)
+
+
+def _check_lens(values: dict, source: str) -> None:
+    """Raise ValueError for lenses that are no pinhole."""
+    bent = [name for name in DISTORTION if values.get(name)]
+    if bent:
+        raise ValueError(
+            f"{source}: lens distortion ({', '.join(bent)}) is not supported; undistort the pictures first, "
+            "with `colmap image_undistorter` for one"
+        )
+    model = values.get("camera_model", "PINHOLE")
+    if model not in MODELS or values.get("is_fisheye"):
+        raise ValueError(f"{source}: a lens {model} is not supported; undistort the pictures to PINHOLE first")
+
+
+def _number(values: dict, name: str, source: str) -> float:
+    value = values[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ValueError(f"{source}: {name} must be a number, got {value!r}")
+    return float(value)

@@ -1,0 +1,144 @@
+"""Whole reconstructions, tiny: what is written, resuming, interruption, errors. Two programs are compiled."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import jaxdr as jd
+from jaxdr.cli import main
+from jaxdr.optimize.progress import Interrupted
+from jaxdr.optimize.reconstruction import loop
+from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
+from tests.views.folders import SIZE, write_nerf
+
+for package in ("gpytoolbox", "skimage", "xatlas"):
+    pytest.importorskip(package)
+
+TABLE = {
+    "start": {"grid": 24},
+    "samples": {"image": 1, "gradient": 1, "pictures": 4},
+    "levels": [
+        {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 1, "sky": 3},
+        {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 2, "sky": 3},
+    ],
+    "report": {"checkpoint": 3, "pictures": 3, "texture": 32, "turntable": 2},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_nerf(tmp_path_factory.mktemp("photos") / "nerf", train=6, test=2)
+
+
+def config(folder, output, **changes) -> ReconstructConfig:
+    return reconstruct_config(TABLE | changes, "test", str(folder), str(output))
+
+
+@pytest.fixture(scope="module")
+def finished(folder, tmp_path_factory):
+    output = tmp_path_factory.mktemp("out") / "whole"
+    return output, loop.reconstruct(config(folder, output))
+
+
+def test_everything_is_there(folder, finished):
+    output, summary = finished
+    views = jd.load_views(folder)
+    assert summary == json.loads((output / "metrics.json").read_text())
+    assert summary["steps"] == 4 and summary["start"] == "hull" and summary["judged_by"] == "held out"
+    assert {view["name"] for view in summary["views"]} == {"r_0", "r_1"} and summary["iou"]["mean"] > 0.5
+    assert sorted(path.name for path in (output / "test").iterdir()) == ["r_0.png", "r_1.png"]
+    pixels = np.asarray(Image.open(output / "test" / "r_0.png"))
+    assert pixels.shape == (SIZE, SIZE, 4)
+    mesh = trimesh.load_scene(output / "asset.glb", process=False).to_geometry()
+    low, high = mesh.bounds
+    assert (np.abs(low + high) < 0.3).all() and 0.4 < (high - low).max() < 2  # where the cameras look
+    assert list(jd.load_gltf(output / "asset.glb").shapes) == ["object"]
+    light = next(output.glob("light.*"))
+    assert jd.load_image(light).shape == (9, 16, 3) and (jd.load_image(light) > 0).all()
+    page = (output / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 6 and "data:image/gif" in page and 'src="http' not in page
+    assert Image.open(output / "turntable.gif").n_frames == 2
+    rows = list(csv.DictReader((output / "metrics.csv").open()))
+    assert [row["level"] for row in rows] == ["1", "1", "2", "2"]
+    assert all(0 < float(row["loss"]) < 1 for row in rows)
+    again = jd.load_views(output)  # transforms.json is in a layout of ours
+    np.testing.assert_allclose(again.views[3].to_world, views.views[3].to_world, atol=1e-9)
+    assert again.views[3].focal == pytest.approx(views.views[3].focal)
+
+
+def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_path, monkeypatch):
+    whole, summary = finished
+    output = tmp_path / "parts"
+    step = loop._Run.step
+
+    def press(self, stage, state, done):
+        self.interruption.requested = done == 2  # in the first step of the second level
+        return step(self, stage, state, done)
+
+    monkeypatch.setattr(loop._Run, "step", press)
+    with pytest.raises(Interrupted, match="stopped after step 3"):
+        loop.reconstruct(config(folder, output))
+    assert (output / "asset.glb").exists() and list(output.glob("light.*")) and not (output / "metrics.json").exists()
+    monkeypatch.setattr(loop._Run, "step", step)
+    resumed = loop.reconstruct(config(folder, output), resume=True)
+    timeless = lambda d: {k: v for k, v in d.items() if not k.startswith("seconds")}  # noqa: E731
+    assert timeless(resumed) == timeless(summary)
+    one, other = np.load(whole / "checkpoint.npz"), np.load(output / "checkpoint.npz")
+    assert one.files == other.files
+    for name in set(one.files) - {"seconds"}:
+        assert (one[name] == other[name]).all(), name
+    for name in ("asset.glb", "test/r_0.png"):
+        assert (whole / name).read_bytes() == (output / name).read_bytes()
+    lines = [(path / "metrics.csv").read_text().splitlines() for path in (whole, output)]
+    assert [line.rpartition(",")[0] for line in lines[0]] == [line.rpartition(",")[0] for line in lines[1]]
+
+
+def test_results_are_not_overwritten_unasked(folder, finished):
+    output, _ = finished
+    before = (output / "asset.glb").stat().st_mtime_ns
+    with pytest.raises(ValueError, match="already holds results"):
+        loop.reconstruct(config(folder, output))
+    with pytest.raises(ValueError, match="finished; there is nothing to resume"):
+        loop.reconstruct(config(folder, output), resume=True)
+    with pytest.raises(ValueError, match="seed was 0, is 1"):
+        loop.reconstruct(config(folder, output, seed=1), resume=True)
+    assert (output / "asset.glb").stat().st_mtime_ns == before
+
+
+def test_without_masks_it_starts_from_a_sphere(tmp_path):
+    run = loop._Run(config(write_nerf(tmp_path, alpha=False), tmp_path / "out"), jd.load_views(tmp_path))
+    assert run.kind == "sphere"
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--set", "rates.vertics=1"], ["--set: rates.vertics", "did you mean 'vertices'"]),
+        (["--set", "levels=[{steps=0,resolution=16,vertices=60}]"], ["levels[0].steps", "at least 1"]),
+        (["--set", "priors.mask=-1"], ["priors.mask", "negative"]),
+        (["--set", 'unknown=["normals"]'], ["unknown[0]", "albedo"]),
+        (["--config", "nowhere.toml"], ["nowhere.toml", "can't be read"]),
+        (["--holdout", "x_*"], ["matches the holdout pattern 'x_*'"]),
+    ],
+)
+def test_mistakes_end_with_one_line_and_nothing_written(folder, tmp_path, capsys, arguments, words):
+    output = tmp_path / "out"
+    assert main(["reconstruct", str(folder), "-o", str(output), "--no-cache", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("jaxdr: error: ")
+    assert all(word in lines[0] for word in words), lines[0]
+    assert not output.exists()
+
+
+def test_a_file_of_settings_and_overrides(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text("seed = 3\n[priors]\nalbedo = 0.5\n")
+    from jaxdr.optimize.strict_toml import read_toml
+
+    made = reconstruct_config(read_toml(path, ["priors.light=0.1"]), str(path), "photos", "out", "*_3")
+    assert (made.seed, made.priors.albedo, made.priors.light, made.holdout) == (3, 0.5, 0.1, "*_3")
+    assert made.levels == LEVELS and made.steps == sum(level.steps for level in LEVELS)

@@ -1,0 +1,159 @@
+"""Bad folders of photographs: one error each, which names the place, the fault and the remedy."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxdr as jd
+from tests.views.folders import SIZE, disc, edit_json, write_colmap, write_json, write_nerf, write_picture
+
+
+def _frames(folder, change):
+    edit_json(folder / "transforms_train.json", lambda document: change(document["frames"]))
+
+
+def nothing(folder):
+    folder.joinpath("notes.txt").write_text("no cameras")
+
+
+def broken_json(folder):
+    write_nerf(folder)
+    (folder / "transforms_train.json").write_text('{"frames": [')
+
+
+def no_frames(folder):
+    write_json(folder / "transforms.json", {"camera_angle_x": 0.6, "frames": []})
+
+
+def missing_picture(folder):
+    write_nerf(folder)
+    (folder / "train" / "r_2.png").unlink()
+
+
+def damaged_picture(folder):
+    write_nerf(folder)
+    (folder / "train" / "r_1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"0" * 40)
+
+
+def sizes_differ(folder):
+    write_nerf(folder)
+    write_picture(folder / "train" / "r_3.png", size=SIZE + 2)
+
+
+def size_is_not_the_cameras(folder):
+    write_nerf(folder)
+    edit_json(folder / "transforms_train.json", lambda document: document.update(w=SIZE, h=2 * SIZE))
+
+
+def distortion(folder):
+    write_nerf(folder)
+    edit_json(folder / "transforms_train.json", lambda document: document.update(k1=-0.1, p2=0.01))
+
+
+def no_focal_length(folder):
+    write_nerf(folder)
+    edit_json(folder / "transforms_train.json", lambda document: document.pop("camera_angle_x"))
+
+
+def skewed_pose(folder):
+    write_nerf(folder)
+    _frames(folder, lambda frames: frames[1]["transform_matrix"][0].__setitem__(0, 2.0))
+
+
+def looking_away(folder):
+    write_nerf(folder)
+
+    def turn(frames):
+        for frame in frames:
+            frame["transform_matrix"] = (np.asarray(frame["transform_matrix"]) @ np.diag([-1.0, 1, -1, 1])).tolist()
+
+    _frames(folder, turn)
+
+
+def empty_mask(folder):
+    write_nerf(folder)
+    Image.fromarray(np.zeros((SIZE, SIZE, 4), np.uint8)).save(folder / "train" / "r_0.png")
+
+
+def some_without_alpha(folder):
+    write_nerf(folder)
+    write_picture(folder / "train" / "r_1.png", alpha=False)
+
+
+def mask_without_picture(folder):
+    write_colmap(folder)
+    Image.fromarray((255 * disc()).astype(np.uint8)).save(folder / "masks" / "train_9.png")
+
+
+def picture_without_mask(folder):
+    write_colmap(folder)
+    (folder / "masks" / "train_1.png").unlink()
+
+
+def mask_of_another_size(folder):
+    write_colmap(folder)
+    Image.fromarray((255 * disc(SIZE + 1)).astype(np.uint8)).save(folder / "masks" / "train_1.png")
+
+
+def colmap_distortion(folder):
+    write_colmap(folder, model="OPENCV")
+
+
+def damaged_colmap(folder):
+    write_colmap(folder)
+    (folder / "sparse/0/cameras.txt").write_text("1 PINHOLE 16 many\n")
+
+
+@pytest.mark.parametrize(
+    "make, place, fault",
+    [
+        (nothing, "{folder}", "neither transforms.json"),
+        (broken_json, "transforms_train.json", "not readable JSON"),
+        (no_frames, "transforms.json", "has no frames"),
+        (missing_picture, "r_2", "missing"),
+        (damaged_picture, "r_1.png", "not a readable PNG"),
+        (sizes_differ, "r_3.png", "one size"),
+        (size_is_not_the_cameras, "transforms_train.json: frames[0]", "says height 32, r_0.png has 16 pixels"),
+        (distortion, "frames[0]", "k1, p2"),
+        (no_focal_length, "frames[0]", "neither fl_x nor camera_angle_x"),
+        (skewed_pose, "frames[1]", "a rotation and a translation"),
+        (looking_away, "{folder}", "4 of 6 cameras look away"),
+        (empty_mask, "r_0.png", "the mask is empty"),
+        (some_without_alpha, "r_1.png", "no mask and no alpha"),
+        (mask_without_picture, "train_9.png", "a mask without a photograph"),
+        (picture_without_mask, "masks", "no mask for train_1.png"),
+        (mask_of_another_size, "train_1.png", "17 x 17"),
+        (colmap_distortion, "sparse/0", "OPENCV"),
+        (damaged_colmap, "sparse/0", "not a readable COLMAP model"),
+    ],
+    ids=lambda value: value.__name__ if callable(value) else "",
+)
+def test_one_clear_error(tmp_path, make, place, fault):
+    if make.__name__.endswith("colmap") or "colmap" in make.__name__ or "mask_" in make.__name__:
+        pytest.importorskip("pycolmap")
+    make(tmp_path)
+    with pytest.raises(ValueError) as caught:
+        jd.load_views(tmp_path)
+    message = str(caught.value)
+    assert place.format(folder=tmp_path) in message and fault in message
+    assert "\n" not in message
+
+
+def test_a_folder_that_is_none(tmp_path):
+    with pytest.raises(ValueError, match="is not a folder"):
+        jd.load_views(tmp_path / "nowhere")
+
+
+def test_holdout_that_matches_nothing_or_everything(tmp_path):
+    write_nerf(tmp_path)
+    with pytest.raises(ValueError, match=r"matches the holdout pattern 'x\*'"):
+        jd.load_views(tmp_path, holdout="x*")
+    with pytest.raises(ValueError, match="none is left to fit"):
+        jd.load_views(tmp_path, holdout="*")
+
+
+def test_pycolmap_missing_is_said_with_its_remedy(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pycolmap", None)
+    write_colmap(tmp_path)
+    with pytest.raises(ImportError, match=r"jaxdr\[colmap\]"):
+        jd.load_views(tmp_path)
