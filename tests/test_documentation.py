@@ -23,6 +23,7 @@ import pytest
 import jaxdr as jd
 from jaxdr import cli
 from jaxdr.optimize import config
+from tests.views.folders import write_nerf
 
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
@@ -109,6 +110,15 @@ def with_files(folder: Path) -> dict:
     return imports(folder) | vars(mitsuba_bsdfs) | {"mesh": jd.shapes.rectangle()}
 
 
+def with_photographs(folder: Path) -> dict:
+    """Photographs, and a result that the page's code can read."""
+    write_nerf(folder / "PHOTOS")
+    (folder / "OUT").mkdir()
+    jd.save_mesh(folder / "OUT/asset.glb", jd.shapes.sphere(1, radius=0.5))
+    jd.write_image(folder / "OUT/light.exr", np.ones((4, 8, 3)))
+    return {}
+
+
 # Page -> what its code takes for granted, and whether it compiles gradients.
 CODE = {
     "README.md": (nothing, True),
@@ -116,6 +126,7 @@ CODE = {
     "docs/guided_edges.md": (with_a_scene("bunny"), True),
     "docs/plan.md": (with_a_scene("spot"), True),
     "docs/quickstart.md": (nothing, False),
+    "docs/reconstruct.md": (with_photographs, False),
     "docs/scaling.md": (with_a_scene("spot"), False),
     "docs/scene_files.md": (with_files, False),
     "docs/write_a_bsdf.md": (imports, False),
