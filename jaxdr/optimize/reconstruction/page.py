@@ -71,6 +71,7 @@ def save_turntable(
 ) -> None:
     """`turntable.gif`: the object from all around, at the distance of a photograph, over black."""
     distance = float(np.linalg.norm(like.to_world[:3, 3] - pose.centre))
+    like = dataclasses.replace(like, alpha=np.ones((like.height, like.width), np.float32))  # without the sky behind
     views = []
     for angle in 2 * np.pi * np.arange(frames) / frames:
         offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])
