@@ -79,8 +79,8 @@ def render_views(
 ) -> list[Float[np.ndarray, "H W 4"]]:
     """Pictures of the scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
 
-    What is behind the object is left out. `spp`: samples per pixel. `integrator`: default as in `render`. All views of
-    one size share a program. Raises ValueError for spp < 1.
+    What is behind the object is left out, but for photographs without alpha, which show it. `spp`: samples per pixel.
+    `integrator`: default as in `render`. All views of one size share a program. Raises ValueError for spp < 1.
     """
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render_views: spp must be a positive whole number of samples per pixel, got {spp}")
@@ -89,14 +89,18 @@ def render_views(
     pictures = []
     for i, view in enumerate(views):
         program = _program(view.width, view.height, int(spp), integrator)
-        pictures.append(picture(program(scene, Pinhole.of(view), jax.random.fold_in(key, i))))
+        parts = program(scene, Pinhole.of(view), jax.random.fold_in(key, i))
+        pictures.append(picture(parts, behind=view.alpha is None))
     return pictures
 
 
-def picture(parts: Layers) -> Float[np.ndarray, "H W 4"]:
-    """The object over black, with alpha, on the host."""
+def picture(parts: Layers, behind: bool = False) -> Float[np.ndarray, "H W 4"]:
+    """The object over black, or with what is `behind`, and alpha, on the host."""
     alpha = np.asarray(parts.alpha)
-    color = np.where(alpha[..., None] > 0, np.maximum(np.asarray(parts.over_black), 0.0), 0.0)
+    if behind:
+        color = np.asarray(parts.full)
+    else:
+        color = np.where(alpha[..., None] > 0, np.maximum(np.asarray(parts.over_black), 0.0), 0.0)
     return np.concatenate([color, np.clip(alpha, 0.0, 1.0)[..., None]], -1)
 
 

@@ -43,6 +43,14 @@ def test_what_is_behind_is_left_out_and_alpha_is_the_silhouette(views):
     np.testing.assert_allclose(alpha.sum(), np.pi * outline**2, rtol=0.02)
 
 
+def test_photographs_without_alpha_show_the_sky(views):
+    bare = dataclasses.replace(views.held_out[0], alpha=None)
+    (picture,) = jd.render_views(ball(bare, 0.7), [bare], spp=64, integrator=TRACER)
+    (without, _) = jd.render_views(ball(bare, 0.7), views.held_out, spp=64, integrator=TRACER)
+    np.testing.assert_allclose(picture[..., 3], without[..., 3])
+    np.testing.assert_allclose(picture[..., :3], without[..., :3] + 0.7 * (1 - without[..., 3:]), atol=1e-4)
+
+
 def test_the_object_over_black_has_the_derivative_of_the_parts():
     parts = Layers(jnp.full((2, 2, 3), 0.5), jnp.full((2, 2), 0.25), jnp.full((2, 2, 3), 0.4))
     np.testing.assert_allclose(parts.over_black, 0.5 - 0.75 * 0.4, rtol=1e-6)

@@ -86,7 +86,8 @@ class Level:
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples per pixel: of the `image` in the loss, its `gradient`, and the `pictures` of the result."""
+    """Samples per pixel: of the `image` in the loss, its `gradient`, and the `pictures` of the result (fewer of large
+    ones, so that none has more than 2^24 in all, but at least 16 per pixel)."""
 
     image: int = 4
     gradient: int = 4

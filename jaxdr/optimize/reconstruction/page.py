@@ -21,7 +21,7 @@ from jaxdr.views.record import View
 from jaxdr.views.rendering import render_views
 
 DIFFERENCE = 0.25  # of encoded grey values: the ends of the colours of errors
-TURN_SPP = 32
+TURN_SPP, TURN_SIZE = 32, 256  # samples per pixel, pixels along the longer side at most
 STYLE = (
     "body{font:15px sans-serif;margin:2em;background:#fff;color:#222}td,th{padding:4px 8px;text-align:left}"
     "img{image-rendering:pixelated;width:256px}"
@@ -71,11 +71,15 @@ def save_turntable(
 ) -> None:
     """`turntable.gif`: the object from all around, at the distance of a photograph, over black."""
     distance = float(np.linalg.norm(like.to_world[:3, 3] - pose.centre))
+    scale = min(1.0, TURN_SIZE / max(like.width, like.height))
+    width, height = round(like.width * scale), round(like.height * scale)
+    blank = np.zeros((height, width, 3), np.float32)  # with alpha, so without the sky behind
+    small = dataclasses.replace(like, image=blank, alpha=blank[..., 0], focal=like.focal * scale)
     views = []
     for angle in 2 * np.pi * np.arange(frames) / frames:
         offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])
         turned = look_at(pose.centre + offset, pose.centre, (0, 0, 1))
-        views.append(dataclasses.replace(like, to_world=turned, centre=(like.width / 2, like.height / 2)))
+        views.append(dataclasses.replace(small, to_world=turned, centre=(width / 2, height / 2)))
     pictures = render_views(scene, views, spp=TURN_SPP, seed=seed, integrator=integrator)
     images = [Image.fromarray(to_srgb(picture[..., :3])) for picture in pictures]
     with atomic_path(folder.path / "turntable.gif") as temporary:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.progress import Progress
 from jaxdr.optimize.reconstruction.asset import write_glb
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.output import OutputFolder
@@ -24,6 +25,7 @@ from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
 from jaxdr.views.transforms import FROM_OPENGL
 
+PATHS, LEAST = 1 << 24, 16  # most paths of a picture of the result, and fewest samples per pixel
 FINER = 4  # the light is written with so many texels for one, interpolated as it was used
 
 
@@ -64,17 +66,20 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     tracer = dataclasses.replace(config.integrator.build(), boundary=None)
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
     scene = result.scene(shown[0])
-    settings = {"spp": config.samples.pictures, "seed": seed, "integrator": tracer}
-    pictures = render_views(scene, shown, **settings)
-    for view, picture in zip(shown, pictures, strict=True):
-        if views.held_out:
-            folder.save_test(view.name, picture, view.alpha is not None)
+    spp = max(LEAST, min(config.samples.pictures, PATHS // (shown[0].width * shown[0].height)))
+    pictures = []
+    with Progress("render views", len(shown)) as progress:
+        for i, view in enumerate(shown):
+            pictures += render_views(scene, [view], spp=spp, seed=(seed + i) % 2**31, integrator=tracer)
+            if views.held_out:
+                folder.save_test(view.name, pictures[-1], view.alpha is not None)
+            progress.step()
     scores = score_pictures(pictures, shown)
     kind = "held out" if views.held_out else "fitted"
     if config.report.turntable:
         save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(shown, pictures, scores, kind, bool(config.report.turntable), folder))
-    return {"judged_by": kind, **scores.to_dict()}
+    return {"judged_by": kind, "samples": spp, **scores.to_dict()}
 
 
 def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
