@@ -1,6 +1,7 @@
 """What a folder of results holds: its kind, pictures and meshes by name and step, and the paths of its tables."""
 
 import json
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -34,7 +35,7 @@ class Results(NamedTuple):
 
 
 def read_folder(path: Path) -> Results:
-    """What is in the folder of a run or of a chart. Raises ValueError when it is neither, or there is nothing to show."""
+    """What is in the folder of a run or of a chart. Raises ValueError when it is neither, or has nothing to show."""
     if not path.exists():
         raise ValueError(f"{path}: there is no such folder")
     if not path.is_dir():
@@ -99,12 +100,17 @@ def _existing(path: Path, *names: str) -> Path | None:
 def _items(folder: Path, suffixes: tuple[str, ...]) -> list[Item]:
     """Files `NNNNN.ext` and `NNNNN.NAME.ext` are of step NNNNN."""
     found = []
-    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+    for path in sorted(folder.iterdir(), key=_natural) if folder.is_dir() else []:
         if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file():
             number, _, name = path.stem.partition(".")
             is_step = number.isdecimal() and folder.name in ("pictures", "meshes")
             found.append(Item(name if is_step else path.stem, int(number) if is_step else None, path))
     return found
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Numbers in names in their own order: r_2 before r_10."""
+    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", path.name)]
 
 
 def _one_of_each(items: Sequence[Item]) -> list[Item]:

@@ -11,7 +11,7 @@ MAGIC, VERSION, JSON = b"glTF", 2, 0x4E4F534A
 PLAIN = {
     "name": "plain",
     "doubleSided": True,
-    "pbrMetallicRoughness": {"baseColorFactor": [0.6, 0.6, 0.6, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8},
+    "pbrMetallicRoughness": {"baseColorFactor": [0.25, 0.26, 0.28, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8},
 }
 
 

@@ -19,11 +19,12 @@ HERE = Path(__file__).parent
 GENERATOR = '<meta name="generator" content="jaxdr view">'
 # The browser itself refuses whatever is not in the page.
 POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; img-src data: blob:; "
-    "connect-src data: blob:; worker-src blob:"
+    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src data: blob:; worker-src blob:"
 )
 Z_UP = "0deg -90deg 0deg"  # roll, pitch, yaw: glTF has y up
 MIME = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".gif": "image/gif"}
+GRIDS = {"reconstruction": "Photographs and renderings"}
 MOST = 12  # pictures of a kind
 TITLES = {
     "optimisation": "Shape from images",
@@ -76,8 +77,8 @@ def _viewer(label: str, item: Item) -> str:
     source = _data("model/gltf-binary", glb_bytes(item.path))
     return (
         f'<figure><model-viewer src="{source}" alt="{html.escape(label)}" orientation="{Z_UP}" data-up="{Z_UP}" '
-        'camera-controls interaction-prompt="none" loading="eager"></model-viewer>'
-        f"<figcaption>{html.escape(label)}</figcaption></figure>"
+        'camera-controls interaction-prompt="none" loading="eager" environment-image="legacy" exposure="0.8">'
+        f"</model-viewer><figcaption>{html.escape(label)}</figcaption></figure>"
     )
 
 
@@ -93,7 +94,7 @@ def _pictures(results: Results) -> list[str]:
     parts = []
     groups = by_name(results.pictures)
     for name, items in groups.items():
-        heading = name or "Target, current image and their difference"
+        heading = name or GRIDS.get(results.kind, "Target, current image and their difference")
         first, *between = spread(items, MOST)
         last = [between.pop()] if between else []
         parts.append(f"<h2>{html.escape(heading)}</h2>")
