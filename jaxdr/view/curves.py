@@ -5,8 +5,8 @@ import math
 
 from jaxdr.view.tables import Curve, Diagram
 
-WIDTH, HEIGHT = 340, 210
-LEFT, RIGHT, TOP, BOTTOM = 58, 12, 24, 36
+WIDTH, HEIGHT = 340.0, 210.0
+LEFT, RIGHT, TOP, BOTTOM = 58.0, 12.0, 24.0, 36.0
 COLORS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22")
 MOST = 800  # points of a curve
 DECADES = 10.0  # a column of positive numbers gets a logarithmic axis where they differ by more than this factor
@@ -54,7 +54,7 @@ def svg(diagram: Diagram) -> str:
     parts = [
         f'<svg class="diagram" xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT + 15 * len(legend)}" '
         f'role="img" aria-label="{html.escape(diagram.title)}">',
-        _text(LEFT, 15, diagram.title, "title"),
+        _text(LEFT, 15.0, diagram.title, "title"),
         _text((LEFT + right) / 2, HEIGHT - 4, diagram.x_label, "middle"),
         f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{right - LEFT}" height="{bottom - TOP}"/>',
     ]

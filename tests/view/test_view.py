@@ -24,7 +24,7 @@ from jaxdr.view import models
 from jaxdr.view.curves import svg
 from jaxdr.view.tables import Curve, Diagram
 
-BALL = jd.shapes.icosphere(1)
+BALL = jd.shapes.sphere(1)
 RED = [220, 20, 20, 255]
 
 
@@ -109,7 +109,7 @@ def test_many_pictures_are_thinned():
 
 def test_a_recovery_with_a_mesh_and_a_texture():
     table = {"output": "run", "scene": {"name": "star_light"}}
-    table["parameters"] = [{"name": "light.vertices", "motion": "rigid", "initial": [0.0] * 6}]
+    table["parameters"] = [{"name": "light.vertices", "motion": "rigid", "initial": [0.0] * 6, "learning_rate": 0.1}]
     folder = RunFolder(recovery_config(table, Path("run.toml")), ("iteration", "loss", "seconds", "light"))
     folder.open(resume=False, overwrite=False)
     folder.start_metrics(0)
@@ -142,7 +142,7 @@ def test_a_chart():
     text = page("chart")
     assert captions(text) == ["ball.png"] and "<td>measured</td><td>6</td>" in text
     assert [name in text for name in ("KernelDensity", "LineSampling", "WarpedArea")] == [True, True, False]
-    assert text.count("<polyline") == 2 and "model-viewer" not in text and len(text) < 20_000
+    assert text.count("<polyline") == 2 and "<script" not in text and len(text) < 20_000
     assert cli.main(["view", "chart", "-o", "chart/index.html"]) == 2
     assert (folder / "index.html").read_text() == "the chart's own page"
 
@@ -162,7 +162,7 @@ def test_a_reconstruction():
     text = page("photos", "-o", "page.html")
     assert captions(text) == ["asset", "light.pfm", *(f"r_{i}.png" for i in range(11))]
     light = np.asarray(Image.open(io.BytesIO(embedded(text, "image/png")[0])))
-    assert light.shape == (4, 8, 3) and light[0, 0, 0] == 0 and light[-1, -1].tolist() == [255] * 3
+    assert light.shape == (4, 8, 3) and light[0, 0, 0] == 0 and light[-1, -1].min() >= 254
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl"])
