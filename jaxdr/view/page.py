@@ -46,7 +46,7 @@ def page(results: Results) -> str:
         f"<h1>{title}</h1><p class='note'>{html.escape(str(results.path))}.{state}</p>",
     ]
     viewers = _meshes(results)
-    parts = [*head, *_summary(results), *viewers, *_pictures(results), *_diagrams(results), *_config(results)]
+    parts = [*head, *viewers, *_pictures(results), *_diagrams(results), *_summary(results), *_config(results)]
     if viewers:
         parts.append(f"<details><summary>Licences of the viewer</summary><pre>{_licences()}</pre></details>")
         parts.append(f'<script type="module">{_own("viewer/model-viewer.min.js")}</script>')
@@ -142,7 +142,7 @@ def _summary(results: Results) -> list[str]:
     if not rows:
         return []
     lines = [f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>" for name, value in rows]
-    return [f"<table>{''.join(lines)}</table>"]
+    return ["<h2>Numbers</h2>", f"<table>{''.join(lines)}</table>"]
 
 
 def _config(results: Results) -> list[str]:
