@@ -5,7 +5,6 @@ import json
 import re
 import shutil
 import struct
-import subprocess
 from base64 import b64decode
 from pathlib import Path
 
@@ -23,6 +22,8 @@ from jaxdr.optimize.recovery.config import recovery_config
 from jaxdr.view import models
 from jaxdr.view.curves import svg
 from jaxdr.view.tables import Curve, Diagram
+
+from .browser import BROWSER, show
 
 BALL = jd.shapes.sphere(1)
 RED = [220, 20, 20, 255]
@@ -303,26 +304,9 @@ def test_long_curves_are_thinned():
     )
 
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
-    "--hide-scrollbars --force-device-scale-factor=1 --window-size=1000,700 --virtual-time-budget=30000"
-)
-
-
-def screenshot(path: Path) -> np.ndarray:
-    """What a browser with an empty profile shows of a page."""
-    picture, profile = path.with_suffix(".png"), path.with_suffix(".profile")
-    arguments = [*FLAGS.split(), f"--user-data-dir={profile}", f"--screenshot={picture}", path.resolve().as_uri()]
-    done = subprocess.run([BROWSER, *arguments], capture_output=True, text=True, timeout=500)
-    assert done.returncode == 0 and picture.exists(), done.stderr
-    return np.asarray(Image.open(picture).convert("RGB")).astype(int)
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
-def test_a_browser_draws_the_mesh():
+def test_a_browser_draws_the_mesh(workplace):
     """A red tower, three times as high as wide, stands upright; the page without its viewer has nothing red."""
     tower = trimesh.creation.box((1, 1, 3))
     tower.visual = trimesh.visual.ColorVisuals(tower, vertex_colors=np.tile(RED, (8, 1)))
@@ -335,8 +319,11 @@ def test_a_browser_draws_the_mesh():
     def red(pixels):
         return (pixels[..., 0] > 90) & (pixels[..., 1:].max(-1) < 0.6 * pixels[..., 0])
 
-    seen = red(screenshot(Path("page.html")))
-    rows, columns = np.nonzero(seen)
+    shown = show(Path("page.html"), 'document.querySelector("model-viewer")?.modelIsVisible', workplace / "profile")
+    rows, columns = np.nonzero(red(shown.pixels))
     assert len(rows) > 5_000
     assert 1.8 < (np.ptp(rows) + 1) / (np.ptp(columns) + 1) < 4
-    assert red(screenshot(Path("blind.html"))).sum() == 0
+    assert shown.errors == []
+    assert {address.partition(":")[0] for address in shown.addresses} <= {"file", "data", "blob"}
+    blind = show(Path("blind.html"), 'document.readyState === "complete"', workplace / "another")
+    assert red(blind.pixels).sum() == 0
