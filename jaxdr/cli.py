@@ -1,6 +1,6 @@
-"""Command line: `jaxdr render`, `jaxdr gradient`, `jaxdr plan`, `jaxdr optimize`, `jaxdr reconstruct`, `jaxdr chart`.
+"""Command line: `jaxdr render`, `gradient`, `plan`, `optimize`, `reconstruct`, `chart`, `view`.
 
-Compiled programs are kept in the user's cache folder, which each command says first, in a line on stderr.
+Compiled programs are kept in the user's cache folder. Each command that compiles says so first, in a line on stderr.
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
 exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
 """
@@ -11,6 +11,7 @@ import json
 import shlex
 import sys
 import warnings
+import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,8 @@ from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene
+from jaxdr.view.write import NAME as PAGE_NAME
+from jaxdr.view.write import write_page
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
@@ -59,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warp.config.log_level = warp.LOG_WARNING  # no banner and compilation notes between a command's own lines
     try:
         options = _parser().parse_args(arguments)
-        _keep_programs(options)
+        if options.compiles:
+            _keep_programs(options)
         return options.command(options)
     except (_UsageError, ValueError, OSError, ImportError) as problem:
         if "options" in locals() and options.debug:
@@ -279,6 +283,14 @@ def _chart(options) -> int:
     return 0
 
 
+def _view(options) -> int:
+    page = write_page(Path(options.folder), Path(options.output) if options.output else None)
+    print(page)
+    if options.open and not webbrowser.open(page.resolve().as_uri()):
+        print("jaxdr: no browser could be started; open the page yourself", file=sys.stderr)
+    return 0
+
+
 def _load_scene(options) -> Scene:
     """The scene with `--set` applied: names with a dot are scene parameters, others go to the loader.
 
@@ -344,14 +356,15 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxdr", description="Differentiable rendering in JAX.", allow_abbrev=False)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    def add(name, function, summary):
+    def add(name, function, summary, compiles=True):
         command = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        command.set_defaults(command=function)
-        command.add_argument(
-            "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value; repeatable"
-        )
-        what = "neither keep compiled programs in the user's cache folder nor use them"
-        command.add_argument("--no-cache", action="store_true", help=what)
+        command.set_defaults(command=function, compiles=compiles)
+        if compiles:
+            command.add_argument(
+                "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value; repeatable"
+            )
+            what = "neither keep compiled programs in the user's cache folder nor use them"
+            command.add_argument("--no-cache", action="store_true", help=what)
         command.add_argument("--debug", action="store_true", help="show the traceback of an error")
         return command
 
@@ -413,6 +426,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--holdout", metavar="PATTERN", help=what)
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
     command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+
+    command = add("view", _view, "Write a web page of a folder of results, and print its path.", compiles=False)
+    command.add_argument("folder", metavar="RUN", help="output folder of optimize, reconstruct or chart")
+    command.add_argument("-o", "--output", metavar="PAGE.html", help=f"the page (default: RUN/{PAGE_NAME})")
+    command.add_argument("--open", action="store_true", help="open it in the browser")
     return parser
 
 

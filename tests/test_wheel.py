@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = (".csv", ".npz", ".css", ".js", ".txt")
 
 
 def call(*command: object, cwd: Path) -> str:
@@ -25,9 +26,7 @@ def test_a_wheel_runs_the_example_of_the_readme(tmp_path):
     call(sys.executable, "-m", "build", "--outdir", tmp_path, ROOT, cwd=tmp_path)
     (wheel,) = tmp_path.glob("jaxdr-*.whl")
     inside = zipfile.ZipFile(wheel).namelist()
-    data = {
-        path.relative_to(ROOT).as_posix() for path in (ROOT / "jaxdr").rglob("*") if path.suffix in (".csv", ".npz")
-    }
+    data = {path.relative_to(ROOT).as_posix() for path in (ROOT / "jaxdr").rglob("*") if path.suffix in DATA}
     assert data and data <= set(inside)
     assert {name.split("/")[0].split("-")[0] for name in inside} == {"jaxdr"}
     assert list(tmp_path.glob("jaxdr-*.tar.gz"))

@@ -39,12 +39,13 @@ def choices(cases: list[Case], cells: dict) -> list[str]:
             tried += found
             best.append(min(found, key=lambda choice: choice.cell["deviation"]))
     return [
-        "A plan leaves out what is wrong by nature, and of the rest takes what has the least noise in a second. Of "
-        f"what it tries {len(tried)} cells of {len(best)} cases are measured. By size of the derivative, cells of too "
-        "much noise apart:",
+        "A plan leaves out what is wrong by nature. Of the rest it takes what has the least noise in a second. Of what "
+        f"it tries, {len(tried)} cells of {len(best)} cases are measured. The worst are those whose derivative is most "
+        "too large or too small. Cells that are too noisy to tell are named apart.",
         "",
-        f"* of all it tries: {_worst(tried)};",
-        f"* of those with the least spread in their case, which it chooses where they are no slower: {_worst(best)}.",
+        f"* Of all that it tries, {_worst(tried)}",
+        "* Now the estimator with the least spread in each case; a plan chooses it if it is no slower. Of these "
+        f"{_worst(best)}",
     ]
 
 
@@ -56,8 +57,8 @@ def _tried(case: Case) -> list[str]:
 def _worst(found: list[Choice]) -> str:
     clear = sorted((c for c in found if c.cell["verdict"] != "noisy"), key=lambda choice: -choice.wrong)
     if not clear:
-        return "none is measured"
+        return "none is measured."
     beyond = [choice for choice in clear if choice.wrong > LIMIT]
     noisy = [f"`{c.case}` ({c.estimator})" for c in found if c.cell["verdict"] == "noisy"]
-    text = f"the worst is {clear[0]}, {len(beyond)} of {len(clear)} are off by more than {LIMIT:.0%}"
-    return text + (f"; too noisy: {', '.join(noisy)}" if noisy else "")
+    text = f"the worst is {clear[0]}. {len(beyond)} of {len(clear)} are off by more than {LIMIT:.0%}."
+    return text + (f" Too noisy: {', '.join(noisy)}." if noisy else "")

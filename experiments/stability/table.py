@@ -13,31 +13,41 @@ from tests.stability.measure import LONG, POSITIONS, SURE, UNRESOLVED
 DOCUMENT = ROOT / "docs" / "stability.md"
 HEAD = """# Stability
 
-Known failures of differentiable renderers, one scene each, and what every boundary estimator makes of them. Written by
+This page has known failures of differentiable renderers. Each is a small scene, a *case*. The tables say what every
+boundary estimator makes of it.
 
     python -m experiments.stability.run
 
-from `experiments/stability/results`; `tests/stability` asserts the same (`pytest tests/stability`, all cells with
-`-m slow`). Settings are the defaults but for `RednerWAS("path_space", sigma0=0.03)` with emitter sampling.
+writes the page, from the numbers in `experiments/stability/results`. `pytest tests/stability` asserts the same; with
+`-m slow` it measures all cells. All settings are the defaults, but for one: `RednerWAS` is
+`RednerWAS("path_space", sigma0=0.03)` with emitter sampling.
 
-Each case moves one thing by one number t. The reference is the central difference (I(h) - I(-h)) / 2h of images with
-common random numbers; estimators are averaged over {positions} positions within the step, so that both are smeared
-alike. All numbers are relative to the root mean square of the reference image, its noise taken off; JAX's checks for
+## How it is measured
+
+Each case moves one thing by one number t. The reference is a central difference, (I(h) - I(-h)) / 2h, of images with
+the same random numbers. Estimators are averaged over {positions} positions within the step. So both are smeared
+alike. All numbers are relative to the root mean square of the reference image, without its noise. JAX's checks for
 NaN and infinity are on.
 
-A cell is **projection ± standard error / bias / spread**: the projection of the mean on the reference is 1 for the
-right size; the bias is the root mean square difference of mean and reference, noise taken off (`<` where nothing stands
-out of it: then its {sure:g} standard errors); the spread is the standard deviation of one call (16 samples per pixel
-unless noted). 32 to 256 calls are made of a cell (`WarpedArea`, `RednerWAS`: 32), until they tell enough; none more
-after {long:g} seconds, which leaves larger errors.
+A cell is **projection ± standard error / bias / spread**:
 
-* *right*: projection and bias are within the case's tolerance (0.03 and twice that unless noted) and {sure:g} standard
-  errors, the spread below the case's bound;
-* **biased**: they are not;
-* **noisy**: more spread than the bound, or a projection whose standard error is above {unresolved};
-* *refuses*: a ValueError says what is missing and what to take (listed below);
-* **not finite**: NaN or infinity;
-* not measured: the run has not come to it yet, which says nothing about the estimator.
+* The *projection* of the mean on the reference is 1 for the right size.
+* The *bias* is the root mean square difference of mean and reference, without noise. Where nothing stands out of the
+  noise, `<` gives {sure:g} standard errors of it.
+* The *spread* is the standard deviation of one call. A call has 16 samples per pixel unless noted.
+
+A cell has 32 to 256 calls: as many as it takes to tell. `WarpedArea` and `RednerWAS` have 32. After {long:g} seconds no
+further call is made; then errors are larger.
+
+The verdicts:
+
+* *right*: projection and bias are within the case's tolerance and {sure:g} standard errors, and the spread is below
+  the case's bound. The tolerance is 0.03 for the projection and twice that for the bias, unless noted.
+* **biased**: projection or bias is not.
+* **noisy**: the spread is above the bound, or the standard error of the projection is above {unresolved}.
+* *refuses*: a `ValueError` says what is missing and what to take instead. They are listed below.
+* **not finite**: NaN or infinity.
+* not measured: the run has not come to it yet. That says nothing about the estimator.
 """
 
 
@@ -109,8 +119,8 @@ def _cell(case: Case, cells: dict, estimator: str) -> str:
 
 
 def _known(cases: list[Case], cells: dict) -> list[str]:
-    """Every reason once, with the cells that are not right because of it."""
-    met: dict[str, list[str]] = {}
+    """Every reason once, with the estimators and the cells that are not right because of it."""
+    met: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for case in cases:
         for estimator in case.estimators():
             found = cells[case.name].get(estimator)
@@ -118,8 +128,13 @@ def _known(cases: list[Case], cells: dict) -> list[str]:
                 continue
             expected: Expected | None = case.expected.get(estimator)
             why = expected.why if expected and expected.verdict == found["verdict"] else "not explained yet"
-            met.setdefault(f"{found['verdict']}: {why}.", []).append(f"`{case.name}` ({estimator})")
-    return [f"* {', '.join(names)}: {why}" for why, names in met.items()] or ["Nothing."]
+            met.setdefault((found["verdict"], why), []).append((case.name, estimator))
+    lines = []
+    for (verdict, why), pairs in met.items():
+        estimators = list(dict.fromkeys(estimator for _, estimator in pairs))
+        which = [f"`{name}`" + (f" ({estimator})" if len(estimators) > 1 else "") for name, estimator in pairs]
+        lines.append(f"* {'; '.join(estimators)}, **{verdict}**: {why}. Cells: {', '.join(which)}.")
+    return lines or ["Nothing."]
 
 
 def _refusals(cases: list[Case], cells: dict) -> list[str]:

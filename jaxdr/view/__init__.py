@@ -1,0 +1,1 @@
+"""Results as one web page that needs no network: `jaxdr view` (docs/view.md)."""

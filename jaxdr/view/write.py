@@ -1,0 +1,36 @@
+"""The page of a folder, written where it overwrites no file but an earlier page."""
+
+from pathlib import Path
+
+from jaxdr.images import atomic_path
+from jaxdr.view.folder import read_folder
+from jaxdr.view.page import GENERATOR, page
+
+NAME = "view.html"
+SUFFIXES = (".html", ".htm")
+
+
+def write_page(folder: Path, output: Path | None = None) -> Path:
+    """Write the page of a folder of results, by default as `view.html` in it; returns where it is.
+
+    An earlier page is replaced. Raises ValueError for a folder that is no run or has nothing to show, for files in it
+    that can't be read, and for an output that is another file.
+    """
+    results = read_folder(folder)
+    path = folder / NAME if output is None else output
+    _check_output(path)
+    text = page(results)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def _check_output(path: Path) -> None:
+    if path.is_dir():
+        raise ValueError(f"output {path}: is a folder; expected an HTML file")
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"output {path}: expected a name that ends with {' or '.join(SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise ValueError(f"output {path}: folder {path.parent} does not exist")
+    if path.exists() and GENERATOR.encode() not in path.read_bytes()[:1000]:
+        raise ValueError(f"output {path}: is a file that jaxdr view did not write; choose another name")
