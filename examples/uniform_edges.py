@@ -1,7 +1,5 @@
 """Edge sampling (Li et al. 2018): a boundary estimator in one file, explained in docs/write_an_estimator.md."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,7 +14,7 @@ class UniformEdges(eqx.Module):
     """Every path vertex looks past `points` points that are uniform over the length of all edges. Unbiased."""
 
     points: int = eqx.field(static=True, default=1)
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def prepare(self, context: jd.Context, key: jax.Array) -> jax.Array:
         """Lengths of all edges, added up, [E]. Raises ValueError for mirrors and smooth glass."""

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import DTypeLike
 from jaxtyping import Array
-from numpy.typing import DTypeLike
 
 HOST = (np.ndarray, np.generic, bool, int, float)
 
@@ -25,7 +25,7 @@ def on_host(array: Array) -> Array | np.ndarray:
 
 def broadcast(array: Array, shape: tuple[int, ...]) -> Array:
     """`jnp.broadcast_to`."""
-    array = on_host(array)
-    if isinstance(array, np.ndarray):
-        return as_array(np.broadcast_to(array, shape), array.dtype)
+    known = on_host(array)
+    if isinstance(known, np.ndarray):
+        return as_array(np.broadcast_to(known, shape), known.dtype)
     return jnp.broadcast_to(array, shape)

@@ -32,8 +32,10 @@ def keep_programs(folder: Path) -> Path:
 
     Processes may share it. Raises OSError where nothing can be written.
     """
-    if jax.config.jax_compilation_cache_dir:
-        return Path(jax.config.jax_compilation_cache_dir)
+    # JAX makes its options attributes at run time, and its class declares only some of them.
+    chosen = jax.config.jax_compilation_cache_dir  # type: ignore[reportAttributeAccessIssue]
+    if chosen:
+        return Path(chosen)
     folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder} is not writable")

@@ -159,7 +159,8 @@ class _Chunk(NamedTuple):
         packed = jax.tree.unflatten(self.structure, [next(at) if m else next(rest) for m in self.moves])
         integrator, spp = eqx.combine(self.program.integrator, arrays), self.program.spp
         images = _chunk_images(packed, integrator, prepared, self.moving, key, spp, index)
-        return sum(images.values())
+        first, *others = images.values()
+        return sum(others, start=first)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -52,11 +52,11 @@ def seen_edges(
     valid: Bool[Array, " C"],
 ) -> SeenEdges:
     """The points at the fractions `along` of edges."""
-    ends = corners(packed.vertices[packed.edges.vertices[edge]])
+    start, end = corners(packed.vertices[packed.edges.vertices[edge]])
     apex_face = paths.table.apex_face[segment]
     triangle = packed.vertices[packed.faces[apex_face]]
-    edge_point, moving_apex = between(*ends, along), paths.position(segment, triangle)
-    fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient((ends, edge_point, moving_apex, triangle))
+    edge_point, moving_apex = between(start, end, along), paths.position(segment, triangle)
+    fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient(((start, end), edge_point, moving_apex, triangle))
     to_edge = fixed_point - apex
     distance = jnp.where(valid, norm(to_edge), 1.0)
     towards = scale(to_edge, 1.0 / distance)

@@ -143,8 +143,9 @@ class FilmChains:
         jumps, one, two = map_over_blocks(find, slots, used)
         return joined([one, two]), (jumps, used)
 
-    def image(self, context: Context, state, chunk: Chunk, held, answers: Answers) -> Float[Array, "H W 3"]:
+    def image(self, context: Context, state, chunk: Chunk, held, answers: Answers | None) -> Float[Array, "H W 3"]:
         """Jumps x normal velocities."""
+        assert answers is not None  # `draw` always asks
         packed, settings = context.packed, context.settings
         jumps, used = held
         one, two = answers.total.reshape(2, -1, 3)

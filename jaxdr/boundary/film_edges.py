@@ -72,7 +72,8 @@ class FilmEdges:
 
     def __init__(self, *kinds: str):
         self.kinds: tuple[str, ...] = kinds or KINDS
-        self.name = "edges" if len(self.kinds) > 1 else self.kinds[0]
+        first, *others = self.kinds
+        self.name = "edges" if others else first
 
     def prepare(self, context: Context, key) -> EdgeDistribution | None:
         """Distributions over the edges of what moves relative to the camera."""
@@ -98,7 +99,8 @@ class FilmEdges:
                 lenses.append(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, chunk.weight.dtype)[0])
             stream.append(streams(kind, count))
         drawn = jax.tree.map(lambda *x: jnp.concatenate(x), *drawn)
-        lens, u, stream = (jnp.concatenate(x) if x else None for x in (lenses, numbers, stream))
+        lens = jnp.concatenate(lenses) if lenses else None
+        u, stream = jnp.concatenate(numbers), jnp.concatenate(stream)
         points = _edge_points(packed, state, drawn, lens, settings)
         crease = jnp.repeat(jnp.asarray([kind == "creases" for kind in kinds]), count)
         seen = jnp.where(crease, points.at_edge.all(0), points.outline)
@@ -119,9 +121,12 @@ class FilmEdges:
         far = jax.tree.map(lambda x: _of_side(x, behind), points.first)
         return asked, _Held(points, behind, far.face, far.barycentric, far.valid, seen, crease)
 
-    def image(self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers) -> Float[Array, "H W 3"]:
+    def image(
+        self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
         """Jumps x normal velocities."""
         packed, form, points = context.packed, context.form, held.points
+        assert answers is not None  # `draw` always asks
         total, near = (x.reshape(2, -1, 3) for x in answers)
         view = _view(packed, points)
         ends = corners(packed.vertices[packed.edges.vertices[points.edge]])

@@ -1,7 +1,7 @@
 """Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,7 +110,7 @@ class GuidedEdges(eqx.Module):
     threshold: float = eqx.field(static=True, default=0.1)
     sort: bool = eqx.field(static=True, default=False)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def __check_init__(self):
         guides = "none", "grid", "kdtree", "projective"

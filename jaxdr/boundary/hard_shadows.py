@@ -187,7 +187,8 @@ def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n
     ends = packed.vertices[packed.edges.vertices[edge]]
     middle = stop_gradient(ends).mean(1)
     apex = jnp.where(infinite[light][:, None], middle + 2.0 * packed.size * places[light], places[light])
-    dark, _ = occluded_side(packed, edge, corners(stop_gradient(ends)), apex)
+    start, end = corners(stop_gradient(ends))
+    dark, _ = occluded_side(packed, edge, (start, end), apex)
     if borders is not None:
         number = jnp.clip(index - packed.light_count * count, 0, borders.light.shape[0] - 1)
         light = jnp.where(border, borders.light[number], light)

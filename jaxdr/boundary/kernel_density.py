@@ -4,7 +4,7 @@ A path segment that passes close to a silhouette, seen from its camera-side end,
 there: its contribution is spread over a strip (or disc) of radius r around the projected silhouette.
 """
 
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -136,7 +136,7 @@ class KernelDensity(eqx.Module):
     points: int = eqx.field(static=True, default=1 << 16)
     capacity: float = eqx.field(static=True, default=0.25)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def __check_init__(self):
         if not self.radius > 0:
@@ -196,9 +196,10 @@ class KernelDensity(eqx.Module):
     ) -> Float[Array, "H W 3"]:
         """Boundary term: zero in value, right in derivative."""
         packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
-        for kind, near in (("direct", held.direct), ("scattered", held.scattered)):
-            if near is not None:
-                total += sum_on_planes(packed, path_segments(packed, chunk, kind), *near)
+        if held.direct is not None:
+            total += sum_on_planes(packed, path_segments(packed, chunk, "direct"), *held.direct)
+        if held.scattered is not None:
+            total += sum_on_planes(packed, path_segments(packed, chunk, "scattered"), *held.scattered)
         if held.behind is not None and answers is not None:
             total += sum_behind(packed, path_segments(packed, chunk, "scattered"), held.behind, answers.total)
         return chunk.image(packed, total)
@@ -274,6 +275,7 @@ class KernelDensity(eqx.Module):
                 valid = valid & on_face
             share = 1.0 / jnp.where(valid, width, 1.0)
         else:
+            assert density is not None  # there where the kernel is one of points
             share = share_of_disc(density, projection.stretch, r, both_sides)
         if self.visibility_ray:
             valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)

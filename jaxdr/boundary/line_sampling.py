@@ -1,6 +1,6 @@
 """Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius."""
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -69,7 +69,7 @@ class LineSampling(eqx.Module):
     backgrounds: float = eqx.field(static=True, default=1.0)
     capacity: float = eqx.field(static=True, default=4.0)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
@@ -133,21 +133,24 @@ class LineSampling(eqx.Module):
         """(chords on emitters or None, those around BSDF samples and around those of a map)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
+        on_emitters = EmitterLines(packed, state, paths, settings)
+        around_lobes = LobeLines(packed, state, paths, settings, self.reach)
         emitters = lobes = skies = None
         if packed.has_area_emitters:
-            emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
+            emitters = self._spread(on_emitters, throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
-            lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
+            lobes = self._spread(around_lobes, carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
-            skies = self._spread(SkyLines(packed, state, paths, settings), throughput, jax.random.fold_in(key, 3))
+            around_sky = SkyLines(packed, state, paths, settings)
+            skies = self._spread(around_sky, throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
-            skies.lines.both = lobes.lines.skies = SkyShare(packed, paths, self.reach, *numbers)
+            around_sky.both = around_lobes.skies = SkyShare(packed, paths, self.reach, *numbers)
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
-            emitters.lines.both = lobes.lines.both = both
+            on_emitters.both = around_lobes.both = both
         return emitters, [spread for spread in (lobes, skies) if spread is not None]
 
     def _spread(self, lines: Lines, carries, key) -> Spread:
@@ -196,24 +199,28 @@ class LineSampling(eqx.Module):
 
     def _on_emitters(self, spread: Spread) -> tuple[OnPlanes, Int[Array, ""]]:
         """(boundary points that chords on emitters find, how many slots are filled)."""
+        lines = spread.lines
+        assert isinstance(lines, EmitterLines)
         drawn, found, weight, used = self._crossings(spread)
 
         def points(block, number):
             block, weight = block
             block = block._replace(valid=block.valid & (number < used))
-            return spread.lines.on_planes(drawn, block, weight)
+            return lines.on_planes(drawn, block, weight)
 
         return map_over_blocks(points, (found, weight), used), used
 
     def _look_behind(self, spread: Spread) -> tuple[Requests, BehindEdges]:
         """What is behind crossings of geodesic chords, and requests for its radiance."""
+        lines = spread.lines
+        assert isinstance(lines, LobeLines | SkyLines)
         drawn, found, weight, used = self._crossings(spread)
         key = jax.random.fold_in(spread.key, 1)
 
         def look(block, number):
             block, weight = block
             block = block._replace(valid=block.valid & (number < used))
-            return spread.lines.look(drawn, block, number, weight, key)
+            return lines.look(drawn, block, number, weight, key)
 
         asked, behind = map_over_blocks(look, (found, weight), used)
         return asked, BehindEdges(behind, used)

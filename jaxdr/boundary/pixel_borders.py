@@ -64,8 +64,11 @@ class PixelBorders:
         stream = streams(self.name, u.shape[0])
         return request(first, -direction, u[:, 1:5], settings.max_depth - 1, stream, 0.0, seen), _Held(first, lens)
 
-    def image(self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers) -> Float[Array, "H W 3"]:
+    def image(
+        self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
         """What leaves a pixel through one side enters the next."""
+        assert answers is not None  # `draw` always asks
         packed, first = context.packed, held.first
         view, count = packed.camera.view(held.lens), _points(context, chunk)
         moving = material_point(packed, first.face, first.barycentric, first.valid)

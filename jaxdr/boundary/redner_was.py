@@ -13,7 +13,7 @@ v - m. So the sum is the spherical estimator, at the path tracer's own emitter s
 """
 
 import dataclasses
-from typing import ClassVar, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -65,7 +65,7 @@ class RednerWAS(eqx.Module):
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def __check_init__(self):
         check_options(self, ("samples",))

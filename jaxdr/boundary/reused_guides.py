@@ -7,7 +7,6 @@ it fits.
 
 from collections.abc import Collection
 from functools import partial
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -34,7 +33,7 @@ class ReusedGuides(eqx.Module):
     order: EdgeOrder | None
     edges: int = eqx.field(static=True)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
         """Edges of the shape of the moment.

@@ -27,7 +27,7 @@ from jaxdr.scene.packed import PackedScene, concave_edges
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint, footprint
-from jaxdr.transport.path import Segments, Vertices
+from jaxdr.transport.path import PathRecord, Segments, Vertices
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
@@ -256,7 +256,7 @@ def path_segments(
     packed: PackedScene, chunk: Chunk, kind: Literal["direct", "scattered"], differentiated: bool = True
 ) -> PathSegments:
     """The segments of one kind of a chunk's paths; not `differentiated` in `Term.draw`."""
-    record = chunk.record
+    record: PathRecord = chunk.record
     segments = getattr(record, kind)
     vertices = jax.tree.map(lambda x: x[: segments.apex_face.shape[0]], record.vertices)
     return PathSegments(packed, chunk.primary, segments, vertices, differentiated)

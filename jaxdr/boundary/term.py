@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 from jaxdr.geometry.vector import scale
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathRecord, PathSettings
+from jaxdr.transport.path import PathSettings
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 
@@ -45,7 +45,7 @@ class Chunk(NamedTuple):
     samples: Int[Array, " n"]
     weight: Float[Array, " n"]
     primary: PrimarySamples
-    record: PathRecord
+    record: Any  # a PathRecord; of a BidirectionalPathTracer its Strategies
     key: PRNGKeyArray
 
     @property
@@ -71,7 +71,8 @@ class Term(Protocol):
     they move, and back what `draw` held.
     """
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Any:
         """What all chunks share, or None where the term is nothing. Raises ValueError for what it does not cover."""

@@ -1,6 +1,6 @@
 """Warped-area reparameterisation of boundary path integrals (Xu et al. 2023)."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -70,7 +70,7 @@ class WarpedArea(eqx.Module):
     spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
 
-    name: ClassVar[str] = "boundary"
+    name = "boundary"
 
     def __check_init__(self):
         check_options(self, ("samples", "projections"))

@@ -201,5 +201,5 @@ def sector_crossings(
     may cause, are resolved by rays past each edge.
     """
     query = _module(implementation).sector_crossings
-    options = {"least_layer": least_layer, "capacity": capacity}
-    return Crossings(*_asked(query, (geometry, edges, face_group, sectors, seed), **options))
+    fixed = geometry, edges, face_group, sectors, seed
+    return Crossings(*_asked(query, fixed, least_layer=least_layer, capacity=capacity))

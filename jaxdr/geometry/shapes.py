@@ -217,15 +217,15 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     _require(np.isfinite(determinant) and determinant != 0, "transformed: matrix has no inverse", matrix.tolist())
     step = -1 if determinant < 0 else 1
 
-    def turned(corners):
-        return None if corners is None else np.asarray(corners)[:, ::step]
+    def turned(corners) -> np.ndarray:
+        return np.asarray(corners)[:, ::step]
 
     return Mesh(
         np.asarray(mesh.vertices, float) @ linear.T + offset,
         turned(mesh.faces),
         mesh.uvs,
-        turned(mesh.uv_faces),
-        turned(mesh.normal_faces),
+        None if mesh.uv_faces is None else turned(mesh.uv_faces),
+        None if mesh.normal_faces is None else turned(mesh.normal_faces),
     )
 
 

@@ -21,7 +21,7 @@ from jaxdr.integrators.base import (
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.bidirectional import BidirectionalSettings, bidirectional_paths
+from jaxdr.transport.bidirectional import BidirectionalSettings, Strategies, bidirectional_paths
 from jaxdr.transport.emission import has_emitters
 from jaxdr.transport.path import PathSettings
 
@@ -43,8 +43,8 @@ class _Connected:
         return None, key
 
     def image(self, context: Context, state, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
-        packed, found = context.packed, chunk.record
-        film = packed.camera.film
+        packed, film = context.packed, context.packed.camera.film
+        found: Strategies = chunk.record
         _, _, width, height = film.window
         if found.drawn is None or not has_emitters(packed):
             return jnp.zeros((height, width, 3), found.value.dtype)
@@ -136,6 +136,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     def _terms(self) -> list[Term]:
         """What visibility brings; of edges there are silhouettes alone."""
+        assert isinstance(self.boundary, ConnectedEstimator)  # else nothing is prepared
         return [FilmEdges("silhouettes"), _Connected(self.boundary)]
 
     def estimate(
@@ -159,6 +160,7 @@ class BidirectionalPathTracer(eqx.Module):
         images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
             return images
+        assert moving is not None  # what was prepared is for it
         chunk = Chunk(samples, share, primary, found, key_radiance)
         return images | term_images(self._context(packed, moving), self._terms(), prepared, chunk, key_terms)
 

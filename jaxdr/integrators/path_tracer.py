@@ -126,10 +126,12 @@ class PathTracer(eqx.Module):
 
     def _terms(self, moving: Moving, apart: bool) -> list[Term]:
         """What visibility brings, `apart` by kinds of edges."""
+        assert self.boundary is not None  # else nothing is prepared
         edges: list[Term] = [FilmEdges("silhouettes"), FilmEdges("creases")] if apart else [FilmEdges()]
         if self.primary == "warp":
+            assert isinstance(self.boundary, WarpedArea)  # so `__check_init__` says
             edges = [WarpedCamera(self.boundary)]
-        terms = [*edges, PixelBorders(), FilmChains(), HardShadows()]
+        terms: list[Term] = [*edges, PixelBorders(), FilmChains(), HardShadows()]
         return [*terms, self.boundary] if any(moving.seen) or moving.environment else terms
 
     def estimate(
@@ -158,7 +160,7 @@ class PathTracer(eqx.Module):
             radiance += near_field_term(packed, primary, record)
         weight = sample_weights(samples, spp, radiance.dtype)
         images = {"interior": pixel_sums(packed, radiance, weight)}
-        if context is None:
+        if context is None or prepared is None:
             return images
         chunk = Chunk(samples, weight, primary, record, key_radiance)
         return images | term_images(context, self._terms(moving, apart), prepared, chunk, key_terms)

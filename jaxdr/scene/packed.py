@@ -246,6 +246,7 @@ def _emitter_tables(packed: PackedScene):
     become.
     """
     packed = stop_gradient(packed)
+    assert packed.emitter_faces is not None  # asked only where something glows
     area = packed.triangles(packed.emitter_faces).area
     if packed.glow:
         power = area * _mean_luminance(packed)

@@ -36,7 +36,8 @@ def light_rays(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2"
     direction = jnp.zeros_like(sample.direction)
     if packed.has_area_emitters:
         normal = stop_gradient(sample.point.normal)
-        direction = Frame(*orthonormal_basis(normal), normal).to_world(cosine_hemisphere(u))
+        s, t = orthonormal_basis(normal)
+        direction = Frame(s, t, normal).to_world(cosine_hemisphere(u))
     for number, here, group in _finite_lights(packed, sample):
         direction = jnp.where(here[:, None], group.at(number).sample(u), direction)
     start = leave(sample.point, direction)

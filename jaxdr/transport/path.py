@@ -244,7 +244,7 @@ def scatter(
     # T' = T f G J / [p G], in area measure; what is infinitely far away or behind a delta lobe has no G.
     transfer = transfer_to(scatterer, target, ~hit, direction)
     value, geometry, in_angle = transfer.value, transfer.geometry, ~hit
-    if sampled.delta is not None:
+    if sampled.delta is not None and sampled.chosen is not None:  # both or none are
         in_angle = ~hit | sampled.chosen
         value = jnp.where(sampled.chosen[:, None], sampled.delta.weight, value)
         geometry = jnp.where(sampled.chosen, 1.0, geometry)

@@ -169,8 +169,10 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
         light, found, share = added.light, added.emission, paths.share
         values = [light + found]
         if seen is not None:
+            assert added.light_share is not None  # there with footprints
             light_share = jnp.where(first, added.light_share, paths.share)
-            share = light_share if after is None else jnp.where(first, added.beyond_share, paths.share)
+            beyond = added.beyond_share  # None where no path goes on
+            share = light_share if beyond is None else jnp.where(first, beyond, paths.share)
             values.append(scale(light, light_share) + scale(found, share))
         if after is None:
             return paths._replace(alive=jnp.zeros_like(live), share=share), values

@@ -60,8 +60,8 @@ class Scatterer:
         flip = jnp.where(turned, -1.0, 1.0).astype(wi.dtype)
         self.normal = scale(point.normal, flip)
         normal = self.normal if packed.normals is None else scale(point.shading_normal, flip)
-        tangents = tangents_along_u(packed, point) if packed.tangential else orthonormal_basis(normal)
-        self.frame = Frame(*tangents, normal)
+        s, t = tangents_along_u(packed, point) if packed.tangential else orthonormal_basis(normal)
+        self.frame = Frame(s, t, normal)
         self.wi, self._mirrored, self._still = self.frame.to_local(wi), None, None
         if packed.normals is not None:
             x, y, z = components(self.wi)

@@ -91,7 +91,8 @@ class _Frame:
         n = jnp.where(self.turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
         none = dot(n, n) == 0
         self.normal = normalize(jnp.where(none[..., None], jnp.asarray([0.0, 0.0, 1.0], n.dtype), n))
-        self.axes = Frame(*orthonormal_basis(self.normal), self.normal)
+        s, t = orthonormal_basis(self.normal)
+        self.axes = Frame(s, t, self.normal)
 
     def to_local(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """From the frame of the surface."""
