@@ -98,7 +98,7 @@ class SectorQuery(NamedTuple):
 class Hit(NamedTuple):
     """Nearest crossing: `face`, -1 for a miss; ray parameter `t`, huge for a miss; barycentric coordinates in the face.
 
-    They are kept inside of the face; those of a miss are of a middle.
+    The coordinates are kept inside of the face; for a miss they are those of the middle of a face.
     """
 
     face: Int[Array, " N"]
