@@ -31,6 +31,7 @@ from jaxdr.compilation import jit
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, NotFinite
@@ -39,12 +40,13 @@ from jaxdr.optimize.reconstruction.loop import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.strict_toml import override_table, read_toml, split_assignment
+from jaxdr.plan.directions import moving_along
 from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan
 from jaxdr.program_cache import keep_programs, leave_out, user_folder
 from jaxdr.render import render
-from jaxdr.scene.gltf import is_gltf, load_gltf
-from jaxdr.scene.mitsuba import load_mitsuba
-from jaxdr.scene.mitsuba_settings import RenderSettings, mitsuba_settings
+from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
+from jaxdr.scene.formats.mitsuba.load import load_mitsuba
+from jaxdr.scene.formats.mitsuba.settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene
 from jaxdr.view.write import NAME as PAGE_NAME
@@ -152,6 +154,17 @@ def _aov_names(text: str) -> list[str]:
     return names
 
 
+def _gradient_tracer(scene: Scene, name: str, depth: int, boundary: Callable[[], Any] | None) -> PathTracer:
+    """With the estimator asked for, or the default one, which is said where it is not the usual one."""
+    if boundary is not None:
+        return PathTracer(max_depth=depth, boundary=boundary())
+    moving = moving_along(scene, (name,))
+    reason = default_reason(scene, moving)
+    if reason is not None and moving.any and depth > 1:
+        print(f"jaxdr: {reason} (--boundary chooses)", file=sys.stderr)
+    return default_integrator(scene, moving, depth)
+
+
 def _gradient(options) -> int:
     outputs = _gradient_outputs(Path(options.output))
     for output in outputs:
@@ -161,7 +174,7 @@ def _gradient(options) -> int:
     scene = _load_scene(options)
     name, value, tangent = motion(scene, options.wrt)
     spp, depth = _settings(options)
-    tracer = PathTracer(max_depth=depth, boundary=options.boundary())
+    tracer = _gradient_tracer(scene, name, depth, options.boundary)
 
     @jit
     def derivative(key):
@@ -391,8 +404,8 @@ def _parser() -> argparse.ArgumentParser:
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)
-            what = f"boundary estimator (default KernelDensity): {', '.join(ESTIMATORS)}, {OUTSIDE}"
-            command.add_argument("--boundary", type=_estimator, default="KernelDensity", metavar="NAME", help=what)
+            what = f"boundary estimator (default: as jaxdr.render chooses): {', '.join(ESTIMATORS)}, {OUTSIDE}"
+            command.add_argument("--boundary", type=_estimator, metavar="NAME", help=what)
             command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
         if name == "plan":
             _add_plan_options(command)

@@ -40,9 +40,9 @@ def from_srgb(encoded: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarray, "H W C"]:
     """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
 
-    `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit) and `.jpg` hold sRGB, which is made
-    linear; alpha is linear already. With `raw` their numbers stay as they are, in [0, 1]: use it for normal maps,
-    roughness and masks.
+    `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit), `.jpg`, `.bmp` and `.tga` hold sRGB,
+    which is made linear; alpha is linear already. With `raw` their numbers stay as they are, in [0, 1]: use it for
+    normal maps, roughness and masks.
 
     Raises ValueError for a missing or damaged file, an unknown suffix, a variant that is not supported, and EXR without
     the package OpenEXR. The message names the file.
@@ -106,11 +106,13 @@ def _read_npy(path: Path) -> Float[np.ndarray, "H W C"]:
     return image.astype(np.float32)
 
 
-ENCODED = (".png", ".jpg", ".jpeg")
+ENCODED = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 READERS = {
     ".png": png.read,
     ".jpg": png.read,
     ".jpeg": png.read,
+    ".bmp": png.read,
+    ".tga": png.read,
     ".exr": exr.read,
     ".hdr": rgbe.read,
     ".pfm": pfm.read,

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import jax
 
-from jaxdr.scene.bsdf import BSDF, NormalMap
+from jaxdr.scene.bsdf import BSDF
+from jaxdr.scene.bsdf.base import nested
 from jaxdr.scene.scene import Scene, unwrap
 
 # Parameters of lights without area that move their shadows.
@@ -51,7 +52,5 @@ def _bends(active: BSDF) -> bool:
     """Whether directions of delta lobes change with the BSDF's own parameters, from one whose leaves say which do."""
     if not active.delta:
         return False
-    own = active.normal if isinstance(active, NormalMap) else getattr(active, "eta", None)
-    inner = getattr(active, "bsdf", None)
-    own = (active.transmissive or isinstance(active, NormalMap)) and any(jax.tree.leaves(own))
-    return own or (inner is not None and _bends(inner))
+    own = any(jax.tree.leaves([getattr(active, name) for name in active.bending]))
+    return own or any(map(_bends, nested(active)))

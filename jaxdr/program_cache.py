@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import jax
+from filelock import FileLock, Timeout
 
 SIZE = 2 << 30  # bytes, from where on the programs that were not used for longest are deleted
 
@@ -39,10 +40,22 @@ def keep_programs(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder} is not writable")
+    _mend(folder)
     # A limit makes JAX lock the folder as well; without one a process can read what another is still writing.
     jax.config.update("jax_compilation_cache_max_size", SIZE)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     return folder
+
+
+def _mend(folder: Path) -> None:
+    """Delete programs without a time of last use, which a stopped process leaves: JAX keeps none beside such a one."""
+    try:
+        with FileLock(folder / ".lockfile", timeout=1):  # the one of JAX
+            for program in folder.glob("*-cache"):
+                if not program.with_name(program.name.removesuffix("-cache") + "-atime").exists():
+                    program.unlink()
+    except Timeout:
+        pass  # others are at work in it, and mend it at the next start
 
 
 def leave_out() -> None:

@@ -18,7 +18,7 @@ from jaxdr.boundary.texture_jumps import check_still_maps
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
-from jaxdr.integrators.defaults import default_integrator
+from jaxdr.integrators.defaults import default_integrator, say_default
 from jaxdr.integrators.known_failures import warn_of_known_failure
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
@@ -32,6 +32,7 @@ class Program(NamedTuple):
     is_float: tuple[bool, ...]
     spp: int
     integrator: Integrator
+    by_default: bool  # whether nobody said which
 
 
 def render(
@@ -42,8 +43,10 @@ def render(
     - `key`: a JAX random key. The same key and arguments give the same image, bit for bit on CPU. Image and derivative
       use independent keys that are split from it.
     - `spp`: samples per pixel.
-    - `integrator`: `PathTracer()` if left out, with `LineSampling` where `KernelDensity` fails by nature. `jaxdr.plan`
-      measures which one suits.
+    - `integrator`: left out, it is `PathTracer()`, but with `LineSampling` where `KernelDensity` fails: under area
+      emitters of more than 16 faces, with meshes of 300,000 faces and more, and where an environment map turns. An
+      `EstimatorChoice` says so once. Only the structure of the scene and what is differentiated decide, never values;
+      `jaxdr.plan` measures which estimator suits.
 
     Works under jit, grad, vjp, jvp, and vmap over keys. Which parameters are differentiated is known when the program
     is traced, and only the terms they need are compiled.
@@ -53,6 +56,7 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
+    by_default = integrator is None
     integrator = default_integrator(scene) if integrator is None else integrator
     if not isinstance(integrator, Integrator):
         raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
@@ -63,7 +67,7 @@ def render(
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
     arrays, static = eqx.partition(integrator, eqx.is_array)
-    return _render(Program(structure, is_float, int(spp), static), floats, others, arrays, key)
+    return _render(Program(structure, is_float, int(spp), static, by_default), floats, others, arrays, key)
 
 
 def derivative_terms(
@@ -81,9 +85,11 @@ def derivative_terms(
 
     Everything counts as moving unless `moving` says otherwise.
     """
-    integrator = default_integrator(scene) if integrator is None else integrator
     turns = hasattr(scene.environment, "to_world")
     moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
+    if integrator is None:
+        integrator = default_integrator(scene, moving)
+        _say_default(scene, integrator, moving)
     return _estimate(unfolded(scene), key, spp, integrator, moving)
 
 
@@ -116,9 +122,14 @@ def _render_jvp(program, primals, tangents):
 
 def _derivative(program: Program, active: tuple[bool, ...], moved, floats, others, arrays, key):
     """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
-    integrator = eqx.combine(program.integrator, arrays)
     flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
     moving = moving_in(flags)
+    if program.by_default:
+        scene = _join(program, floats, others)
+        arrays, static = eqx.partition(default_integrator(scene, moving), eqx.is_array)
+        program = program._replace(integrator=static)
+        _say_default(scene, static, moving)
+    integrator = eqx.combine(program.integrator, arrays)
     if integrator.boundary is not None:
         check_still_maps(flags)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
@@ -176,9 +187,18 @@ def _prepare(scene: Scene, packed: PackedScene, integrator: Integrator, moving: 
         return None, key
     rest, pilot_key = jax.random.split(key)
     prepared = integrator.prepare(scene, packed, moving, pilot_key, apart)
-    if integrator.max_depth > 1 and (any(moving.seen) or moving.environment):
+    if _has_boundary_term(integrator, moving):
         warn_of_known_failure(scene, integrator.boundary)
     return prepared, key if prepared is None else rest
+
+
+def _has_boundary_term(integrator: Integrator, moving: Moving) -> bool:
+    return integrator.max_depth > 1 and (any(moving.seen) or moving.environment)
+
+
+def _say_default(scene: Scene, integrator: Integrator, moving: Moving) -> None:
+    if _has_boundary_term(integrator, moving):
+        say_default(scene, moving)
 
 
 def _chunks(packed: PackedScene, integrator: Integrator, spp: int, differentiated: bool) -> tuple[int, int]:

@@ -98,7 +98,7 @@ def with_a_scene(name: str):
 
 
 def with_files(folder: Path) -> dict:
-    from jaxdr.scene import mitsuba_bsdfs
+    from jaxdr.scene.formats.mitsuba import bsdfs as mitsuba_bsdfs
 
     (folder / "scene.xml").write_text(
         '<scene version="3.0.0"><default name="width" value="8"/><sensor type="perspective"><film type="hdrfilm">'

@@ -121,6 +121,8 @@ def test_other_kinds_of_png_and_jpeg(tmp_path):
     np.testing.assert_array_equal(load_image(tmp_path / "bits.png"), np.zeros((4, 4, 1)))
     np.testing.assert_allclose(load_image(tmp_path / "alpha.png", raw=True)[0, 0], [0.2, 0.2, 0.2, 1], rtol=1e-6)
     np.testing.assert_allclose(load_image(tmp_path / "a.jpg", raw=True), np.full((4, 4, 1), 0.2), atol=0.005)
+    grey.convert("RGB").save(tmp_path / "a.bmp")
+    np.testing.assert_allclose(load_image(tmp_path / "a.bmp", raw=True), np.full((4, 4, 3), 0.2), atol=0.005)
 
 
 def test_exr_of_one_layer_and_half_precision(tmp_path):
@@ -158,9 +160,9 @@ DAMAGED = {
         HDR + b"-Y 1 +X 2\n" + bytes([9, 9, 9, 9, 1, 1, 1, 9]): "the run-length encoding of before 1991",
     },
     "a.png": {
-        b"": "not a readable PNG or JPEG file",
-        png_bytes(np.zeros((9, 9, 3), np.uint16))[:50]: "not a readable PNG or JPEG file",
-        png_bytes(np.zeros((9, 9, 3), np.uint8)).replace(b"IDAT", b"IDOT"): "not a readable PNG or JPEG file",
+        b"": "not a readable PNG, JPEG, BMP or TGA file",
+        png_bytes(np.zeros((9, 9, 3), np.uint16))[:50]: "not a readable PNG, JPEG, BMP or TGA file",
+        png_bytes(np.zeros((9, 9, 3), np.uint8)).replace(b"IDAT", b"IDOT"): "not a readable PNG, JPEG, BMP or TGA file",
         png_bytes(np.zeros((9, 9, 2), np.uint16)): "16-bit grey with alpha .* not supported; use RGBA",
     },
     "a.npy": {b"": "not a readable NPY file", b"\x93NUMPY\x01\x00": ""},

@@ -16,8 +16,8 @@ from jaxdr.boundary.hard_shadows import HardShadows
 from jaxdr.boundary.pixel_borders import PixelBorders
 from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.scene.bsdf.base import BSDF, both_above
-from jaxdr.scene.mitsuba_bsdfs import BSDFS
-from jaxdr.scene.mitsuba_xml import NUMBER, Properties
+from jaxdr.scene.formats.mitsuba.bsdfs import BSDFS
+from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties
 from jaxdr.scene.packed import PackedScene
 
 KEY = jax.random.key(0)

@@ -72,6 +72,14 @@ def test_a_second_process_uses_the_programs_of_the_first(tmp_path):
     np.testing.assert_array_equal(first, second)
 
 
+def test_a_program_that_was_written_in_part_is_deleted(settings, tmp_path):
+    """JAX looks up the last use of every program before it keeps another, and fails where one has none."""
+    for name in ("whole-cache", "whole-atime", "part-cache"):
+        (tmp_path / name).write_bytes(bytes(8))
+    program_cache.keep_programs(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} - {".lockfile"} == {"whole-cache", "whole-atime"}
+
+
 def test_left_out(settings, capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cli.main(["render", "nothing.xml", "-o", "out.png", "--no-cache"])

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxdr.geometry.queries import rematerialised
+
 BLOCKS = 6
 
 
@@ -42,12 +44,15 @@ def _split(function, slots, used):
         table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
         return table.reshape(BLOCKS, size, *table.shape[1:])
 
+    # Twice: around the block, or the loop stacks what a branch keeps; inside of the branch, or the branch returns it.
+    @rematerialised
     def whole(block, index):
         return function(block, index * size + jnp.arange(size))
 
     shapes = jax.eval_shape(whole, jax.tree.map(lambda t: t[:size], slots), jnp.int32(0))
     zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
+    @rematerialised
     def part(numbered):
         index, block = numbered
         return jax.lax.cond(index * size < used, whole, lambda *_: zeros, block, index)

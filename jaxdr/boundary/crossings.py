@@ -12,7 +12,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import lattice, seed_of
 from jaxdr.transport.shading import Scatterer
 
 # Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
@@ -104,9 +104,18 @@ def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
 
 
 def silhouette_crossings(
-    lines: Lines, chosen: Chosen, apex: Float[Array, "M 3"], chords: Chords, key, room: int
+    lines: Lines,
+    chosen: Chosen,
+    apex: Float[Array, "M 3"],
+    chords: Chords,
+    key,
+    room: int,
+    far_moves: bool | Bool[Array, ""] = True,
 ) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
-    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number)."""
+    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number).
+
+    `far_moves`: whether what unbounded chords look for may move.
+    """
     packed, prepared = lines.packed, lines.prepared
     vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
     bounded = chords.group != queries.UNBOUNDED
@@ -116,7 +125,7 @@ def silhouette_crossings(
         prepared.moving[shape].astype(jnp.int32), mode="drop"
     )
     end_moves = apex_moves(lines, vertex)
-    end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, True)
+    end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, far_moves)
     needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
     needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
     needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
@@ -126,7 +135,7 @@ def silhouette_crossings(
         queries.EdgeSet.of(table, edges.rank, edges.tree),
         prepared.group,
         queries.SectorQuery(apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group),
-        jax.random.randint(key, (), 0, 1 << 30),
+        seed_of(key),
         HIDES,
         room,
         lines.settings.rays,

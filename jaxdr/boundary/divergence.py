@@ -24,6 +24,7 @@ from jaxdr.geometry.vector import (
     triangle_normals,
 )
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint
 
 # f / pdf of the paths through N segments (RGB), as a function of where the targets are.
@@ -132,7 +133,7 @@ def hidden_velocities(
     hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
     shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
     rates = jnp.where(hidden[:, None], rate.reshape(-1, 3), 0.0)
-    slots = jnp.nonzero(hidden, size=hidden.shape[0], fill_value=0)[0]
+    slots = rows_where(hidden)
     table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, own)
     return Velocities(slots, hidden.sum(), shares, rates, along, table)
 
@@ -166,7 +167,7 @@ def divergence_term(
         result = jnp.where((number < velocities.used)[:, None], result, 0.0)
         return jnp.zeros_like(value).at[row].add(result)
 
-    return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
+    return sum_over_blocks(terms, velocities.slots, velocities.used)
 
 
 def displacement(

@@ -103,13 +103,12 @@ def _inside_window(film, start, end, margin=None):
     """Parameter range of projected edges within reach of the window's filters, and `margin` pixels more."""
     x0, y0, width, height = film.window
     reach = film.filter.radius if margin is None else film.filter.radius + margin
-    low, high = jnp.zeros(start.shape[0], start.dtype), jnp.ones(start.shape[0], start.dtype)
-    axes = zip(components(start), components(end), (x0, y0), (width, height), strict=True)
-    for start_of_axis, end_of_axis, first, size in axes:
-        for sign, limit in ((-1.0, first - reach), (1.0, first + size + reach)):
-            a, b = _clip(sign * (start_of_axis - limit), sign * (end_of_axis - limit))
-            low, high = jnp.maximum(low, a), jnp.minimum(high, b)
-    return low, high
+    reach = jnp.broadcast_to(reach, start.shape[:1])[:, None]
+    first, last = jnp.asarray((x0, y0), start.dtype), jnp.asarray((x0 + width, y0 + height), start.dtype)
+    # Outside of the four sides, [E, 4].
+    outside = (jnp.concatenate([first - reach - p, p - last - reach], -1) for p in (start, end))
+    low, high = _clip(*outside)
+    return low.max(-1), high.min(-1)
 
 
 def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
@@ -145,7 +144,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     mean = received.mean()
     typical = jnp.where(mean > 0, mean, 1.0)
     crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
-    if packed.uvs is not None:
+    if packed.has_seams:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
         crease = crease + light * seam_jumps(packed, number)
     if packed.glow:  # as irradiance that a white surface would send on
@@ -159,25 +158,27 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
 
     Interpolated normals agree at an edge: what can differ for smooth faces is which of them the light reaches at all.
     """
-    received = jnp.zeros(corner.shape[0], corner.dtype)
     if not has_emitters(packed):
-        return received
-    sample = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
-    for i in range(PILOTS):
-        offset = sample.point.position[i] - corner
+        return jnp.zeros(corner.shape[0], corner.dtype)
+
+    def arriving(sample):
+        """From one emitter sample."""
+        offset = sample.point.position - corner
         squared = jnp.maximum(dot(offset, offset), 1e-30)
-        direction = jnp.where(sample.infinite[i], sample.direction[i], scale(offset, 1.0 / jnp.sqrt(squared)))
-        facing = jnp.maximum(-dot(direction, sample.point.normal[i]), 0.0) / squared
+        direction = jnp.where(sample.infinite, sample.direction, scale(offset, 1.0 / jnp.sqrt(squared)))
+        facing = jnp.maximum(-dot(direction, sample.point.normal), 0.0) / squared
         if sample.light is None:
-            power = luminance(sample.radiance[i]) / sample.pdf[i] / PILOTS
+            power = luminance(sample.radiance) / sample.pdf
         else:
-            one = jax.tree.map(lambda x, i=i: jnp.broadcast_to(x[i], (corner.shape[0], *x.shape[1:])), sample)
-            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf[i] / PILOTS
+            one = jax.tree.map(lambda x: jnp.broadcast_to(x, (corner.shape[0], *x.shape)), sample)
+            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf
             facing = jnp.where(one.is_delta, 1.0 / squared, facing)
         cosine = dot(direction, normal)
         cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
-        received = received + cosine * jnp.where(sample.infinite[i], 1.0, facing) * power
-    return received
+        return cosine * jnp.where(sample.infinite, 1.0, facing) * power
+
+    samples = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
+    return jax.vmap(arriving)(samples).mean(0)
 
 
 def sample_edges(

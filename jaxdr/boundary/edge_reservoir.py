@@ -60,7 +60,7 @@ def edge_table(packed: PackedScene, counts: Bool[Array, " E"], rays: str) -> Edg
     fold = norm(n0 - n1)
     smooth = jnp.asarray(packed.smooth)[edges.shape]
     jump = jnp.where(fold > FLAT, fold, 0.0) * jnp.where(smooth, SMOOTH, 1.0)
-    if packed.uvs is not None:
+    if packed.has_seams:
         jump = jump + seam_jumps(packed, jnp.arange(fold.shape[0]))
     importance = jnp.where(counts, jnp.where(edges.interior, jump, 1.0), 0.0)
     ends = packed.vertices[edges.vertices]

@@ -6,14 +6,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.silhouettes import affine_coordinates, affine_rates
 from jaxdr.geometry.vector import corners, dot, norm, normalize, triangle_normals
+from jaxdr.scene.emitter_clusters import FEW_FACES
 from jaxdr.scene.packed import PackedScene
-
-# Emitters of no more faces than this are looked at as whole polygons, others face by face.
-FEW_FACES = 16
 
 
 def few_emitter_faces(packed: PackedScene) -> bool:
-    """Whether emitters are treated as polygons."""
+    """Whether emitters are looked at as whole polygons; others are face by face."""
     return packed.has_area_emitters and packed.emitter_faces.shape[0] <= FEW_FACES
 
 

@@ -32,6 +32,7 @@ from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
@@ -306,7 +307,7 @@ class GuidedEdges(eqx.Module):
         # Most lines towards emitters pass no edge as a silhouette: the others are gathered in front.
         drawn = plan.strategy.segments(packed, lunes, primary)
         used = drawn.silhouette.sum()
-        slots = jnp.nonzero(drawn.silhouette, size=count, fill_value=0)[0]
+        slots = rows_where(drawn.silhouette, count)
 
         def rows(slot, place):
             active = place < used

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.primary_guides import Choice, Target, below_one, choice, evaluate
 from jaxdr.scene.sampling import linear
+from jaxdr.transport.compaction import rows_where
 
 ROUNDS = 10  # in which the leaves are split
 LEAST = 0.1  # of a leaf's mean, everywhere in it
@@ -81,7 +82,7 @@ class KdTree(NamedTuple):
         for child in (self.first, self.first + 1):
             used = used.at[jnp.where(parent, child, capacity)].set(True, mode="drop")
         leaf = used & ~parent
-        slots = jnp.nonzero(leaf, size=(capacity + roots) // 2, fill_value=capacity)[0]
+        slots = rows_where(leaf, (capacity + roots) // 2, capacity)
         fitted = fit(target, self.nodes.lower[slots], self.nodes.upper[slots], samples)
         nodes = jax.tree.map(lambda a, new: a.at[slots].set(new, mode="drop"), self.nodes, fitted)
         return self._replace(nodes=nodes, leaves=_leaf_choice(nodes, leaf))

@@ -37,10 +37,12 @@ from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn
+from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
+from jaxdr.transport.sampler import seed_of
 
 
 class Prepared(NamedTuple):
@@ -304,8 +306,7 @@ class KernelDensity(eqx.Module):
         shrunk = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
         shrunk = jnp.where(lit, shrunk, 0.0).reshape(-1)
         found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
-        size = found.valid.shape[0]
-        slots, count = jnp.nonzero(found.valid, size=size, fill_value=0)[0], found.valid.sum()
+        slots, count = rows_where(found.valid), found.valid.sum()
         moved = displacement(packed, found.edge, found.ends, found.projection)
         moved = moved - stop_gradient(moved)
         counts = jnp.asarray(used, weight.dtype)
@@ -338,7 +339,7 @@ class KernelDensity(eqx.Module):
         """
         capacity = self._capacity(shrunk.shape[0])
         key_points, key_seed = jax.random.split(key)
-        seed = jax.random.randint(key_seed, (), 0, 1 << 30)
+        seed = seed_of(key_seed)
         radius = prepared.radius
         every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
         strips = queries.StripQuery(ends.apex, ends.target, ends.normal, shrunk, widest)

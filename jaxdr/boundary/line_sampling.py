@@ -14,6 +14,7 @@ from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
 from jaxdr.boundary.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.emitter_planes import emitter_groups
+from jaxdr.boundary.lamp_lines import LampLines, LampShare
 from jaxdr.boundary.lobe_lines import LobeLines
 from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
 from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, path_segments
@@ -46,9 +47,10 @@ class _Held(NamedTuple):
 class LineSampling(eqx.Module):
     """Boundary term by line sampling: every silhouette that crosses a random chord. All fields are static.
 
-    It is unbiased and has no radius. Light of area emitters is found by chords on the emitters. All other light
-    (environment, indirect) is found by geodesic chords around BSDF-sampled directions. Where the integrator's sampling
-    is "mis", both kinds find the light of area emitters, and chords around an environment map's samples find its light.
+    It is unbiased and has no radius. Light of area emitters is found by chords on the emitters; where these have more
+    than 16 faces, by geodesic chords across clusters of faces. All other light (environment, indirect) is found by
+    geodesic chords around BSDF-sampled directions. Where the integrator's sampling is "mis", both kinds find the light
+    of area emitters, and chords around an environment map's samples find its light.
 
     - `chords`: chords of each kind per path sample. A pilot sends them to the pixels whose shadows it finds, and to the
       path vertices that carry most.
@@ -90,7 +92,7 @@ class LineSampling(eqx.Module):
         faces = np.diff(packed.first_face)
         still = faces[~np.asarray(moving)].sum()
         group = jnp.full(packed.faces.shape[0], -1, jnp.int32)
-        if packed.has_area_emitters:
+        if packed.has_area_emitters and packed.clusters is None:
             group = emitter_groups(packed)
         count_layers = jnp.asarray(bool(still <= faces.sum() // 2))
         return Prepared(RankedEdges(rank, tree), group, flags, count_layers)
@@ -130,13 +132,13 @@ class LineSampling(eqx.Module):
         return chunk.image(packed, total)
 
     def _spreads(self, packed: PackedScene, state: Prepared, paths: PathSegments, settings, key):
-        """(chords on emitters or None, those around BSDF samples and around those of a map)."""
+        """(chords on emitters or None; those around BSDF samples, around a map's, towards lamps of many faces)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
         on_emitters = EmitterLines(packed, state, paths, settings)
         around_lobes = LobeLines(packed, state, paths, settings, self.reach)
-        emitters = lobes = skies = None
-        if packed.has_area_emitters:
+        emitters = lobes = skies = lamps = None
+        if packed.has_area_emitters and packed.clusters is None:
             emitters = self._spread(on_emitters, throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
@@ -148,10 +150,16 @@ class LineSampling(eqx.Module):
             skies = self._spread(around_sky, throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             around_sky.both = around_lobes.skies = SkyShare(packed, paths, self.reach, *numbers)
+        if packed.clusters is not None:
+            at_lamps = LampLines(packed, state, paths, settings)
+            lamps = self._spread(at_lamps, throughput, key_emitters)
+            if lobes is not None and settings.mis:
+                numbers = lamps.expected * lamps.kept, lobes.expected * lobes.kept
+                at_lamps.both = around_lobes.both = LampShare(packed, self.reach, *numbers)
         if emitters is not None and lobes is not None and settings.mis:
             both = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
             on_emitters.both = around_lobes.both = both
-        return emitters, [spread for spread in (lobes, skies) if spread is not None]
+        return emitters, [spread for spread in (lobes, skies, lamps) if spread is not None]
 
     def _spread(self, lines: Lines, carries, key) -> Spread:
         """How many chords of one kind go where; `carries` is the importance of every path vertex."""
@@ -213,7 +221,7 @@ class LineSampling(eqx.Module):
     def _look_behind(self, spread: Spread) -> tuple[Requests, BehindEdges]:
         """What is behind crossings of geodesic chords, and requests for its radiance."""
         lines = spread.lines
-        assert isinstance(lines, LobeLines | SkyLines)
+        assert isinstance(lines, LobeLines | SkyLines | LampLines)
         drawn, found, weight, used = self._crossings(spread)
         key = jax.random.fold_in(spread.key, 1)
 

@@ -25,6 +25,7 @@ from jaxdr.geometry.vector import corners, dot, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
+from jaxdr.transport.sampler import seed_of
 
 WIDEST = 1.0  # tangent of the widest angle between a direction and a silhouette it stands for
 
@@ -48,7 +49,7 @@ def lobe_edges(
     shrunk = jnp.where((importance != 0).any(-1), jnp.tile(shrunk, paths.count // paths.paths), 0.0)
     origin = paths.position(jnp.arange(paths.count))
     reach = 2.0 * paths.distance_to_infinity
-    seed = jax.random.randint(key_pairs, (), 0, 1 << 30)
+    seed = seed_of(key_pairs)
     pairs = queries.edge_candidates(
         packed.geometry,
         queries.EdgeSet.of(packed.edges, radius, tree),

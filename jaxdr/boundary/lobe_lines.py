@@ -8,6 +8,7 @@ from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edge
 from jaxdr.boundary.chords import LobeChords, lobe_weight
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
 from jaxdr.boundary.emitter_lines import Centres
+from jaxdr.boundary.lamp_lines import LampShare
 from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.boundary.sky_lines import SkyShare
 from jaxdr.geometry.vector import scale
@@ -27,7 +28,7 @@ class LobeLines:
 
     def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
-        self.both: Centres | None = None
+        self.both: Centres | LampShare | None = None
         self.skies: SkyShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):

@@ -17,6 +17,7 @@ from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.queries import Candidates, EdgeSet, Geometry, StripQuery
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import seed_of
 
 
 class MovingEdges(NamedTuple):
@@ -54,7 +55,7 @@ def apart_candidates(
     key_all, key_moving, key_kept = jax.random.split(key, 3)
 
     def found(key, edges, scale):
-        seed = jax.random.randint(key, (), 0, 1 << 30)
+        seed = seed_of(key)
         return queries.edge_candidates(geometry, edges, strips._replace(scale=scale), seed, **options)
 
     scale = stop_gradient(strips.scale)

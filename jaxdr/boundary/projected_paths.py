@@ -19,6 +19,7 @@ from jaxdr.boundary.occluders import connect_faces
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import EmitterSample, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, intersect, leave, on_fixed_ray
 from jaxdr.transport.sampler import lattice
@@ -71,9 +72,9 @@ def project_paths(
     paths = shadow_rays(packed, u, rays)
     hidden, lit = paths.occluder >= 0, paths.there & (paths.occluder < 0)
     both = hidden.any() & lit.any()
-    one = jnp.nonzero(hidden, size=count, fill_value=0)[0][jnp.arange(count) % jnp.maximum(hidden.sum(), 1)]
+    one = rows_where(hidden, count)[jnp.arange(count) % jnp.maximum(hidden.sum(), 1)]
     chosen = jax.random.randint(key_pairs, (count,), 0, jnp.maximum(lit.sum(), 1))
-    other = jnp.nonzero(lit, size=count, fill_value=0)[0][chosen]
+    other = rows_where(lit, count)[chosen]
     # Between two emitter samples there is little of an emitter's rim: half of the pairs have one, half one film point.
     part = jnp.arange(4) < 2
     outside = jnp.where(part == (jnp.arange(count) % 2 == 0)[:, None], u[other], u[one])

@@ -5,16 +5,18 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.geometry.vector import dot, interpolate
+from jaxdr.geometry.vector import dot, interpolate, norm
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 from jaxdr.transport.emission import surface_radiance
 from jaxdr.transport.interaction import material_point
-from jaxdr.transport.texturing import tangents_along_u, texture_difference
+from jaxdr.transport.texturing import tangents_along_u, texture_difference, texture_point
 
 PROBES = 5  # points along an edge at which the two sides are compared
 TURN = 1e-6  # one less the cosine: tangents along u that differ by more turn a normal map
+STEP = 1e-4  # textures that differ by more than rounding, in the middle of an edge
+TOLERANCE = 1e-3  # relative: lengths along u and v that differ by more change a bump map
 LEAST = 0.1  # jump of textures that seams stand for at least: between the probes they may be further apart
 
 
@@ -23,14 +25,20 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
 
     Only the noise depends on how much it is, but it is positive wherever textures may jump inside a mesh.
     """
-    if packed.uvs is None:
+    if not packed.has_seams:
         return jnp.zeros(edge.shape, packed.vertices.dtype)
     packed = jax.tree.map(stop_gradient, packed)
     interior, points = _beside(packed, edge)
     apart = jnp.zeros_like(interior)
-    for share in (0.0, 1.0):
+    for share in (0.0, 1.0) if packed.uvs is not None else ():
         one, two = (_uv(packed, point) for point in points(share))
         apart |= (one != two).any(-1)
+    if packed.uses_faces:
+        apart |= texture_difference(packed, *points(0.5)) > STEP
+    if packed.uses_slopes:
+        one, two = (texture_point(packed, point).axes for point in points(0.5))
+        assert one is not None and two is not None  # there where slopes are used
+        apart |= (jnp.abs(one - two) > TOLERANCE * (norm(one) + norm(two))[:, None]).any(-1)
     if packed.tangential:
         (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
         apart |= dot(one, two) < 1.0 - TURN

@@ -206,7 +206,7 @@ class WarpedArea(eqx.Module):
             shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
             return shift.at[row].add(in_plane), whole.at[row].add(stretch)
 
-        return sum_over_blocks(jax.checkpoint(terms), velocities.slots, velocities.used)
+        return sum_over_blocks(terms, velocities.slots, velocities.used)
 
 
 def _moved(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds, velocities: Velocities, slot):

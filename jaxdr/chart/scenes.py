@@ -18,8 +18,8 @@ from jaxdr.scene.bsdf import Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.film import Film
-from jaxdr.scene.gltf import is_gltf, load_gltf
-from jaxdr.scene.mitsuba import load_mitsuba
+from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
+from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.motion import rounding_step
 from jaxdr.scene.scene import Scene, Shape
 

@@ -1,5 +1,6 @@
 """Mesh files: OBJ, PLY, GLB and STL, through trimesh."""
 
+import dataclasses
 import io
 from collections.abc import Sequence
 from os import PathLike
@@ -9,7 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxdr.geometry.mesh import Mesh, weld
+from jaxdr.geometry.gltf.document import GltfError
+from jaxdr.geometry.gltf.parts import read_stored_parts
+from jaxdr.geometry.mesh import EmptyMesh, Mesh, MeshArrays, weld
 
 EXTENSIONS = (".obj", ".ply", ".glb", ".stl")
 SHADINGS = ("flat", "smooth", "file", "vertex")
@@ -19,8 +22,8 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     """Read all triangles of a file as one mesh, in the file's units.
 
     Vertices at the same position are welded; UVs keep their own indices, so a seam does not split a vertex. The meshes
-    of a GLB are joined, each at its node's place in the scene; where only some have UVs, the others get (0, 0).
-    Materials are not read.
+    of a GLB are joined, each at its node's place in the scene and in the file's default pose; where only some have UVs,
+    the others get (0, 0). Materials are not read.
 
     `shading`: "flat"; "smooth", one normal per vertex; "file", where corners with the same position and the same
     stored normal share one normal, which is then computed from the triangles (flat where nothing is stored); or
@@ -39,43 +42,81 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
         raise ValueError(f"load_mesh: {path}: {error}") from error
 
 
-def read_parts(path: str | PathLike) -> list["Part"]:
+def read_parts(path: str | PathLike) -> list["Triangles"]:
     """The triangle meshes of a file, each at its place. Raises `ValueError` as `load_mesh` does."""
     path = Path(path)
     _check_extension("load_mesh", path)
     if not path.is_file():
         raise ValueError(f"load_mesh: there is no file {path}")
+    if path.suffix.lower() == ".glb":
+        try:
+            parts = [
+                Triangles(vertices, faces, uvs, None if normals is None else _unit(normals))
+                for vertices, faces, uvs, normals in read_stored_parts(path)
+            ]
+        except GltfError as error:
+            raise ValueError(f"load_mesh: {error}") from error
+        return _not_empty(parts, path)
     import trimesh  # on use: importing it takes longer than reading most files
 
+    source = io.StringIO(_text(path)) if path.suffix.lower() == ".obj" else path
+    options = _parser_options(path)
     try:
-        scene = trimesh.load_scene(path, process=False, **_parser_options(path))
+        scene = trimesh.load_scene(source, file_type=path.suffix.lower()[1:], process=False, **options)
     except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
-        raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({error})") from error
+        reason = str(error) or type(error).__name__
+        raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({reason})") from error
     nodes = [(scene.geometry[name], to_world) for to_world, name in map(scene.graph.get, scene.graph.nodes_geometry)]
     parts = [Part(geometry, to_world) for geometry, to_world in nodes if is_triangles(geometry)]
+    return _not_empty(parts, path)
+
+
+def _not_empty(parts: Sequence["Triangles"], path: Path) -> list["Triangles"]:
     if not parts:
-        raise ValueError(f"load_mesh: {path} has no triangles")
-    return parts
+        raise EmptyMesh(f"load_mesh: {path} has no triangles")
+    return list(parts)
 
 
-def joined(parts: Sequence["Part"], shading: str) -> Mesh:
+def _text(path: Path) -> str:
+    """A text file; what is no UTF-8 can only be in comments and names, and is taken as Latin-1."""
+    content = path.read_bytes()
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def joined(parts: Sequence["Triangles"], shading: str) -> Mesh:
     """One mesh of several parts; the shadings are those of `load_mesh`. Raises `ValueError` as `Mesh` does."""
-    ends = np.cumsum([len(part.vertices) for part in parts])
-    soup = np.concatenate([part.faces + end - len(part.vertices) for part, end in zip(parts, ends, strict=True)])
-    vertices, faces = weld(np.concatenate([part.vertices for part in parts]), soup)
+    arrays, _ = joined_arrays(parts, shading)
+    mesh = Mesh(*arrays)
+    return mesh.smooth() if shading == "smooth" else mesh
+
+
+def joined_arrays(parts: Sequence["Triangles"], shading: str) -> tuple[MeshArrays, Int[np.ndarray, " n"]]:
+    """What `joined` makes its mesh of, and for all vertices of the parts in turn their rows in its vertices.
+
+    "smooth" is left to the caller.
+    """
+    counts = [len(part.vertices) for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    soup = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+    vertices, rows = weld(np.concatenate([part.vertices for part in parts]), np.arange(sum(counts)))
+    faces = rows[soup]
     uvs = uv_faces = normal_faces = None
     if any(part.uvs is not None for part in parts):
         filled = [np.zeros((len(part.vertices), 2)) if part.uvs is None else part.uvs for part in parts]
         uvs, uv_faces = weld(np.concatenate(filled), soup)
     has_normals = np.repeat([part.normals is not None for part in parts], [len(part.faces) for part in parts])
     if shading in ("file", "vertex") and has_normals.any():
-        normal_faces = _smoothing_groups(faces, np.concatenate([part.corner_normals() for part in parts]))
+        normal_faces = smoothing_groups(faces, np.concatenate([part.corner_normals() for part in parts]))
     if shading == "vertex" and not has_normals.all():
         first_free = 0 if normal_faces is None else normal_faces.max() + 1
-        by_vertex = first_free + np.unique(soup, return_inverse=True)[1].reshape(-1, 3)
+        used = np.zeros(len(rows), bool)
+        used[soup] = True
+        by_vertex = first_free + (np.cumsum(used) - 1)[soup]
         normal_faces = by_vertex if normal_faces is None else np.where(has_normals[:, None], normal_faces, by_vertex)
-    mesh = Mesh(vertices, faces, uvs, uv_faces, normal_faces)
-    return mesh.smooth() if shading == "smooth" else mesh
+    return MeshArrays(vertices, faces, uvs, uv_faces, normal_faces), rows
 
 
 def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
@@ -119,24 +160,20 @@ def is_triangles(geometry: Any) -> bool:
     return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
 
 
-class Part:
-    """One mesh of a file, in world space; `uvs`, `normals` and `colors` belong to the vertices, or are None.
+@dataclasses.dataclass
+class Triangles:
+    """One mesh of a file. `uvs` and `normals` belong to the vertices, or are None.
 
-    `colors` are the numbers that a PLY file stores as r, g, b or red, green, blue.
+    `stored` are further numbers that a PLY file has, by element ("vertex", "face") and property.
     """
 
-    def __init__(self, geometry: Any, to_world: Float[np.ndarray, "4 4"]):
-        linear = to_world[:3, :3]
-        self.vertices = geometry.vertices @ linear.T + to_world[:3, 3]
-        self.faces = geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces
-        uvs = getattr(geometry.visual, "uv", None)
-        self.uvs = None if uvs is None else np.asarray(uvs)[:, :2]
-        # trimesh computes the normals a file does not store; only its cache can tell the two apart.
-        stored = "vertex_normals" in geometry._cache
-        self.normals = _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None
-        self.colors = _ply_colors(geometry)
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    uvs: Float[np.ndarray, "V 2"] | None = None
+    normals: Float[np.ndarray, "V 3"] | None = None
+    stored: dict[str, dict[str, np.ndarray]] = dataclasses.field(default_factory=dict)
 
-    def corner_normals(self) -> Float[np.ndarray, "f 3 3"]:
+    def corner_normals(self) -> Float[np.ndarray, "F 3 3"]:
         """The stored normal at each corner; where nothing is stored, the face's own, which makes it flat."""
         if self.normals is not None:
             return self.normals[self.faces]
@@ -144,15 +181,36 @@ class Part:
         return np.repeat(_unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
 
 
-def _ply_colors(geometry: Any) -> Float[np.ndarray, "v 3"] | None:
-    """Vertex colours in the precision of the file: those that trimesh makes of them have eight bits."""
-    data = geometry.metadata.get("_ply_raw", {}).get("vertex", {}).get("data", {})
-    names = data.keys() if isinstance(data, dict) else data.dtype.names or ()
-    for channels in (("r", "g", "b"), ("red", "green", "blue")):
-        if set(channels) <= set(names):
-            colors = np.stack([np.asarray(data[name], float).reshape(-1) for name in channels], 1)
-            return colors if len(colors) == len(geometry.vertices) else None  # vertices split at UV seams
-    return None
+class Part(Triangles):
+    """One mesh of a file as trimesh read it, in world space."""
+
+    def __init__(self, geometry: Any, to_world: Float[np.ndarray, "4 4"]):
+        linear = to_world[:3, :3]
+        uvs = getattr(geometry.visual, "uv", None)
+        # trimesh computes the normals a file does not store; only its cache can tell the two apart.
+        stored = "vertex_normals" in geometry._cache
+        super().__init__(
+            geometry.vertices @ linear.T + to_world[:3, 3],
+            geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces,
+            None if uvs is None else np.asarray(uvs)[:, :2],
+            _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None,
+            _ply_properties(geometry),
+        )
+
+
+def _ply_properties(geometry: Any) -> dict[str, dict[str, np.ndarray]]:
+    """Single numbers of a PLY file's vertices and faces, where trimesh has not split or triangulated these."""
+    found = {}
+    for element, count in (("vertex", len(geometry.vertices)), ("face", len(geometry.faces))):
+        data = geometry.metadata.get("_ply_raw", {}).get(element, {}).get("data")
+        names = () if data is None else data.keys() if isinstance(data, dict) else data.dtype.names or ()
+        columns = {name: np.asarray(data[name]) for name in names}
+        found[element] = {
+            name: column.reshape(-1)
+            for name, column in columns.items()
+            if column.dtype.kind in "fiu" and column.size == len(column) == count
+        }
+    return found
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -160,7 +218,7 @@ def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     return vectors / np.where(length > 0, length, 1)
 
 
-def _smoothing_groups(
+def smoothing_groups(
     faces: Int[np.ndarray, "F 3"], corner_normals: Float[np.ndarray, "F 3 3"]
 ) -> Int[np.ndarray, "F 3"]:
     """Corner -> group of the corners with the same vertex and the same normal."""

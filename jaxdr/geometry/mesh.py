@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,6 +17,25 @@ from jaxdr.arrays import as_array
 from jaxdr.callers_line import warn
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import cross, dot, normalize, scale
+
+
+class EmptyMesh(ValueError):
+    """A mesh without triangles, or without any that has an area."""
+
+
+class MeshArrays(NamedTuple):
+    """What a `Mesh` is made of, not checked yet: positions, UVs and smoothing groups with their own indices."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    uvs: Float[np.ndarray, "T 2"] | None = None
+    uv_faces: Int[np.ndarray, "F 3"] | None = None
+    normal_faces: Int[np.ndarray, "F 3"] | None = None
+
+    def turned(self) -> "MeshArrays":
+        """Inside out."""
+        uv_faces, normal_faces = (None if f is None else f[:, ::-1] for f in (self.uv_faces, self.normal_faces))
+        return MeshArrays(self.vertices, self.faces[:, ::-1], self.uvs, uv_faces, normal_faces)
 
 
 class Mesh(eqx.Module):
@@ -72,9 +92,9 @@ class Mesh(eqx.Module):
             raise ValueError("Mesh: needs uvs and uv_faces together, or neither")
         points = _checked_floats("vertices", vertices, 3)
         corners = _checked_indices("faces", faces, len(points), "vertices")
-        kept = _has_area(points, corners)
+        kept = has_area(points, corners)
         if not kept.any():
-            raise ValueError(f"Mesh: none of the {len(corners)} faces has an area")
+            raise EmptyMesh(f"Mesh: none of the {len(corners)} faces has an area")
         if not kept.all():
             warn(f"Mesh: dropped {np.sum(~kept)} of {len(kept)} faces, which have no area")
 
@@ -115,7 +135,7 @@ class Mesh(eqx.Module):
         vertices = as_array(vertices, self.vertices.dtype)
         if vertices.shape != self.vertices.shape:
             raise ValueError(f"Mesh.with_vertices: this mesh needs shape {self.vertices.shape}, got {vertices.shape}")
-        return eqx.tree_at(lambda mesh: mesh.vertices, self, vertices)
+        return self._with({"vertices": vertices})
 
     def vertex_normals(self) -> Float[Array, "G 3"]:
         """Unit normal of every smoothing group: face normals weighted by corner angle (Thürmer and Wüthrich 1998).
@@ -136,8 +156,11 @@ class Mesh(eqx.Module):
         return self._with_normal_faces(None, 0)
 
     def _with_normal_faces(self, normal_faces: Int[Array, "F 3"] | None, group_count: int) -> "Mesh":
-        changed = {"normal_faces": normal_faces, "normal_group_count": group_count}
-        # eqx.tree_at cannot replace a static field, and __init__ needs concrete arrays.
+        return self._with({"normal_faces": normal_faces, "normal_group_count": group_count})
+
+    def _with(self, changed: dict) -> "Mesh":
+        """The same mesh with some fields changed, unchecked."""
+        # eqx.tree_at cannot replace a static field and takes ten times longer; __init__ needs concrete arrays.
         mesh = object.__new__(Mesh)
         for field in dataclasses.fields(self):
             object.__setattr__(mesh, field.name, changed.get(field.name, getattr(self, field.name)))
@@ -145,9 +168,12 @@ class Mesh(eqx.Module):
 
 
 def weld(
-    vertices: Float[np.ndarray, "V D"], faces: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, "W D"], Int[np.ndarray, "F 3"]]:
-    """Merge positions (or other rows) that are equal in float32, on the host; of each set the first stays, in order."""
+    vertices: Float[np.ndarray, "V D"], faces: Int[np.ndarray, "..."]
+) -> tuple[Float[np.ndarray, "W D"], Int[np.ndarray, "..."]]:
+    """Merge positions (or other rows) that are equal in float32, on the host; of each set the first stays, in order.
+
+    `faces` are indices of any shape.
+    """
     vertices, faces = np.asarray(vertices), np.asarray(faces)
     position = vertices.astype(np.float32) + 0.0  # +0 makes -0.0 a plain zero
     order = np.lexsort(position.T)
@@ -228,7 +254,7 @@ def _checked_indices(name: str, indices: ArrayLike, count: int | None, target: s
     return array
 
 
-def _has_area(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def has_area(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Whether each face's sine of the smallest angle is above the rounding of the vertices' own type."""
     a, b, c = (points[corners[:, k]].astype(np.float64) for k in range(3))
     longest_squared = np.max([np.sum((q - p) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)

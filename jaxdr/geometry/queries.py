@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Int
 
@@ -35,6 +36,7 @@ from jaxdr.geometry.query_records import (  # noqa: F401
 
 IMPLEMENTATIONS = ("embree", "warp", "jax")
 CHOICES = ("auto", *IMPLEMENTATIONS)
+ANSWER = "answer of a query"  # its name among the values that reverse mode may keep
 
 
 def _module(implementation: str) -> Any:
@@ -94,7 +96,16 @@ def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> A
             results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
         return results, jax.tree.map(lambda _: True, results)
 
-    return call(*_discrete((fixed, rows)))
+    return jax.tree.map(lambda answer: checkpoint_name(answer, ANSWER), call(*_discrete((fixed, rows))))
+
+
+def rematerialised(function: Callable) -> Callable:
+    """The same function; reverse mode keeps its arguments and the answers of its queries, and computes the rest again.
+
+    For the body of a loop: XLA writes what is kept of every turn to memory, and compiles a kernel for each such array.
+    Arithmetic is faster done twice.
+    """
+    return jax.checkpoint(function, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(ANSWER))
 
 
 def closest_hit(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Hit:

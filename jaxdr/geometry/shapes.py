@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from jaxdr.geometry.mesh import Mesh, weld
+from jaxdr.geometry.mesh import Mesh, MeshArrays, weld
 
 Vector = ArrayLike | Sequence  # beartype does not count a tuple as ArrayLike
 ORIGIN = (0.0, 0.0, 0.0)
@@ -209,24 +209,22 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     For concrete matrices, on the host; inside jit use `mesh.with_vertices`. Raises `ValueError` for a matrix of another
     shape, one that is not affine, and one without an inverse.
     """
+    uvs = None if mesh.uvs is None else np.asarray(mesh.uvs)
+    indices = (None if faces is None else np.asarray(faces) for faces in (mesh.uv_faces, mesh.normal_faces))
+    arrays = MeshArrays(np.asarray(mesh.vertices, float), np.asarray(mesh.faces), uvs, *indices)
+    return Mesh(*transformed_arrays(arrays, matrix))
+
+
+def transformed_arrays(arrays: MeshArrays, matrix: Vector) -> MeshArrays:
+    """`transformed` before there is a mesh."""
     matrix = np.asarray(matrix, float)
     _require(matrix.shape == (4, 4), "transformed: matrix must have shape [4, 4]", matrix.shape)
     _require(np.array_equal(matrix[3], [0, 0, 0, 1]), "transformed: the last row must be 0 0 0 1", matrix[3].tolist())
     linear, offset = matrix[:3, :3], matrix[:3, 3]
     determinant = np.linalg.det(linear)
     _require(np.isfinite(determinant) and determinant != 0, "transformed: matrix has no inverse", matrix.tolist())
-    step = -1 if determinant < 0 else 1
-
-    def turned(corners) -> np.ndarray:
-        return np.asarray(corners)[:, ::step]
-
-    return Mesh(
-        np.asarray(mesh.vertices, float) @ linear.T + offset,
-        turned(mesh.faces),
-        mesh.uvs,
-        None if mesh.uv_faces is None else turned(mesh.uv_faces),
-        None if mesh.normal_faces is None else turned(mesh.normal_faces),
-    )
+    moved = arrays._replace(vertices=arrays.vertices @ linear.T + offset)
+    return moved.turned() if determinant < 0 else moved
 
 
 def centred(mesh: Mesh, size: float) -> Mesh:

@@ -1,6 +1,6 @@
 """Vector algebra, safe to differentiate: the one place where coordinates are taken apart and put together.
 
-Coordinates are taken apart by `split`, whose transpose is one concatenation. That of a slice is a padding for each, and
+Coordinates are taken apart by `unstack`, whose transpose is one `stack`. That of a slice is a padding for each, and
 that of a product with numbers repeated along the axis a sum over it; XLA's CPU compiler makes slow programs of both.
 Arithmetic is on numbers [*n]: on columns [*n, 1] its programs take three times as long. `jax.jit` makes each function
 one equation, traced, differentiated and lowered once per shape.
@@ -16,8 +16,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 def components(v: Shaped[ArrayLike, "*n d"]) -> tuple[Shaped[Array, "*n"], ...]:
     """The components over the last axis: x, y and z of vectors, or of colours red, green and blue."""
     v = jnp.asarray(v)
-    parts = jax.lax.split(v, (1,) * v.shape[-1], v.ndim - 1)
-    return tuple(jax.lax.squeeze(part, (part.ndim - 1,)) for part in parts)
+    return tuple(jax.lax.unstack(v, v.ndim - 1))
 
 
 def z_of(v: Shaped[ArrayLike, "*n 3"]) -> Shaped[Array, "*n"]:
@@ -28,19 +27,14 @@ def z_of(v: Shaped[ArrayLike, "*n 3"]) -> Shaped[Array, "*n"]:
 
 def from_components(*numbers: Shaped[ArrayLike, "*#n"]) -> Shaped[Array, "*n d"]:
     """Vectors of these components."""
-    arrays = jnp.broadcast_arrays(*numbers)
-    dtype = jnp.result_type(*numbers)
-    return jax.lax.concatenate(
-        [jax.lax.expand_dims(array.astype(dtype), (array.ndim,)) for array in arrays], arrays[0].ndim
-    )
+    arrays, dtype = jnp.broadcast_arrays(*numbers), jnp.result_type(*numbers)
+    return jax.lax.stack([array.astype(dtype) for array in arrays], arrays[0].ndim)
 
 
 def corners(triangles: Shaped[ArrayLike, "*n k d"]) -> tuple[Shaped[Array, "*n d"], ...]:
     """The k vertices of every row."""
     triangles = jnp.asarray(triangles)
-    axis = triangles.ndim - 2
-    parts = jax.lax.split(triangles, (1,) * triangles.shape[axis], axis)
-    return tuple(jax.lax.squeeze(part, (axis,)) for part in parts)
+    return tuple(jax.lax.unstack(triangles, triangles.ndim - 2))
 
 
 @jax.jit

@@ -1,5 +1,6 @@
-"""PNG and JPEG through Pillow, as the numbers stored: nothing is decoded from sRGB here."""
+"""PNG, JPEG, BMP and TGA through Pillow, as the numbers stored: nothing is decoded from sRGB here."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -7,16 +8,16 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageFile
 
 
-def read(path: Path) -> Float[np.ndarray, "H W C"]:
+def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
     """Stored values / 255 (or / 65535 with 16 bits), C = 1, 3 or 4; alpha last. Palettes are looked up.
 
     Raises ValueError for a damaged file, CMYK, and 16-bit images with grey and alpha or with one transparent colour.
     """
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
+        with Image.open(path, formats=("PNG", "JPEG", "BMP", "TGA")) as image:
             pixels = _pixels(image, path)
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"not a readable PNG or JPEG file ({error})") from error
+        raise ValueError(f"not a readable PNG, JPEG, BMP or TGA file ({error})") from error
     return pixels.reshape(*pixels.shape[:2], -1)
 
 
@@ -25,7 +26,7 @@ def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
     Image.fromarray(pixels).save(path, format="PNG")
 
 
-def _pixels(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
+def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
     raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
     if raw_mode.endswith(";16B"):
         if raw_mode == "LA;16B" or "transparency" in image.info:

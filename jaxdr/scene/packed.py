@@ -24,6 +24,7 @@ from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import luminance
+from jaxdr.scene.emitter_clusters import FEW_FACES, EmitterClusters, emitter_clusters
 from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.packed_lights import EVENLY, LightGroup, emitter_choice, group_lights
 from jaxdr.scene.scene import Scene, textures_of, unwrap
@@ -89,7 +90,8 @@ class PackedScene(eqx.Module):
     `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
     emitters, where there are several, is as `emitter_choice` says. `radiance` is that of emitters without a texture,
     `glow` of those with one. `emitter_cdf` and `emitter_density` (per area, zero elsewhere) say how emitting faces are
-    chosen, in proportion to their power. `table` has all `Triangles`, `size` is the scene's bounding-box diagonal. With
+    chosen, in proportion to their power; `clusters`, of emitters of more than `FEW_FACES` faces, say which matter at a
+    point. `table` has all `Triangles`, `size` is the scene's bounding-box diagonal. With
     `environment_turns`, directions to the environment turn with it; else they are fixed in the world, and what is seen
     in them changes.
     """
@@ -115,6 +117,7 @@ class PackedScene(eqx.Module):
     emitter_faces: Int[Array, " L"] | None
     emitter_cdf: Float[Array, " L"] | None
     emitter_density: Float[Array, " F"] | None
+    clusters: EmitterClusters | None
     glow: tuple[GlowGroup, ...]
     camera: Camera
     environment: Environment | None
@@ -132,6 +135,21 @@ class PackedScene(eqx.Module):
     def textured(self) -> bool:
         """Whether any BSDF or emitter has textures."""
         return bool(textures_in((self.bsdfs, self.glow)))
+
+    @property
+    def uses_faces(self) -> bool:
+        """Whether any BSDF has one value for every face."""
+        return any(texture.uses_faces for _, texture in textures_in(self.bsdfs))
+
+    @property
+    def has_seams(self) -> bool:
+        """Whether textures of BSDFs may jump at edges inside a mesh."""
+        return self.uvs is not None or self.uses_faces
+
+    @property
+    def uses_slopes(self) -> bool:
+        """Whether any texture has to know the lengths that u and v stand for."""
+        return any(texture.uses_slopes for _, texture in textures_in(self.bsdfs))
 
     @property
     def tangential(self) -> bool:
@@ -208,8 +226,11 @@ class PackedScene(eqx.Module):
         uv = None
         if self.uvs is not None:
             uv = interpolate(self.uvs[self.uv_faces[face]], on_face)
-        first = jnp.asarray(self.first_vertex, jnp.int32)[self.face_shape[face]]
-        return TexturePoint(uv, on_face, self.faces[face] - first[:, None])
+        shape, of_mesh = self.face_shape[face], None
+        first = jnp.asarray(self.first_vertex, jnp.int32)[shape]
+        if any(texture.uses_faces for _, texture in textures_in((self.bsdfs, self.glow))):
+            of_mesh = face - jnp.asarray(self.first_face, jnp.int32)[shape]
+        return TexturePoint(uv, on_face, self.faces[face] - first[:, None], of_mesh)
 
     def surface_radiance(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"] | None) -> Float[Array, "N 3"]:
         """Radiance of emitters at barycentric coordinates (only textures need them), zero on other surfaces."""
@@ -239,7 +260,9 @@ def _size(vertices) -> Float[Array, ""]:
 
 
 def _emitter_tables(packed: PackedScene):
-    """(cumulative probability of choosing each emitting face, density per area on every face, total power); detached.
+    """(cumulative probability of choosing each emitting face, density per area on every face, total power, clusters).
+
+    All of them are detached.
 
     Proportional to power; to area where all emitters are off, as an optimisation of their radiance may start. With
     textures some of it always is: the means that they are chosen by see neither every texel nor what a black one may
@@ -255,10 +278,14 @@ def _emitter_tables(packed: PackedScene):
         chosen = power * share + area * (EVENLY / area.sum())
     else:
         power = chosen = area * luminance(packed.radiance[packed.face_shape[packed.emitter_faces]])
-    cumulative = jnp.cumsum(jnp.where(chosen.sum() > 0, chosen, area))
+    weight, faces, count = jnp.where(chosen.sum() > 0, chosen, area), packed.emitter_faces, packed.faces.shape[0]
+    cumulative = jnp.cumsum(weight)
     cdf = cumulative / cumulative[-1]
     density = jnp.diff(cdf, prepend=0.0) / jnp.where(area > 0, area, 1.0)
-    return cdf, jnp.zeros(packed.faces.shape[0], cdf.dtype).at[packed.emitter_faces].set(density), power.sum()
+    clusters = None
+    if faces.shape[0] > FEW_FACES:
+        clusters = emitter_clusters(packed.vertices[packed.faces[faces]], faces, weight, count)
+    return cdf, jnp.zeros(count, cdf.dtype).at[faces].set(density), power.sum(), clusters
 
 
 def _rows_of(first, shapes: tuple[bool, ...]) -> Int[Array, " n"]:
@@ -307,6 +334,7 @@ def pack(scene: Scene) -> PackedScene:
         emitter_faces=emitter_faces,
         emitter_cdf=None,
         emitter_density=None,
+        clusters=None,
         glow=_group_glow(glows),
         camera=scene.camera,
         environment=scene.environment,
@@ -316,8 +344,8 @@ def pack(scene: Scene) -> PackedScene:
     )
     surfaces = None
     if packed.has_area_emitters:
-        cdf, density, surfaces = _emitter_tables(packed)
-        packed = dataclasses.replace(packed, emitter_cdf=cdf, emitter_density=density)
+        cdf, density, surfaces, clusters = _emitter_tables(packed)
+        packed = dataclasses.replace(packed, emitter_cdf=cdf, emitter_density=density, clusters=clusters)
     if (scene.environment is not None) + packed.has_area_emitters + packed.light_count < 2:
         return packed
     choice = emitter_choice(packed.size, packed.environment_sampler, surfaces, packed.lights)

@@ -140,14 +140,17 @@ def _check_textures(name: str, shape: Shape) -> None:
     """Raise ValueError for a shape whose mesh has not what its textures need."""
     mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
     if bsdf.tangential and mesh.uvs is None:
-        raise ValueError(f"Scene: {name}.bsdf has a normal map, and the mesh of {name!r} has no uvs that tell its axes")
+        raise ValueError(
+            f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs "
+            "that tell their axes"
+        )
     for field, texture in textures_of(shape):
         owner = f"Scene: {name}.{field}, a {type(texture).__name__},"
         if texture.uses_uv and mesh.uvs is None:
             raise ValueError(
                 f"{owner} needs texture coordinates, and the mesh of {name!r} has none (Mesh: uvs, uv_faces)"
             )
-        vertices = mesh.vertices.shape[0]
-        if not texture.uses_uv and any(array.shape[0] != vertices for array in texture.data()):
+        kind, count = ("faces", mesh.faces.shape[0]) if texture.uses_faces else ("vertices", mesh.vertices.shape[0])
+        if not texture.uses_uv and any(array.shape[0] != count for array in texture.data()):
             rows = texture.data()[0].shape[0]
-            raise ValueError(f"{owner} has {rows} values, and the mesh of {name!r} has {vertices} vertices")
+            raise ValueError(f"{owner} has {rows} values, and the mesh of {name!r} has {count} {kind}")

@@ -80,8 +80,13 @@ def surface_radiance(packed: PackedScene, point: SurfacePoint) -> Float[Array, "
     return packed.surface_radiance(point.face, point.on_face)
 
 
-def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample:
-    """Material points on emitters, directions to the environment, lights without area: chosen by power."""
+def sample_emitter(
+    packed: PackedScene, u: Float[Array, "N 2"], apex: Float[Array, "N 3"] | None = None
+) -> EmitterSample:
+    """Material points on emitters, directions to the environment, lights without area: chosen by power.
+
+    With `apex`, the positions that are lit, clusters of emitting faces are chosen by what they may send there.
+    """
     n, dtype = u.shape[0], u.dtype
     shares = emitter_shares(packed)
     infinite = jnp.full(n, packed.environment is not None)
@@ -95,7 +100,7 @@ def sample_emitter(packed: PackedScene, u: Float[Array, "N 2"]) -> EmitterSample
     direction = jnp.zeros((n, 3), dtype)
     radiance, pdf = jnp.zeros((n, 3), dtype), jnp.ones(n, dtype)
     if packed.has_area_emitters:
-        point, per_area = sample_emitting_surface(packed, u)
+        point, per_area = sample_emitting_surface(packed, u, apex)
         point = point._replace(valid=~infinite)
         radiance = surface_radiance(packed, point)
         pdf = shares.surfaces * per_area
@@ -164,28 +169,46 @@ def light_intensity(
     return intensity
 
 
-def sample_emitting_surface(packed: PackedScene, u: Float[Array, "N 2"]) -> tuple[SurfacePoint, Float[Array, " N"]]:
-    """(material points on area emitters, proportional to power, and their densities, per area, detached)."""
-    index, left = search_sorted_rows(packed.emitter_cdf[None], jnp.zeros(u.shape[0], jnp.int32), u[:, 0])
+def sample_emitting_surface(
+    packed: PackedScene, u: Float[Array, "N 2"], apex: Float[Array, "N 3"] | None = None
+) -> tuple[SurfacePoint, Float[Array, " N"]]:
+    """(material points on area emitters, proportional to power, and their densities, per area, detached).
+
+    With `apex` by clusters of emitting faces, where the scene has any: see `EmitterClusters`.
+    """
+    if apex is not None and packed.clusters is not None:
+        face, left = packed.clusters.sample(stop_gradient(apex), u[:, 0])
+    else:
+        index, left = search_sorted_rows(packed.emitter_cdf[None], jnp.zeros(u.shape[0], jnp.int32), u[:, 0])
+        face = packed.emitter_faces[index]
     barycentric = uniform_triangle(from_components(left, u[:, 1]))
-    point = material_point(packed, packed.emitter_faces[index], barycentric, jnp.ones(index.shape, bool))
-    return point, packed.emitter_density[point.face]
+    point = material_point(packed, face, barycentric, jnp.ones(face.shape, bool))
+    return point, emitting_surface_pdf(packed, point, apex)
 
 
-def emitting_surface_pdf(packed: PackedScene, point: SurfacePoint) -> Float[Array, " N"]:
+def emitting_surface_pdf(
+    packed: PackedScene, point: SurfacePoint, apex: Float[Array, "N 3"] | None = None
+) -> Float[Array, " N"]:
     """Density (per area, detached) with which `sample_emitting_surface` would choose points."""
+    if apex is not None and packed.clusters is not None:
+        return packed.clusters.pdf(stop_gradient(apex), point.face)
     return packed.emitter_density[point.face]
 
 
 def emitter_pdf(
-    packed: PackedScene, point: SurfacePoint, direction: Float[Array, "N 3"], distance2, cosine
+    packed: PackedScene,
+    point: SurfacePoint,
+    direction: Float[Array, "N 3"],
+    distance2,
+    cosine,
+    apex: Float[Array, "N 3"] | None = None,
 ) -> Float[Array, " N"]:
     """Density (solid angle) with which `sample_emitter` would choose the hit `point`, or on a miss its `direction`."""
     shares = emitter_shares(packed)
     miss = 0.0 if packed.environment is None else shares.environment * packed.environment_sampler.pdf(direction)
     if not packed.has_area_emitters:
         return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
-    per_area = shares.surfaces * emitting_surface_pdf(packed, point)
+    per_area = shares.surfaces * emitting_surface_pdf(packed, point, apex)
     return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
 
 

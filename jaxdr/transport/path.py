@@ -199,6 +199,7 @@ def gather(
     if near is not None:
         seen = stop_gradient(footprint(near.camera, start.point.position, start.point.normal))
 
+    @queries.rematerialised
     def step(at, bounce):
         numbers = jnp.where(bounce == 0, u, uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype))
         sees, moved = None, None
@@ -354,7 +355,8 @@ def _connect(
     packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings, seen: Footprint | None, records: bool
 ):
     """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
-    sample, point = sample_emitter(packed, u), at.point
+    point = at.point
+    sample = sample_emitter(packed, u, point.position)
     delta = sample.is_delta
     transfer = transfer_to(scatterer, sample.point, sample.infinite, sample.direction, delta)
     towards = transfer.towards
@@ -409,7 +411,8 @@ def _found_emission(
     weight = jnp.zeros_like(sampled.pdf)
     if settings.mis:
         still = stop_gradient(transfer)
-        found = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, jnp.abs(still.cosine))
+        lit, cosine = scatterer.point.position, jnp.abs(still.cosine)
+        found = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
         weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + found, 1.0)
     if sampled.chosen is not None:
         weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees

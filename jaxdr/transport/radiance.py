@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint
@@ -138,7 +139,7 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
     def step(state, bounce):
         paths, sums = state
         used = paths.alive.sum()
-        rows = jnp.nonzero(paths.alive, size=room, fill_value=0)[0]
+        rows = rows_where(paths.alive)
 
         def block(i, state):
             after, sums = state

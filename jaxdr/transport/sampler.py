@@ -60,3 +60,8 @@ def _mixed(v: list) -> list:
     z = z + x * y
     w = w + y * z
     return [x, y, z, w]
+
+
+def seed_of(key: PRNGKeyArray) -> Int[Array, ""]:
+    """A seed below 2^30 for the queries, which have generators of their own."""
+    return (jax.random.bits(key, (), jnp.uint32) >> 2).astype(jnp.int32)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.geometry.vector import components, corners, cross, dot, normalize, orthonormal_basis, scale
+from jaxdr.geometry.vector import components, corners, cross, dot, from_components, normalize, orthonormal_basis, scale
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
@@ -20,7 +20,27 @@ def bsdfs_at(packed: PackedScene, point: SurfacePoint, shape: Int[Array, " N"]) 
 def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
     """Where textures are looked up. It moves over the face where the point does."""
     assert point.on_face is not None  # there wherever the scene has textures
-    return packed.texture_point(point.face, point.on_face)
+    found = packed.texture_point(point.face, point.on_face)
+    return found._replace(axes=_uv_axes(packed, point)) if packed.uses_slopes else found
+
+
+def _uv_axes(packed: PackedScene, point: SurfacePoint) -> Float[Array, "N 3"]:
+    """`TexturePoint.axes`."""
+    triangle, (u1, v1), (u2, v2) = _sides(packed, point)
+    determinant = u1 * v2 - v1 * u2
+    known = determinant != 0
+    inverse = jnp.where(known, 1.0 / jnp.where(known, determinant, 1.0), 0.0)
+    one, two = triangle.b - triangle.a, triangle.c - triangle.a
+    by_u = scale(scale(one, v2) - scale(two, v1), inverse)
+    by_v = scale(scale(two, u1) - scale(one, u2), inverse)
+    s, t = tangents_along_u(packed, point)
+    return from_components(dot(by_u, s), dot(by_v, s), dot(by_v, t))
+
+
+def _sides(packed: PackedScene, point: SurfacePoint):
+    """Faces, and the (u, v) of two of their sides."""
+    uv0, uv1, uv2 = corners(packed.uvs[packed.uv_faces[point.face]])
+    return packed.triangles(point.face), components(uv1 - uv0), components(uv2 - uv0)
 
 
 def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
@@ -29,8 +49,7 @@ def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Ar
     Any two where the UVs of a face tell no direction.
     """
     normal = point.shading_normal
-    triangle, (uv0, uv1, uv2) = packed.triangles(point.face), corners(packed.uvs[packed.uv_faces[point.face]])
-    (u1, v1), (u2, v2) = components(uv1 - uv0), components(uv2 - uv0)
+    triangle, (u1, v1), (u2, v2) = _sides(packed, point)
     along = scale(triangle.b - triangle.a, v2) - scale(triangle.c - triangle.a, v1)
     along = scale(normalize(along), jnp.sign(u1 * v2 - v1 * u2))  # dp/du at constant v
     along = normalize(along - scale(normal, dot(normal, along)))

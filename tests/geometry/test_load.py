@@ -206,7 +206,7 @@ BAD_FILES = {
     "points only": ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", r"points\.obj has no triangles"),
     "empty": ("empty.obj", "", r"empty\.obj"),
     "not a ply": ("bad.ply", "hello", r"bad\.ply is not a readable \.ply file"),
-    "not a glb": ("bad.glb", "hello", r"bad\.glb is not a readable \.glb file"),
+    "not a glb": ("bad.glb", "hello", r"bad\.glb: the JSON: is damaged or cut off"),
     "not an stl": ("bad.stl", "hello", r"bad\.stl"),
 }
 

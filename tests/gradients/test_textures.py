@@ -47,6 +47,11 @@ SURFACES = {
     "vertex colours": [TRANSLATION, CAMERA, along("quad.bsdf.reflectance.colors", RNG.normal(size=(36, 3)))],
     "rough metal": [TRANSLATION, CAMERA, along("quad.bsdf.alpha.pixels", RNG.uniform(size=(5, 6, 1)))],
     "normal map": [TRANSLATION, CAMERA, turned, along("quad.bsdf.normal.pixels", RNG.normal(size=PIXELS.shape))],
+    "bump map": [TRANSLATION, CAMERA, turned, along("quad.bsdf.height.pixels", RNG.normal(size=(5, 6, 1))),
+                 along("quad.bsdf.height.to_uv", RNG.normal(size=(2, 3))), along("quad.bsdf.scale", 1.0)],
+    "blend": [TRANSLATION, turned, along("quad.bsdf.weight.pixels", RNG.normal(size=(5, 6, 1))),
+              along("quad.bsdf.first.normal.pixels", RNG.normal(size=PIXELS.shape)),
+              along("quad.bsdf.second.alpha_v.pixels", RNG.uniform(size=(5, 6, 1)))],
 }  # fmt: skip
 
 
@@ -60,6 +65,13 @@ def surface(name):
     if name == "normal map":
         normals = jd.Bitmap([0.5, 0.5, 0.8] + 0.4 * (PIXELS - 0.5), to_uv=[[0.6, 0.2, 0.1], [-0.1, 0.8, 0.3]])
         return scene(jd.NormalMap(normals, jd.Diffuse((0.9, 0.6, 0.3))))
+    if name == "bump map":
+        heights = jd.Bitmap(PIXELS[..., 1], wrap="mirror", to_uv=[[0.9, 0.2, 0.1], [-0.1, 0.8, 0.3]])
+        return scene(jd.BumpMap(heights, jd.RoughConductor(0.5, "Au", alpha_v=0.25), 0.4))
+    if name == "blend":
+        normals = jd.Bitmap([0.5, 0.5, 0.8] + 0.4 * (PIXELS - 0.5), to_uv=[[0.6, 0.2, 0.1], [-0.1, 0.8, 0.3]])
+        metal = jd.RoughConductor(0.3, "Au", alpha_v=jd.Bitmap(PIXELS[..., 1]))
+        return scene(jd.Blend(jd.Bitmap(PIXELS[..., 2]), jd.NormalMap(normals, jd.Diffuse((0.9, 0.6, 0.3))), metal))
     return scene(jd.Diffuse(bitmap))
 
 
@@ -157,25 +169,29 @@ DOWN = np.diag([1.0, -1.0, -1.0, 1.0])  # turns what faces up
 BORDER = 0.13  # where the UVs jump, in the middle of a pixel
 
 
-def seam():
-    """A flat sheet whose UVs jump at x = BORDER: dark on the left, bright on the right of it."""
+def seam(of_faces=False):
+    """A flat sheet whose UVs jump at x = BORDER: dark on the left, bright on the right of it. Or its faces' colours."""
     points = [[x, y, 0] for x in (-2, BORDER, 2) for y in (-2, 2)]
     faces = [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]
+    if of_faces:
+        return jd.Diffuse(jd.FaceColors([DARK, DARK, BRIGHT, BRIGHT])), jd.Mesh(points, faces)
     mesh = jd.Mesh(points, faces, [[0.25, 0.5], [0.75, 0.5]], [[0] * 3, [0] * 3, [1] * 3, [1] * 3])
     return jd.Diffuse(jd.Bitmap(np.array([[DARK, BRIGHT]]), wrap="clamp")), mesh
 
 
 @pytest.mark.parametrize(
-    ("change", "glows"),
+    ("change", "glows", "of_faces"),
     [
-        pytest.param(RIGHT, False, id="mesh"),
-        pytest.param(LOOK_LEFT, False, id="camera", marks=pytest.mark.slow),
-        pytest.param(RIGHT, True, id="it glows", marks=pytest.mark.slow),
+        pytest.param(RIGHT, False, False, id="mesh"),
+        pytest.param(RIGHT, False, True, id="faces", marks=pytest.mark.slow),
+        pytest.param(LOOK_LEFT, False, False, id="camera", marks=pytest.mark.slow),
+        pytest.param(RIGHT, True, False, id="it glows", marks=pytest.mark.slow),
+        pytest.param(RIGHT, True, True, id="faces glow", marks=pytest.mark.slow),
     ],
 )
-def test_a_seam_is_a_crease(change, glows):
+def test_a_seam_is_a_crease(change, glows, of_faces):
     """It moves over one column of pixels, which loses what jumps times the speed, in pixels."""
-    bsdf, mesh = seam()
+    bsdf, mesh = seam(of_faces)
     of = scene(jd.AreaEmitter(bsdf.reflectance) if glows else bsdf, mesh, FRONTAL)
 
     @jax.jit
@@ -209,11 +225,17 @@ def test_where_seams_are():
     assert at_seam.sum() == 1 and np.all(jumps[~at_seam] == 0)
     np.testing.assert_allclose(jumps[at_seam], 0.1 + np.mean(np.subtract(BRIGHT, DARK)), rtol=1e-5)
     assert np.all(np.asarray(jumps_of(scene(jd.Diffuse(jd.Bitmap(PIXELS)), jd.shapes.plane(4.0, 3)))) == 0)
+    np.testing.assert_allclose(np.asarray(jumps_of(scene(*seam(of_faces=True)))), jumps, rtol=1e-5)
     # UVs that go back behind the diagonal: no seam for an image, but for normals, which follow them.
     sheet, uvs = jd.shapes.rectangle(), [[0, 0], [1, 0], [1, 0], [1, 1]]
     folded = jd.Mesh(sheet.vertices, sheet.faces, uvs, sheet.faces)
     for bsdf, seams in ((jd.Diffuse(jd.Bitmap(PIXELS)), 0), (jd.NormalMap((0.6, 0.5, 0.9), jd.Diffuse()), 1)):
         assert (np.asarray(jumps_of(scene(bsdf, folded))) > 0).sum() == seams
+    # An image that is stretched more on one side: no seam for colours nor for normals, but for slopes.
+    stretched = jd.Mesh(sheet.vertices, sheet.faces, [[0, 0], [1, 0], [-0.5, 1], [1, 1]], sheet.faces)
+    normals, heights = jd.NormalMap((0.6, 0.5, 0.9), jd.Diffuse()), jd.Bitmap(PIXELS[..., 0])
+    for bsdf, seams in ((normals, 0), (jd.BumpMap(heights, jd.Diffuse()), 1)):
+        assert (np.asarray(jumps_of(scene(bsdf, stretched))) > 0).sum() == seams
 
 
 def test_shadows_on_a_texture():

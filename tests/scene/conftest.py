@@ -2,8 +2,8 @@
 
 import pytest
 
-from jaxdr.scene.mitsuba import load_mitsuba
-from jaxdr.scene.mitsuba_document import Variables, read_xml
+from jaxdr.scene.formats.mitsuba.document import Variables, read_xml
+from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 
 SENSOR = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
 OBJ = """

@@ -20,9 +20,9 @@ from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
 from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.scene.film import Film
-from jaxdr.scene.gltf import is_gltf, load_gltf
+from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
+from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.lights import PointLight
-from jaxdr.scene.mitsuba import load_mitsuba
 from jaxdr.scene.scene import Scene, Shape
 from jaxdr.scene.textures import Bitmap
 

@@ -41,12 +41,14 @@ class BSDF(eqx.Module):
     `transmissive`: it tells the inside (wi.z < 0) from the outside and scatters through the surface; else it is black
     from behind. `delta`: it has delta lobes; `eval` and `pdf` leave them out, and `pdf` integrates to the probability
     that `sample_delta` chooses none of them, or to less where sampling fails. `tangential`: the x axis has to be along
-    increasing u (the texture coordinate); else it may be any tangent.
+    increasing u (the texture coordinate); else it may be any tangent. `bending`: the fields that directions of delta
+    lobes change with.
     """
 
     transmissive: ClassVar[bool] = False
     delta: ClassVar[bool] = False
     tangential: ClassVar[bool] = False
+    bending: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def eval(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -125,14 +127,22 @@ class DeltaBSDF(BSDF):
         """The delta lobe that `u` chooses."""
 
 
+def nested(bsdf: BSDF) -> list[BSDF]:
+    """The BSDFs that an adapter holds, such as the one in a mask or both of a blend."""
+    return [x for x in (getattr(bsdf, name) for name in bsdf.__dataclass_fields__) if isinstance(x, BSDF)]
+
+
 def only_delta(bsdf: BSDF) -> bool:
     """Whether a BSDF, with those inside it, has delta lobes alone."""
-    inner = getattr(bsdf, "bsdf", None)
-    return isinstance(bsdf, DeltaBSDF) or (isinstance(inner, BSDF) and bsdf.delta and only_delta(inner))
+    inside = nested(bsdf)
+    return isinstance(bsdf, DeltaBSDF) or (bool(inside) and bsdf.delta and all(map(only_delta, inside)))
 
 
 def spreads_through(bsdf: BSDF) -> bool:
     """Whether a BSDF scatters light through the surface into more than single directions."""
+    inside = nested(bsdf)
+    if inside:
+        return any(map(spreads_through, inside))
     return bsdf.transmissive and not only_delta(bsdf)
 
 

@@ -21,6 +21,7 @@ class SmoothInterface(DeltaBSDF):
     specular_reflectance: Color
     specular_transmittance: Color
     transmissive = True
+    bending = ("eta",)
 
     def __init__(
         self,

@@ -1,36 +1,38 @@
-"""Normals from a texture."""
+"""Normals that are turned at every point."""
 
+import abc
+
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.geometry.vector import Frame, dot, normalize, orthonormal_basis, scale, z_of
+from jaxdr.geometry.vector import (
+    Frame,
+    components,
+    cross,
+    dot,
+    from_components,
+    normalize,
+    orthonormal_basis,
+    scale,
+    z_of,
+)
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 
 
-class NormalMap(BSDF):
-    """A BSDF whose normal is turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
+class TurnedNormal(BSDF):
+    """Adapter: a BSDF whose normal is turned at every point.
 
-    `normal` is RGB in [0, 1] and stores (n + 1) / 2; read it by `Bitmap.from_file` with `raw`. n is in the frame of the
-    surface: x along increasing u, z along the shading normal, y completes them. A normal that faces away from the
-    viewer is turned half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019). For
-    a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
-
-    Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
-    has no derivative.
+    A normal that faces away from the viewer is turned half around z. Light is shadowed at grazing angles as by a rough
+    surface (Estevez et al. 2019).
     """
 
-    normal: Color
-    bsdf: BSDF
+    bsdf: eqx.AbstractVar[BSDF]
 
-    def __init__(self, normal: Value, bsdf: BSDF | TwoSided):
-        if not isinstance(bsdf, BSDF):
-            inside = type(bsdf).__name__
-            raise ValueError(
-                f"NormalMap: bsdf can't be a {inside}; a two-sided one is TwoSided(NormalMap(normal, bsdf))"
-            )
-        self.normal = rgb(normal, "NormalMap: normal")
-        self.bsdf = bsdf
+    @abc.abstractmethod
+    def turned_normal(self) -> Float[Array, "*#n 3"]:
+        """The normal, of any length, in the frame of the surface."""
 
     @property
     def transmissive(self) -> bool:
@@ -45,21 +47,21 @@ class NormalMap(BSDF):
         return True
 
     def eval(self, wi, wo):
-        frame = _Frame(self.normal, wi)
+        frame = self._frame(wi)
         value = scale(self.bsdf.eval(frame.to_local(wi), frame.to_local(wo)), frame.shadowing(wo))
         return jnp.where(frame.keeps_side(wo)[..., None], value, 0.0)
 
     def pdf(self, wi, wo):
-        frame = _Frame(self.normal, wi)
+        frame = self._frame(wi)
         return jnp.where(frame.keeps_side(wo), self.bsdf.pdf(frame.to_local(wi), frame.to_local(wo)), 0.0)
 
     def sample(self, wi, u):
-        frame = _Frame(self.normal, wi)
+        frame = self._frame(wi)
         wo = frame.to_surface(self.bsdf.sample(frame.to_local(wi), u))
         return jnp.where(frame.keeps_side(wo)[..., None], wo, 0.0)
 
     def sample_delta(self, wi, u):
-        frame = _Frame(self.normal, wi)
+        frame = self._frame(wi)
         inside = self.bsdf.sample_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
         keeps = frame.keeps_side(wo)
@@ -67,7 +69,7 @@ class NormalMap(BSDF):
         return DeltaSample(wo, weight, inside.probability)
 
     def adjoint_delta(self, wi, u):
-        frame = _Frame(self.normal, wi)
+        frame = self._frame(wi)
         inside = self.bsdf.adjoint_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
         # Radiance is scattered from wi to wo in wo's frame.
@@ -75,23 +77,57 @@ class NormalMap(BSDF):
         return DeltaSample(wo, jnp.where(self.delta_reverses(wi, wo)[..., None], weight, 0.0), inside.probability)
 
     def delta_reverses(self, wi, wo):
-        one, two = _Frame(self.normal, wi), _Frame(self.normal, wo)
+        one, two = self._frame(wi), self._frame(wo)
         return one.turned == two.turned
 
     def lobe_width(self, wi):
-        return self.bsdf.lobe_width(_Frame(self.normal, wi).to_local(wi))
+        return self.bsdf.lobe_width(self._frame(wi).to_local(wi))
+
+    def _frame(self, w) -> "_Frame":
+        return _Frame(self.turned_normal(), w, self.bsdf.tangential)
+
+
+class NormalMap(TurnedNormal):
+    """A BSDF whose normal is turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
+
+    `normal` is RGB in [0, 1] and stores (n + 1) / 2; read it by `Bitmap.from_file` with `raw`. n is in the frame of the
+    surface: x along increasing u, z along the shading normal, y completes them. A normal that faces away from the
+    viewer is turned half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019). For
+    a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
+
+    Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
+    has no derivative.
+    """
+
+    normal: Color
+    bsdf: BSDF
+    bending = ("normal",)
+
+    def __init__(self, normal: Value, bsdf: BSDF | TwoSided):
+        self.normal = rgb(normal, "NormalMap: normal")
+        self.bsdf = one_sided(bsdf, "NormalMap", "normal")
+
+    def turned_normal(self):
+        return 2.0 * self.normal - 1.0
+
+
+def one_sided(bsdf: BSDF | TwoSided, adapter: str, first: str) -> BSDF:
+    """The BSDF for an adapter; ValueError says where `TwoSided` belongs."""
+    if not isinstance(bsdf, BSDF):
+        inside = type(bsdf).__name__
+        raise ValueError(f"{adapter}: bsdf can't be a {inside}; a two-sided one is TwoSided({adapter}({first}, bsdf))")
+    return bsdf
 
 
 class _Frame:
-    """The frame around mapped normals, in that of the surface."""
+    """The frame around turned normals, in that of the surface; with `along_u` its x axis is close to the surface's."""
 
-    def __init__(self, stored: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"]):
-        n = 2.0 * stored - 1.0
+    def __init__(self, n: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"], along_u: bool):
         self.turned = z_of(wi) * dot(wi, n) <= 0
         n = jnp.where(self.turned[..., None], n * jnp.asarray([-1.0, -1.0, 1.0], n.dtype), n)
         none = dot(n, n) == 0
         self.normal = normalize(jnp.where(none[..., None], jnp.asarray([0.0, 0.0, 1.0], n.dtype), n))
-        s, t = orthonormal_basis(self.normal)
+        s, t = _tangents(self.normal) if along_u else orthonormal_basis(self.normal)
         self.axes = Frame(s, t, self.normal)
 
     def to_local(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -103,13 +139,22 @@ class _Frame:
         return self.axes.to_world(v)
 
     def keeps_side(self, w: Float[Array, "*n 3"]):
-        """Whether directions are on the same side of the surface as of the mapped normal."""
+        """Whether directions are on the same side of the surface as of the turned normal."""
         return z_of(w) * dot(w, self.normal) > 0
 
     def shadowing(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Estevez et al. 2019, Eq. 2 and 3: GGX masking, rougher the more the normal is turned."""
         alpha2 = jnp.minimum(0.125 * _tangent2(self.normal), 1.0)
         return 2.0 / (1.0 + jnp.sqrt(1.0 + alpha2 * _tangent2(w)))
+
+
+def _tangents(normal):
+    """Two tangents to unit normals: the first is along x, less its part along the normal; the second completes them."""
+    x, y, z = components(normal)
+    along = from_components(1.0 - x * x, -x * y, -x * z)
+    known = dot(along, along) > 0  # not where the normal is the x axis
+    s = normalize(jnp.where(known[..., None], along, jnp.asarray([0.0, 0.0, -1.0], normal.dtype)))
+    return s, cross(normal, s)
 
 
 def _tangent2(w):

@@ -69,6 +69,11 @@ def roughness(value, model: str) -> Number:
     return number(value, f"{model}: alpha", SMOOTHEST, 1.0)
 
 
+def roughness_across(value, model: str) -> Number | None:
+    """The alpha along the y axis; None where it is the same in all directions."""
+    return None if value is None else number(value, f"{model}: alpha_v", SMOOTHEST, 1.0)
+
+
 def distribution_name(name: str, model: str) -> str:
     """A known microfacet distribution."""
     if name not in DISTRIBUTIONS:

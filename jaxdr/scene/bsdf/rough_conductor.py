@@ -6,15 +6,25 @@ import jax.numpy as jnp
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
-from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import Color, Number, Value, complex_index, distribution_name, rgb, roughness
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, Alpha, along_and_across, mirrored_width, reflect, reflection
+from jaxdr.scene.bsdf.parameters import (
+    Color,
+    Number,
+    Value,
+    complex_index,
+    distribution_name,
+    rgb,
+    roughness,
+    roughness_across,
+)
 
 
 class RoughConductor(BSDF):
     """Rough metal: microfacets that are small mirrors (Walter et al. 2007, Eq. 20); black from behind.
 
-    `alpha` is the roughness, the same in all directions, of the `distribution` of facets ("ggx" or "beckmann").
-    `material`, `eta`, `k` and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost,
+    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"), the same in all directions. With
+    `alpha_v` it is that along increasing u, and `alpha_v` that across it: such a surface needs UVs. `material`, `eta`,
+    `k` and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost,
     as in Mitsuba 3.
     """
 
@@ -22,6 +32,7 @@ class RoughConductor(BSDF):
     eta: Color
     k: Color
     specular_reflectance: Color
+    alpha_v: Number | None
     distribution: str = eqx.field(static=True)
 
     def __init__(
@@ -33,22 +44,31 @@ class RoughConductor(BSDF):
         k: Value | None = None,
         specular_reflectance: Value = 1.0,
         distribution: str = "ggx",
+        alpha_v: Value | None = None,
     ):
         self.alpha = roughness(alpha, "RoughConductor")
         self.eta, self.k = complex_index(material, eta, k, "RoughConductor")
         self.specular_reflectance = rgb(specular_reflectance, "RoughConductor: specular_reflectance")
+        self.alpha_v = roughness_across(alpha_v, "RoughConductor")
         self.distribution = distribution_name(distribution, "RoughConductor")
 
+    @property
+    def tangential(self) -> bool:
+        return self.alpha_v is not None
+
     def eval(self, wi, wo):
-        facets = reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo))
+        facets = reflection(self.distribution, self._facets(), wi, wo, both_above(wi, wo))
         fresnel = fresnel_conductor(facets.cosine, self.eta, self.k)
         return scale(self.specular_reflectance * fresnel, facets.value)
 
     def pdf(self, wi, wo):
-        return reflection(self.distribution, self.alpha, wi, wo, both_above(wi, wo)).pdf
+        return reflection(self.distribution, self._facets(), wi, wo, both_above(wi, wo)).pdf
 
     def sample(self, wi, u):
-        return reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, u))
+        return reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self._facets(), u))
 
     def lobe_width(self, wi):
-        return jnp.broadcast_to(mirrored_width(self.alpha), wi.shape[:-1])
+        return jnp.broadcast_to(mirrored_width(self._facets()), wi.shape[:-1])
+
+    def _facets(self) -> Alpha:
+        return along_and_across(self.alpha, self.alpha_v)

@@ -1,19 +1,37 @@
 """Rough glass: microfacet reflection and refraction."""
 
-from typing import NamedTuple
-
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.geometry.vector import dot, normalize, scale, z_of
+from jaxdr.geometry.vector import dot, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, Rim
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
-from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection, refract
-from jaxdr.scene.bsdf.parameters import Color, Number, Value, distribution_name, relative_index, rgb, roughness
+from jaxdr.scene.bsdf.microfacet import (
+    DISTRIBUTIONS,
+    Alpha,
+    along_and_across,
+    mirrored_width,
+    narrowest,
+    reflect,
+    reflection,
+    refract,
+    transmission,
+)
+from jaxdr.scene.bsdf.parameters import (
+    Color,
+    Number,
+    Value,
+    distribution_name,
+    relative_index,
+    rgb,
+    roughness,
+    roughness_across,
+)
 from jaxdr.scene.sampling import choose
 
 # Uniform numbers of the facets that decide how often reflection is chosen; half of them, by symmetry.
@@ -24,14 +42,15 @@ LEAST = 0.05  # probability of either lobe: the pilots may all see total interna
 class RoughDielectric(BSDF):
     """Frosted glass: microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
 
-    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"). The other parameters are those of
-    `Dielectric`. Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices.
+    `alpha`, `alpha_v` and `distribution` are those of `RoughConductor`, the other parameters those of `Dielectric`.
+    Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices.
     """
 
     alpha: Number
     eta: Float[Array, "*n"]
     specular_reflectance: Color
     specular_transmittance: Color
+    alpha_v: Number | None
     distribution: str = eqx.field(static=True)
     transmissive = True
 
@@ -44,6 +63,7 @@ class RoughDielectric(BSDF):
         specular_reflectance: Value = 1.0,
         specular_transmittance: Value = 1.0,
         distribution: str = "ggx",
+        alpha_v: Value | None = None,
     ):
         self.alpha = roughness(alpha, "RoughDielectric")
         self.eta = relative_index(int_ior, ext_ior, "RoughDielectric")
@@ -51,27 +71,32 @@ class RoughDielectric(BSDF):
             raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
         self.specular_reflectance = rgb(specular_reflectance, "RoughDielectric: specular_reflectance")
         self.specular_transmittance = rgb(specular_transmittance, "RoughDielectric: specular_transmittance")
+        self.alpha_v = roughness_across(alpha_v, "RoughDielectric")
         self.distribution = distribution_name(distribution, "RoughDielectric")
+
+    @property
+    def tangential(self) -> bool:
+        return self.alpha_v is not None
 
     def eval(self, wi, wo):
         wi, wo, eta = self._seen_from_above(wi, wo)
-        facets = reflection(self.distribution, self.alpha, wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
+        facets = reflection(self.distribution, self._facets(), wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
         reflected = fresnel_dielectric(facets.cosine, eta).reflectance * facets.value
-        transmitted = self._transmission(wi, wo, eta).value
+        transmitted = transmission(self.distribution, self._facets(), wi, wo, eta).value
         colours = self.specular_reflectance, self.specular_transmittance
         return scale(colours[0], reflected) + scale(colours[1], transmitted)
 
     def pdf(self, wi, wo):
         wi, wo, eta = self._seen_from_above(wi, wo)
         chance = self._reflection_probability(wi, eta)
-        facets = reflection(self.distribution, self.alpha, wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
-        return chance * facets.pdf + (1.0 - chance) * self._transmission(wi, wo, eta).pdf
+        facets = reflection(self.distribution, self._facets(), wi, wo, (z_of(wi) > 0) & (z_of(wo) > 0))
+        return chance * facets.pdf + (1.0 - chance) * transmission(self.distribution, self._facets(), wi, wo, eta).pdf
 
     def sample(self, wi, u):
         side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
         wi, _, eta = self._seen_from_above(wi, wi)
         reflects, left = choose(u, self._reflection_probability(wi, eta))
-        m = DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, left)
+        m = DISTRIBUTIONS[self.distribution].sample(wi, self._facets(), left)
         mirrored = reflect(wi, m)
         refracted, passes = refract(wi, m, eta)
         # A facet may send light to the wrong side: that light is lost, and the other lobe's density is not its own.
@@ -82,16 +107,14 @@ class RoughDielectric(BSDF):
     def lobe_width(self, wi):
         """Of the narrower lobe: a facet turned by an angle turns refracted light by |1 - eta_i / eta_t| times that."""
         relative = jnp.where(z_of(wi) > 0, 1.0 / self.eta, self.eta)
-        return jnp.minimum(mirrored_width(self.alpha), self.alpha * jnp.abs(1.0 - relative))
+        alpha = self._facets()
+        return jnp.minimum(mirrored_width(alpha), narrowest(alpha) * jnp.abs(1.0 - relative))
 
     def rims(self, wi):
-        """A cone around -wi, where facets are seen edge-on from one side; and where facets would have to face down."""
-        side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
-        eta = jnp.where(z_of(wi) < 0, 1.0 / self.eta, self.eta)
-        # A facet's normal is along ± (wi + eta wo), by Snell's law; minus where it is eta wo that is longer.
-        sign = jnp.where(eta > 1, -1.0, 1.0).astype(wi.dtype)
-        up = scale(jnp.asarray([0.0, 0.0, 1.0], wi.dtype), side * sign)
-        return Rim(-wi, jnp.minimum(eta, 1.0 / eta)), Rim(up, -sign * jnp.abs(z_of(wi)) / eta)
+        return refraction_rims(wi, self.eta)
+
+    def _facets(self) -> Alpha:
+        return along_and_across(self.alpha, self.alpha_v)
 
     def _seen_from_above(self, wi, wo):
         """(wi, wo, index beyond the surface over that on wi's side); both mirrored at the point where wi is below."""
@@ -100,40 +123,27 @@ class RoughDielectric(BSDF):
         return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / self.eta, self.eta)
 
     def _reflection_probability(self, wi, eta) -> Float[Array, "*n"]:
-        """Mean Fresnel reflectance of a few visible facets (of GGX: it need not be exact), kept away from 0 and 1."""
-        pilots = jnp.asarray(PILOTS, wi.dtype)
-        above = (z_of(wi) > 0)[..., None]  # the zero vector and grazing directions see no facets
-        wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
-        m = DISTRIBUTIONS["ggx"].sample(wi, self.alpha[..., None], pilots)
-        mean = fresnel_dielectric(jnp.abs(dot(wi, m)), eta[..., None]).reflectance.mean(-1)
-        return LEAST + (1.0 - 2.0 * LEAST) * mean
-
-    def _transmission(self, wi, wo, eta) -> "_Transmission":
-        """Refraction by facets, zero where impossible; wi above the surface, `eta` the index beyond it over this one's.
-
-        `value` is Walter et al. 2007, Eq. 21, times |cos wo| and, for radiance, 1 / eta²; `pdf` is Eq. 17 times the
-        density of visible normals.
-        """
-        model = DISTRIBUTIONS[self.distribution]
-        up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
-        active = (z_of(wi) > 0) & (z_of(wo) < 0)
-        wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, -up)
-        half = wi + scale(wo, eta)
-        length2 = dot(half, half)  # = (wi·m + eta wo·m)²
-        active &= length2 > 0
-        m = scale(normalize(half), jnp.where(z_of(half) < 0, -1.0, 1.0).astype(wi.dtype))
-        cos_i, cos_o = dot(wi, m), -dot(wo, m)
-        active &= (cos_i > 0) & (cos_o > 0)  # a facet is seen from the sides that the surface is seen from
-        m = jnp.where(active[..., None], m, up)
-        density = model.density(m, self.alpha) * model.masking(wi, self.alpha) * cos_i * cos_o
-        density = density / jnp.where(active, length2, 1.0)
-        passing = (1.0 - fresnel_dielectric(jnp.abs(cos_i), eta).reflectance) * -z_of(wo)
-        value = density * passing * model.masking(wo, self.alpha)
-        return _Transmission(jnp.where(active, value, 0.0), jnp.where(active, density * eta * eta, 0.0))
+        return reflection_probability(self._facets(), wi, eta)
 
 
-class _Transmission(NamedTuple):
-    """Value (1/sr, without colour) and density (1/sr) of microfacet refraction."""
+def reflection_probability(alpha: Alpha, wi: Float[Array, "*n 3"], eta: Float[Array, "*#n"]) -> Float[Array, "*n"]:
+    """Mean Fresnel reflectance of a few visible facets (of GGX: it need not be exact), kept away from 0 and 1."""
+    pilots = jnp.asarray(PILOTS, wi.dtype)
+    above = (z_of(wi) > 0)[..., None]  # the zero vector and grazing directions see no facets
+    wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
+    m = DISTRIBUTIONS["ggx"].sample(wi, jax.tree.map(lambda a: a[..., None], alpha), pilots)
+    mean = fresnel_dielectric(jnp.abs(dot(wi, m)), eta[..., None]).reflectance.mean(-1)
+    return LEAST + (1.0 - 2.0 * LEAST) * mean
 
-    value: Float[Array, "*n"]
-    pdf: Float[Array, "*n"]
+
+def refraction_rims(wi: Float[Array, "*n 3"], eta: Float[Array, "*#n"]) -> tuple[Rim, Rim]:
+    """Of directions that facets refract (`BSDF.rims`); `eta` is the index inside over the one outside.
+
+    A cone around -wi, where facets are seen edge-on from one side; and where facets would have to face down.
+    """
+    side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
+    eta = jnp.where(z_of(wi) < 0, 1.0 / eta, eta)
+    # A facet's normal is along ± (wi + eta wo), by Snell's law; minus where it is eta wo that is longer.
+    sign = jnp.where(eta > 1, -1.0, 1.0).astype(wi.dtype)
+    up = scale(jnp.asarray([0.0, 0.0, 1.0], wi.dtype), side * sign)
+    return Rim(-wi, jnp.minimum(eta, 1.0 / eta)), Rim(up, -sign * jnp.abs(z_of(wi)) / eta)

@@ -5,3 +5,4 @@ from jaxdr.scene.lights.directional import DirectionalLight as DirectionalLight
 from jaxdr.scene.lights.point import PointLight as PointLight
 from jaxdr.scene.lights.projector import Projector as Projector
 from jaxdr.scene.lights.spot import SpotLight as SpotLight
+from jaxdr.scene.lights.spot import TexturedSpotLight as TexturedSpotLight

@@ -80,27 +80,10 @@ class Projector(DeltaLight):
         point = self.camera.project_local(local)
         size = jnp.asarray([width, height], point.dtype)
         inside = ahead & ((point >= 0) & (point <= size)).all(-1)
-        value = self._texture(jnp.where(inside[..., None], point, 0.5 * size))
+        value = bilinear(self.irradiance, jnp.where(inside[..., None], point, 0.5 * size), self.wrap)
         # The image is per area of the screen at distance 1; cos^3 of that is a solid angle.
         value = scale(value, math.pi * self.scale / z_of(local) ** 3)
         return jnp.where(inside[..., None], value, 0.0)
-
-    def _texture(self, point):
-        """Bilinear look-up at film points."""
-        height, width, _ = self.irradiance.shape
-        low = jnp.floor(stop_gradient(point) - 0.5)
-        along = point - 0.5 - low
-        column, row = (part.astype(jnp.int32) for part in components(low))
-        columns, rows = (self._wrapped(c, n) for c, n in ((column, width), (row, height)))
-        table, (a, b) = self.irradiance.reshape(-1, 3), components(along)
-        upper, lower = (
-            scale(table[row * width + columns[0]], 1 - a) + scale(table[row * width + columns[1]], a) for row in rows
-        )
-        return scale(upper, 1 - b) + scale(lower, b)
-
-    def _wrapped(self, index, count: int):
-        both = (index, index + 1)
-        return tuple(jnp.mod(i, count) if self.wrap == "repeat" else jnp.clip(i, 0, count - 1) for i in both)
 
     def power(self, radius):
         del radius
@@ -132,3 +115,22 @@ class Projector(DeltaLight):
         points = self.to_world[:3, 3] + local @ self.to_world[:3, :3].T
         corners, centre = points[:4], points[4:]
         return jnp.stack([corners, jnp.roll(corners, -1, axis=0), jnp.broadcast_to(centre, (4, 3))], 1)
+
+
+def bilinear(image: Float[Array, "H W 3"], point: Float[Array, "*n 2"], wrap: str) -> Float[Array, "*n 3"]:
+    """Values of an image at points, in texels from its top left; beyond the outer centres as `wrap` says."""
+    height, width, _ = image.shape
+    low = jnp.floor(stop_gradient(point) - 0.5)
+    along = point - 0.5 - low
+    column, row = (part.astype(jnp.int32) for part in components(low))
+    columns, rows = (_wrapped(c, n, wrap) for c, n in ((column, width), (row, height)))
+    table, (a, b) = image.reshape(-1, 3), components(along)
+    upper, lower = (
+        scale(table[row * width + columns[0]], 1 - a) + scale(table[row * width + columns[1]], a) for row in rows
+    )
+    return scale(upper, 1 - b) + scale(lower, b)
+
+
+def _wrapped(index, count: int, wrap: str):
+    both = (index, index + 1)
+    return tuple(jnp.mod(i, count) if wrap == "repeat" else jnp.clip(i, 0, count - 1) for i in both)

@@ -10,9 +10,10 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, on_host
-from jaxdr.geometry.vector import Frame, components, dot, from_components, normalize, orthonormal_basis, scale
+from jaxdr.geometry.vector import Frame, components, cross, dot, from_components, normalize, orthonormal_basis, scale
 from jaxdr.scene.color import as_rgb, luminance
 from jaxdr.scene.lights.base import DeltaLight, vector
+from jaxdr.scene.lights.projector import bilinear
 
 
 class SpotLight(DeltaLight):
@@ -90,3 +91,54 @@ class SpotLight(DeltaLight):
     def _opening(self) -> Float[Array, "*n"]:
         """1 - cos of the cutoff angle, detached."""
         return 2.0 * jnp.sin(0.5 * jnp.deg2rad(stop_gradient(self.cutoff_angle))) ** 2
+
+
+class TexturedSpotLight(SpotLight):
+    """A spot whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
+
+    The image fills the square around the cone's circle on a screen across the axis, its top row at negative y of the
+    frame: `up` (of any length, not along `direction`) is the y axis, less its part along the direction, and x completes
+    the right-handed frame with z along `direction`. Values are interpolated between texel centres and repeat beyond.
+    The other parameters are those of `SpotLight`, with a cutoff angle below 90 degrees.
+
+    Raises ValueError for an image that is not RGB, for a wider cone, and for an `up` along the direction.
+    """
+
+    texture: Float[Array, "H W 3"]
+    up: Float[Array, "3"]
+    stackable = False
+
+    def __init__(
+        self,
+        position: ArrayLike,
+        direction: ArrayLike,
+        texture: ArrayLike,
+        up: ArrayLike,
+        intensity: ArrayLike = 1.0,
+        cutoff_angle: ArrayLike = 20.0,
+        beam_width: ArrayLike | None = None,
+    ):
+        super().__init__(position, direction, intensity, cutoff_angle, beam_width)
+        self.texture, self.up = as_array(texture), vector(up, "TexturedSpotLight: up")
+        if self.texture.ndim != 3 or self.texture.shape[2] != 3:
+            raise ValueError(f"TexturedSpotLight: texture must be an RGB image [H, W, 3], got {self.texture.shape}")
+        if not isinstance(self.cutoff_angle, Tracer) and float(self.cutoff_angle) >= 90:
+            raise ValueError(f"TexturedSpotLight: cutoff_angle must be below 90, got {float(self.cutoff_angle):g}")
+        if not any(isinstance(axis, Tracer) for axis in (self.up, self.direction)):
+            if not np.any(np.cross(np.asarray(self.up), np.asarray(self.direction))):
+                raise ValueError("TexturedSpotLight: up must not be along the direction")
+
+    def intensity_in(self, direction):
+        height, width, _ = self.texture.shape
+        z = normalize(self.direction)
+        x = normalize(cross(self.up, z))
+        across, down, ahead = dot(direction, x), dot(direction, cross(z, x)), dot(direction, z)
+        lit = ahead > 0
+        reach = 2.0 * jnp.where(lit, ahead, 1.0) * jnp.tan(jnp.deg2rad(self.cutoff_angle))
+        column, row = (
+            (0.5 + jnp.where(lit, part, 0.0) / reach) * size for part, size in ((across, width), (down, height))
+        )
+        return super().intensity_in(direction) * bilinear(self.texture, from_components(column, row), "repeat")
+
+    def power(self, radius):
+        return super().power(radius) * jnp.maximum(luminance(self.texture), 0.0).mean()

@@ -22,21 +22,29 @@ class TexturePoint(NamedTuple):
     """N points on surfaces, as textures see them. `uv` and `barycentric` are differentiable where points slide.
 
     `uv`: texture coordinates, (0, 0) at an image's lower left; None in scenes whose textures use none. `barycentric`
-    coordinates in the face, and `vertices`, the rows of its corners in the vertices of its own mesh.
+    coordinates in the face, and `vertices`, the rows of its corners in the vertices of its own mesh. Only where a
+    texture of the scene uses them: `face`, its row in the faces of its own mesh, and `axes` (`uses_slopes`): of the
+    derivatives of the position by u and by v, dp/du · x, dp/dv · x and dp/dv · y in the frame of the surface, whose x
+    axis is along increasing u; zero where the UVs tell no directions.
     """
 
     uv: Float[Array, "N 2"] | None
     barycentric: Float[Array, "N 3"]
     vertices: Int[Array, "N 3"]
+    face: Int[Array, " N"] | None = None
+    axes: Float[Array, "N 3"] | None = None
 
 
 class Texture(eqx.Module):
     """Values over a surface, one number or RGB at each point. The base class of textures.
 
-    `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex.
+    `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex or, with
+    `uses_faces`, for every face. `uses_slopes`: whether it needs the lengths that u and v stand for.
     """
 
     uses_uv: ClassVar[bool] = True
+    uses_faces: ClassVar[bool] = False
+    uses_slopes: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

@@ -4,7 +4,7 @@ import os
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import scale
@@ -21,7 +21,7 @@ class Bitmap(ImageTexture):
     Values belong to the centres of pixels, as in Mitsuba 3's `bitmap`.
 
     - `filter`: "bilinear" interpolates. "nearest" takes the nearest pixel's value, so that values jump inside faces.
-    - `wrap`: what is outside of [0, 1]^2: "repeat", "mirror" or "clamp".
+    - `wrap`: what is outside of [0, 1]^2: "repeat", "mirror" or "clamp"; a pair where it differs along u and v.
     - `to_uv` [2, 3] or [3, 3]: maps the UVs before the image is looked up.
 
     Raises ValueError for another shape, for integers (`Bitmap.from_file` reads images), and for an unknown `filter` or
@@ -31,23 +31,26 @@ class Bitmap(ImageTexture):
     pixels: Float[Array, "*k H W C"]
     to_uv: Float[Array, "*k 2 3"] | None
     filter: str = eqx.field(static=True)
-    wrap: str = eqx.field(static=True)
+    wrap: str | tuple[str, str] = eqx.field(static=True)
 
     def __init__(
         self,
         pixels: ArrayLike,
         *,
         filter: str = "bilinear",
-        wrap: str = "repeat",
+        wrap: str | tuple[str, str] = "repeat",
         to_uv: ArrayLike | None = None,
     ):
-        for name, value, known in (("filter", filter, FILTERS), ("wrap", wrap, WRAPS)):
-            if value not in known:
-                raise ValueError(f"Bitmap: {name} must be one of {', '.join(known)}; got {value!r}")
+        if filter not in FILTERS:
+            raise ValueError(f"Bitmap: filter must be one of {', '.join(FILTERS)}; got {filter!r}")
+        wraps = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+        if len(wraps) != 2 or not set(wraps) <= set(WRAPS):
+            count = "one" if isinstance(wrap, str) else "two, for u and v,"
+            raise ValueError(f"Bitmap: wrap must be {count} of {', '.join(WRAPS)}; got {wrap!r}")
         self.pixels = channels_last(pixels, "Bitmap: pixels [H, W, C]", 2)
         self.to_uv = affine(to_uv, "Bitmap")
         self.filter = filter
-        self.wrap = wrap
+        self.wrap = wrap if isinstance(wrap, str) else wraps
 
     @classmethod
     def from_file(
@@ -79,6 +82,10 @@ class Bitmap(ImageTexture):
         x, y = across * width, down * height
         if self.filter == "nearest":
             return self._pixel(row, jnp.floor(x), jnp.floor(y))
+        return self.bilinear(row, x, y)
+
+    def bilinear(self, row: Int[Array, " N"], x: Float[Array, " N"], y: Float[Array, " N"]) -> Float[Array, "N C"]:
+        """Values at points of the image, in pixels from its top left."""
         x, y = x - 0.5, y - 0.5
         left, top = jnp.floor(x), jnp.floor(y)
         right, below = x - left, y - top
@@ -88,14 +95,16 @@ class Bitmap(ImageTexture):
 
     def _pixel(self, row, x, y) -> Float[Array, "N C"]:
         height, width = self.pixels.shape[-3:-1]
-        return self.pixels[row, self._wrapped(y, height), self._wrapped(x, width)]
+        along_u, along_v = (self.wrap, self.wrap) if isinstance(self.wrap, str) else self.wrap
+        return self.pixels[row, _wrapped(y, height, along_v), _wrapped(x, width, along_u)]
 
-    def _wrapped(self, index, size):
-        """Row or column of the image that an index without limits stands for."""
-        index = index.astype(jnp.int32)
-        if self.wrap == "clamp":
-            return jnp.clip(index, 0, size - 1)
-        if self.wrap == "repeat":
-            return jnp.mod(index, size)
-        there_and_back = jnp.mod(index, 2 * size)
-        return jnp.minimum(there_and_back, 2 * size - 1 - there_and_back)
+
+def _wrapped(index, size: int, wrap: str):
+    """Row or column of the image that an index without limits stands for."""
+    index = index.astype(jnp.int32)
+    if wrap == "clamp":
+        return jnp.clip(index, 0, size - 1)
+    if wrap == "repeat":
+        return jnp.mod(index, size)
+    there_and_back = jnp.mod(index, 2 * size)
+    return jnp.minimum(there_and_back, 2 * size - 1 - there_and_back)

@@ -16,6 +16,19 @@ def rgb(*value):
     return {"type": "rgb", "value": list(value)}
 
 
+LOBES = (
+    {"anisotropic": 0.8},
+    {"spec_tint": 0.7},
+    {"sheen": 0.8},
+    {"sheen": 0.8, "sheen_tint": 0.6},
+    {"clearcoat": 0.9},
+    {"clearcoat": 0.9, "clearcoat_gloss": 0.3},
+    {"flatness": 0.6},
+    {"spec_trans": 0.7},
+    {"spec_trans": 0.4, "anisotropic": 0.5, "spec_tint": 0.5, "sheen": 0.5, "clearcoat": 0.5, "flatness": 0.5},
+)
+
+
 def _peers():
     base = rgb(*COLOUR)
     yield "diffuse", jd.Diffuse(COLOUR), {"type": "diffuse", "reflectance": base}, 1e-4, 1e-4
@@ -33,13 +46,33 @@ def _peers():
             plugin["nonlinear"] = alpha == 0.2
             tolerance = 0.1 if alpha == 0.01 else 0.03
             yield f"rough plastic {name} {alpha}", plastic, plugin, tolerance, tolerance
+        common = {"alpha_u": 0.4, "alpha_v": 0.1, "distribution": name}
+        metal = jd.RoughConductor(0.4, "Au", alpha_v=0.1, distribution=name)
+        tolerance = 1e-3 + beckmann
+        yield f"metal {name} two", metal, {"type": "roughconductor", "material": "Au", **common}, tolerance, tolerance
+        glass = jd.RoughDielectric(0.4, "bk7", "water", alpha_v=0.1, distribution=name)
+        plugin = {"type": "roughdielectric", "int_ior": "bk7", "ext_ior": "water", **common}
+        yield f"glass {name} two", glass, plugin, 2e-3 + beckmann, None
     plugin = {"type": "plastic", "diffuse_reflectance": base, "nonlinear": True}
     yield "plastic", jd.Plastic(COLOUR, nonlinear=True), plugin, 2e-3, 1e-3
     for metallic, roughness, specular in ((0.0, 0.5, 0.5), (1.0, 0.2, 0.3), (0.6, 0.8, 1.0)):
         model = jd.Principled(COLOUR, metallic, roughness, specular)
         plugin = {"type": "principled", "base_color": base, "metallic": metallic, "roughness": roughness}
         yield f"principled {metallic}", model, {**plugin, "specular": specular}, 1e-3, 1e-3
+    common = {"type": "principled", "base_color": base, "roughness": 0.4, "metallic": 0.3}
+    for lobes in LOBES:
+        densities = None if "spec_trans" in lobes else 2e-3
+        yield (
+            f"principled {', '.join(lobes)}",
+            jd.Principled(COLOUR, 0.3, 0.4, **lobes),
+            common | lobes,
+            2e-3,
+            densities,
+        )
     inner = {"type": "diffuse", "reflectance": base}
+    plugin = {"type": "blendbsdf", "weight": 0.3, "one": inner, "two": {"type": "roughconductor", "alpha": 0.2}}
+    blend = jd.Blend(0.3, jd.Diffuse(COLOUR), jd.RoughConductor(0.2, distribution="beckmann"))
+    yield "blend", blend, plugin, 9e-3, None
     plugin = {"type": "normalmap", "normalmap": rgb(0.7, 0.4, 0.9), "inner": inner}
     yield "normal map", jd.NormalMap((0.7, 0.4, 0.9), jd.Diffuse(COLOUR)), plugin, 1e-4, 1e-4
     yield "mask", jd.Mask(0.3, jd.Diffuse(COLOUR)), {"type": "mask", "opacity": 0.3, "inner": inner}, 1e-4, 1e-4

@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +25,20 @@ from tests.scene.bsdf.checks import (
 )
 
 COLOUR = (0.2, 0.5, 0.8)
+
+
+def with_slope(slope, bump):
+    """A bump map at a point where its texture has this slope."""
+    return eqx.tree_at(lambda b: b.height, bump, jnp.asarray(slope, float))
+
+
+def index(bsdf):
+    """Of the inside of what lets light through, over that of the outside."""
+    if isinstance(bsdf, jd.Blend):
+        return index(bsdf.second)
+    return float(bsdf._eta() if isinstance(bsdf, jd.Principled) else bsdf.eta)
+
+
 MODELS = {
     "metal ggx": jd.RoughConductor(0.3, "Au"),
     "metal beckmann": jd.RoughConductor(0.15, "Al", distribution="beckmann"),
@@ -36,11 +51,27 @@ MODELS = {
     "mask": jd.Mask(0.3, jd.Principled(COLOUR, 0.9, 0.6)),
     "masked plastic": jd.Mask(0.6, jd.Plastic(COLOUR)),
     "normal map": jd.NormalMap((0.6, 0.45, 0.9), jd.Principled(COLOUR, 0.4, 0.5, 0.7)),
+    "two roughnesses": jd.RoughConductor(0.4, "Au", alpha_v=0.15),
+    "glass beckmann two roughnesses": jd.RoughDielectric(0.35, alpha_v=0.7, distribution="beckmann"),
+    "principled lobes": jd.Principled(
+        COLOUR, 0.2, 0.5, sheen=0.2, sheen_tint=0.4, clearcoat=0.9, clearcoat_gloss=0.1, flatness=0.6, spec_tint=0.5
+    ),
+    "principled glass": jd.Principled(
+        COLOUR, 0.2, 0.6, anisotropic=0.7, clearcoat=0.6, flatness=0.3, sheen=0.2, spec_tint=0.3, spec_trans=0.7
+    ),
+    "phong": jd.Phong(COLOUR, 0.2, 12.0),
+    "blended plastic": jd.Blend(0.6, jd.Plastic(COLOUR), jd.RoughDielectric(0.4)),
+    "bump map": with_slope(
+        (0.4, -0.2), jd.BumpMap(jd.Bitmap(np.ones((2, 2))), jd.RoughConductor(0.4, alpha_v=0.15), 1.5)
+    ),
 }
-models = pytest.mark.parametrize("name", MODELS)
+SLOW = ("beckmann two", "principled lobes")  # other models meet the same lines
+models = pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if any(map(n.__contains__, SLOW)) else []) for n in MODELS]
+)
 # For what takes long to compile: the second distribution is in the same places of the code as the first.
 slow_beckmann = pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] if "beckmann" in n else []) for n in MODELS]
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if "beckmann" in n or n in SLOW else []) for n in MODELS]
 )
 ANGLES = [0.0, 1.3]
 
@@ -74,13 +105,13 @@ def test_energy(name):
         assert np.all(np.abs(weight.mean(0) - albedo) < 4 * error + 2e-3)
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "normal map"])  # that has none
+@pytest.mark.parametrize("name", [name for name in MODELS if " map" not in name])  # those have none
 def test_reciprocity(name):
     """f(a, b) n_b² = f(b, a) n_a², with the indices n of the sides that a and b are on."""
     bsdf = MODELS[name]
     lowest = -1.0 if bsdf.transmissive else 0.05
     a, b = random_directions(300, 2, lowest), random_directions(300, 3, lowest)
-    eta = float(bsdf.eta) if bsdf.transmissive else 1.0
+    eta = index(bsdf) if bsdf.transmissive else 1.0
     n_a, n_b = (np.where(np.asarray(w[:, 2]) > 0, 1.0, eta)[:, None] for w in (a, b))
     forth = call(bsdf, "eval", a, b) * np.abs(np.asarray(a)[:, 2:]) * n_b**2
     back = call(bsdf, "eval", b, a) * np.abs(np.asarray(b)[:, 2:]) * n_a**2
@@ -150,6 +181,25 @@ EDGES = {
     "sharp": jd.Principled(0.0, 1.0, 0.0, 0.0),
     "dull": jd.Principled(1.0, 0.0, 1.0, 0.0),
     "mask": jd.Mask(0.0, jd.Mask(1.0, jd.Plastic())),
+    "two 0.001": jd.RoughConductor(0.001, alpha_v=1.0),
+    "principled": jd.Principled(
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        anisotropic=1.0,
+        spec_tint=1.0,
+        sheen=1.0,
+        sheen_tint=1.0,
+        clearcoat=1.0,
+        clearcoat_gloss=1.0,
+        spec_trans=1.0,
+        flatness=1.0,
+    ),
+    "phong": jd.Phong(0.0, 1.0, 0.0),
+    "sharp phong": jd.Phong(0.0, 1.0, 1e4),
+    "blend": jd.Blend(0.0, jd.Plastic(), jd.Blend(1.0, jd.Phong(), jd.Dielectric())),
+    "flat": with_slope((0.0, 0.0), jd.BumpMap(jd.Bitmap(np.ones((2, 2))), jd.RoughConductor(0.4, alpha_v=0.2))),
     "across": jd.NormalMap((1.0, 0.5, 0.5), jd.RoughConductor(0.2)),
     "no normal": jd.NormalMap(0.5, jd.Diffuse()),
 }
@@ -285,7 +335,7 @@ def estimate(bsdf, wi):
 WRONG = {
     "RoughConductor: alpha must be in": lambda: jd.RoughConductor(0.0),
     "RoughConductor: alpha must be a number": lambda: jd.RoughConductor((0.1, 0.2)),
-    "RoughConductor: unknown material 'Unobtainium'; known: Ag": lambda: jd.RoughConductor(0.1, "Unobtainium"),
+    "RoughConductor: unknown material 'Unobtainium'; known: a-C, Ag": lambda: jd.RoughConductor(0.1, "Unobtainium"),
     "RoughConductor: give both eta and k": lambda: jd.RoughConductor(0.1, eta=1.0),
     "RoughConductor: give either a material": lambda: jd.RoughConductor(0.1, "Au", eta=1.0, k=2.0),
     "Conductor: k must be at least 0": lambda: jd.Conductor(eta=1.0, k=-1.0),
@@ -297,6 +347,21 @@ WRONG = {
     "RoughPlastic: int_ior / ext_ior must be in": lambda: jd.RoughPlastic(0.5, 0.1, 1.0, 1.5),
     "Principled: metallic must be in": lambda: jd.Principled(0.5, 1.5),
     "Principled: roughness must be in": lambda: jd.Principled(0.5, 0.0, float("nan")),
+    "RoughConductor: alpha_v must be in": lambda: jd.RoughConductor(0.1, alpha_v=0.0),
+    "Principled: sheen_tint has no effect without sheen": lambda: jd.Principled(sheen_tint=0.5),
+    "Principled: clearcoat_gloss has no effect": lambda: jd.Principled(clearcoat_gloss=0.5),
+    "Principled: spec_trans must be in": lambda: jd.Principled(spec_trans=1.5),
+    "TwoSided: Principled lets light through": lambda: jd.TwoSided(jd.Principled(spec_trans=0.5)),
+    "Phong: .* reflect up to 1.3 together": lambda: jd.Phong(0.5, (0.2, 0.8, 0.1)),
+    "Phong: exponent must be at least 0": lambda: jd.Phong(exponent=-1.0),
+    "Blend: second can't be a TwoSided": lambda: jd.Blend(0.5, jd.Diffuse(), jd.TwoSided(jd.Diffuse())),
+    "Blend: weight must be in": lambda: jd.Blend(-0.1, jd.Diffuse(), jd.Diffuse()),
+    "Blend: two mirrors or smooth glasses can't": lambda: jd.Blend(
+        0.5, jd.Conductor(), jd.NormalMap(0.5, jd.Conductor())
+    ),
+    "BumpMap: height must be a bilinear Bitmap": lambda: jd.BumpMap(jd.Checkerboard(), jd.Diffuse()),
+    "BumpMap: height must have one channel": lambda: jd.BumpMap(jd.Bitmap(np.ones((2, 2, 3))), jd.Diffuse()),
+    "BumpMap: bsdf can't be a TwoSided": lambda: jd.BumpMap(jd.Bitmap(np.ones((2, 2))), jd.TwoSided(jd.Diffuse())),
     "Mask: opacity must be in": lambda: jd.Mask(1.2, jd.Diffuse()),
     "Mask: bsdf can't be a TwoSided": lambda: jd.Mask(0.5, jd.TwoSided(jd.Diffuse())),
     "TwoSided: Dielectric lets light through": lambda: jd.TwoSided(jd.Dielectric()),

@@ -1,0 +1,58 @@
+"""Compressed meshes: Draco through DracoPy (the extra `gltf`), meshopt through meshoptimizer (the extra `meshopt`)."""
+
+from typing import Any
+
+import numpy as np
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+FILTERS = {"OCTAHEDRAL": "decode_filter_oct", "QUATERNION": "decode_filter_quat", "EXPONENTIAL": "decode_filter_exp"}
+
+
+def meshopt_extension(view: dict) -> dict | None:
+    """How a buffer view is compressed; None where it is not."""
+    extensions = view.get("extensions", {})
+    return next((extensions[name] for name in MESHOPT if name in extensions), None)
+
+
+def meshopt_view(extension: dict, data: bytes) -> bytes:
+    """The bytes that a buffer view compressed by meshopt stands for."""
+    try:
+        import meshoptimizer
+    except ImportError as error:
+        raise ValueError(
+            f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install "jaxdr[meshopt]" '
+            "(it needs a C++ compiler), or decompress the file with another tool"
+        ) from error
+    count, stride = int(extension["count"]), int(extension["byteStride"])
+    mode, filtered = extension["mode"], extension.get("filter", "NONE")
+    if mode in ("TRIANGLES", "INDICES"):
+        decode = meshoptimizer.decode_index_buffer if mode == "TRIANGLES" else meshoptimizer.decode_index_sequence
+        return decode(count, 4, data).astype(f"<u{stride}").tobytes()
+    if mode != "ATTRIBUTES" or filtered not in ("NONE", *FILTERS):
+        raise ValueError(f"{MESHOPT[0]}: mode {mode!r} with filter {filtered!r} is not supported")
+    decoded = meshoptimizer.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
+    if filtered != "NONE":
+        decoded = getattr(meshoptimizer, FILTERS[filtered])(decoded, count, stride)
+    return decoded.tobytes()
+
+
+def has_draco() -> bool:
+    """Whether Draco meshes can be read."""
+    try:
+        import DracoPy  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def draco_mesh(extension: dict, data: bytes) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(attributes by name [n, size], faces [F, 3]) of a primitive's Draco data; integers are as they are stored."""
+    import DracoPy
+
+    mesh: Any = DracoPy.decode(data)
+    attributes = {
+        name: np.asarray(mesh.get_attribute_by_unique_id(number)["data"])
+        for name, number in extension["attributes"].items()
+    }
+    return attributes, np.asarray(mesh.faces, np.int64).reshape(-1, 3)

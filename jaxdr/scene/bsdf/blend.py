@@ -1,0 +1,106 @@
+"""Two materials in one."""
+
+import functools
+import operator
+from collections.abc import Callable
+
+import jax.numpy as jnp
+
+from jaxdr.geometry.vector import scale
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided, both_above, nested
+from jaxdr.scene.bsdf.normal_map import TurnedNormal
+from jaxdr.scene.bsdf.parameters import Number, Value, number
+from jaxdr.scene.sampling import choose
+
+LEAST = 0.05  # probability of sampling either: at a weight of 0 or 1 the other one has a derivative as well
+
+
+class Blend(BSDF):
+    """A mixture of two BSDFs: 1 - `weight` of the `first` and `weight` of the `second` (Mitsuba 3's `blendbsdf`).
+
+    Of two-sided ones write `TwoSided(Blend(weight, first, second))`. One that lets light through can be mixed with one
+    that is black from behind.
+    """
+
+    weight: Number
+    first: BSDF
+    second: BSDF
+
+    def __init__(self, weight: Value, first: BSDF | TwoSided, second: BSDF | TwoSided):
+        for name, bsdf in (("first", first), ("second", second)):
+            if not isinstance(bsdf, BSDF):
+                inside = type(bsdf).__name__
+                raise ValueError(
+                    f"Blend: {name} can't be a {inside}; two-sided ones are TwoSided(Blend(weight, first, second))"
+                )
+            setattr(self, name, bsdf)
+        if self.first.delta and self.second.delta and (_turns(self.first) or _turns(self.second)):
+            # Which of the two lobes a direction belongs to would have to be known (`delta_reverses`).
+            raise ValueError(
+                "Blend: two mirrors or smooth glasses can't have normal or bump maps of their own; put the map around "
+                "the Blend"
+            )
+        self.weight = number(weight, "Blend: weight", 0.0, 1.0)
+
+    @property
+    def transmissive(self) -> bool:
+        return self.first.transmissive or self.second.transmissive
+
+    @property
+    def delta(self) -> bool:
+        return self.first.delta or self.second.delta
+
+    @property
+    def tangential(self) -> bool:
+        return self.first.tangential or self.second.tangential
+
+    def eval(self, wi, wo):
+        return scale(self.first.eval(wi, wo), 1.0 - self.weight) + scale(self.second.eval(wi, wo), self.weight)
+
+    def pdf(self, wi, wo):
+        chance = self._chance()
+        return (1.0 - chance) * self.first.pdf(wi, wo) + chance * self.second.pdf(wi, wo)
+
+    def sample(self, wi, u):
+        second, left = choose(u, self._chance())
+        one, two = self._sample(self.first, wi, left), self._sample(self.second, wi, left)
+        return jnp.where(second[..., None], two, one)
+
+    def _sample(self, bsdf: BSDF, wi, u):
+        """A direction of one of the two; where that is black but the other is not, the zero vector."""
+        wo = bsdf.sample(wi, u)
+        if bsdf.transmissive or not self.transmissive:
+            return wo
+        return jnp.where(both_above(wi, wo)[..., None], wo, 0.0)
+
+    def sample_delta(self, wi, u):
+        return self._either(wi, u, lambda bsdf: bsdf.sample_delta)
+
+    def adjoint_delta(self, wi, u):
+        return self._either(wi, u, lambda bsdf: bsdf.adjoint_delta)
+
+    def _either(self, wi, u, method: Callable[[BSDF], Callable[..., DeltaSample]]) -> DeltaSample:
+        """A delta lobe of the one that `u` chooses."""
+        chance = self._chance()
+        second, left = choose(u, chance)
+        one, two = method(self.first)(wi, left), method(self.second)(wi, left)
+        wo = jnp.where(second[..., None], two.wo, one.wo)
+        weight = jnp.where(second[..., None], scale(two.weight, self.weight), scale(one.weight, 1.0 - self.weight))
+        probability = jnp.where(second, chance * two.probability, (1.0 - chance) * one.probability)
+        return DeltaSample(wo, weight, probability)
+
+    def delta_reverses(self, wi, wo):
+        reverses = [bsdf.delta_reverses(wi, wo) for bsdf in (self.first, self.second) if bsdf.delta]
+        return functools.reduce(operator.and_, reverses, jnp.ones(wi.shape[:-1], bool))
+
+    def lobe_width(self, wi):
+        return jnp.minimum(self.first.lobe_width(wi), self.second.lobe_width(wi))
+
+    def _chance(self):
+        """Of the second."""
+        return LEAST + (1.0 - 2.0 * LEAST) * self.weight
+
+
+def _turns(bsdf: BSDF) -> bool:
+    """Whether normals are turned somewhere inside."""
+    return isinstance(bsdf, TurnedNormal) or any(map(_turns, nested(bsdf)))

@@ -1,0 +1,85 @@
+"""Phong's model."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
+from jaxdr.scene.bsdf.base import BSDF, both_above, mirror
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
+from jaxdr.scene.sampling import choose, cosine_hemisphere
+from jaxdr.scene.textures import Texture
+
+
+class Phong(BSDF):
+    """Phong's model in its reciprocal, energy-conserving form (Lafortune and Willems 1994); black from behind.
+
+    f_s = `diffuse_reflectance` / pi + `specular_reflectance` (n + 2) / (2 pi) cos^n a, with n the `exponent` and a the
+    angle between the mirror direction and the other one (Mitsuba 0.x: `phong`). At normal incidence the reflectances
+    are the shares that both parts reflect; at grazing angles the lobe loses what is below the horizon.
+
+    Raises ValueError where the sum of the reflectances may be above 1, or for a negative exponent.
+    """
+
+    diffuse_reflectance: Color
+    specular_reflectance: Color
+    exponent: Number
+
+    def __init__(self, diffuse_reflectance: Value = 0.5, specular_reflectance: Value = 0.2, exponent: Value = 30.0):
+        self.diffuse_reflectance = rgb(diffuse_reflectance, "Phong: diffuse_reflectance")
+        self.specular_reflectance = rgb(specular_reflectance, "Phong: specular_reflectance")
+        self.exponent = number(exponent, "Phong: exponent", 0.0, np.inf)
+        total = most(self.diffuse_reflectance, self.specular_reflectance)
+        if total is not None and total > 1.0 + 1e-5:
+            raise ValueError(
+                f"Phong: diffuse_reflectance and specular_reflectance reflect up to {total:.3g} together, more than 1"
+            )
+
+    def eval(self, wi, wo):
+        above = both_above(wi, wo)
+        cosine = jnp.where(above, z_of(wo), 0.0)
+        lobe = self._lobe(wi, wo) * (self.exponent + 2.0) / (2.0 * math.pi)
+        return scale(self.diffuse_reflectance, cosine / math.pi) + scale(self.specular_reflectance, lobe * cosine)
+
+    def pdf(self, wi, wo):
+        above, chance = both_above(wi, wo), self._lobe_probability()
+        lobe = self._lobe(wi, wo) * (self.exponent + 1.0) / (2.0 * math.pi)
+        return jnp.where(above, chance * lobe + (1.0 - chance) * z_of(wo) / math.pi, 0.0)
+
+    def sample(self, wi, u):
+        lobe, left = choose(u, jnp.broadcast_to(self._lobe_probability(), wi.shape[:-1]))
+        first, second = components(left)
+        cosine = jnp.power(1.0 - first, 1.0 / (self.exponent + 1.0))
+        radius, angle = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0)), 2.0 * math.pi * second
+        axis = mirror(wi)
+        s, t = orthonormal_basis(axis)
+        around = Frame(s, t, axis).to_world(from_components(radius * jnp.cos(angle), radius * jnp.sin(angle), cosine))
+        wo = jnp.where(lobe[..., None], around, cosine_hemisphere(left))
+        return jnp.where(both_above(wi, wo)[..., None], wo, 0.0)  # the lobe reaches below the horizon
+
+    def lobe_width(self, wi):
+        """The angle at which a narrow lobe has fallen to 1 / e."""
+        return jnp.broadcast_to(jnp.minimum(jnp.sqrt(2.0 / (self.exponent + 1.0)), 1.0), wi.shape[:-1])
+
+    def _lobe(self, wi, wo) -> Float[Array, "*n"]:
+        """cos^n a; zero beyond a right angle."""
+        cosine = dot(mirror(wi), wo)
+        ahead = cosine > 0
+        return jnp.where(ahead, jnp.power(jnp.where(ahead, cosine, 1.0), self.exponent), 0.0)
+
+    def _lobe_probability(self) -> Float[Array, "*n"]:
+        lobe, base = self.specular_reflectance.mean(-1), self.diffuse_reflectance.mean(-1)
+        total = lobe + base
+        return jnp.where(total > 0, lobe / jnp.where(total > 0, total, 1.0), 0.5)
+
+
+def most(diffuse: Color, specular: Color) -> float | None:
+    """The largest sum of two reflectances, at worst; None where traced ones have no value."""
+    arrays = [texture.data() if isinstance(texture, Texture) else (texture,) for texture in (diffuse, specular)]
+    if any(isinstance(array, Tracer) for group in arrays for array in group):
+        return None
+    first, second = (np.stack([np.asarray(array).reshape(-1, 3).max(0) for array in group]).max(0) for group in arrays)
+    return float((first + second).max())

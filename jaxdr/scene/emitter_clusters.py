@@ -1,0 +1,215 @@
+"""Clusters of emitting faces: which of them matter at a point, by power, distance and the side they shine to.
+
+For emitters of many faces only. Faces that lie close together (Morton order) share a leaf of a complete binary tree of
+few levels. A node bounds its faces by a sphere and their normals by a cone; its importance at a point is an upper bound
+of what it sends there, as in Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree
+Splitting", Eq. 3. All nodes are looked at at once: they are few, and that is faster than descending. All of it is
+detached; densities are exact, whatever the importance.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.geometry.vector import components, corners, cross, dot, norm, normalize
+from jaxdr.scene.sampling import search_sorted_rows
+
+# Emitters of no more faces than this, all together, are chosen among by power alone and have no clusters.
+FEW_FACES = 16
+FACES_OF_LEAF, MOST_LEAVES = 4, 32  # a leaf has about so many faces or more; so many leaves at most
+SMALL = 0.5  # sine of the angle under which a cluster's radius is seen from where it is not split
+SLACK = 1e-3  # by which bounds are widened against rounding
+
+
+class EmitterClusters(eqx.Module):
+    """A complete binary tree over emitting faces, U = 2 K - 1 nodes in heap order from node 0, the last K are leaves.
+
+    - `face`: faces of the leaves in turn, and `cdf`: the cumulative probability of each in its leaf, [K, m].
+    - `leaf` of every face of the scene, 0 where it does not glow, and `density`: probability per area in its leaf.
+    - `power`: the share of the nodes in all power, and `radiance`: the mean luminance of theirs.
+    - `centre`, `radius` of spheres around their faces; cones around their normals: `axis`, `cosine` (half-angle).
+    """
+
+    face: Int[Array, "K m"]
+    cdf: Float[Array, "K m"]
+    leaf: Int[Array, " F"]
+    density: Float[Array, " F"]
+    power: Float[Array, " U"]
+    radiance: Float[Array, " U"]
+    centre: Float[Array, "U 3"]
+    radius: Float[Array, " U"]
+    axis: Float[Array, "U 3"]
+    cosine: Float[Array, " U"]
+
+    @property
+    def leaves(self) -> int:
+        """K."""
+        return self.face.shape[0]
+
+    def sample(self, apex: Float[Array, "N 3"], u: Float[Array, " N"]) -> tuple[Int[Array, " N"], Float[Array, " N"]]:
+        """(faces chosen by their clusters' importance at points and by power, uniform numbers that are left)."""
+        leaf, left = chosen(self._of_leaves(apex), u)
+        place, left = search_sorted_rows(self.cdf, leaf, left)
+        return self.face[leaf, place], left
+
+    def pdf(self, apex: Float[Array, "N 3"], face: Int[Array, " N"]) -> Float[Array, " N"]:
+        """Probability per area with which `sample` finds a point of glowing faces, zero on other faces."""
+        return picked(self._of_leaves(apex), self.leaf[face]) * self.density[face]
+
+    def _of_leaves(self, apex: Float[Array, "N 3"]) -> Float[Array, "N K"]:
+        """Probabilities of the leaves at points."""
+        return self._probabilities(self._importance(apex, self.leaves - 1), self.leaves - 1)
+
+    def cut(self, apex: Float[Array, "N 3"]) -> "Cut":
+        """The largest clusters that are `SMALL` as seen from points, each face in one of them, by importance."""
+        wide = self.radius > SMALL * norm(self.centre - apex[:, None])
+        levels, first = [], 0
+        free = jnp.ones((apex.shape[0], 1), bool)  # whether no cluster further up is small
+        while first < wide.shape[1]:
+            size = first + 1
+            split = wide[:, first : first + size] & free
+            last = first + size == wide.shape[1]
+            levels.append(free if last else free & ~split)
+            free = jnp.repeat(split, 2, axis=1)
+            first += size
+        used = jnp.concatenate(levels, 1)
+        importance = jnp.where(used, self._importance(apex, 0), 0.0)
+        return Cut(used, self._probabilities(importance, 0, used))
+
+    def node_at(self, cut: "Cut", face: Int[Array, " N"]) -> Int[Array, " N"]:
+        """The node of each cut that holds a glowing face."""
+        node = self.leaf[face] + self.leaves - 1
+        found = node
+        for _ in range(self.leaves.bit_length() - 1):
+            node = (node - 1) // 2
+            found = jnp.where(picked(cut.used, node), node, found)
+        return found
+
+    def _importance(self, apex: Float[Array, "N 3"], first: int) -> Float[Array, "N k"]:
+        """Power x cosine / distance^2 at points, at most, of the nodes from `first` on."""
+        power, centre, radius, axis, cosine = (
+            table[first:] for table in (self.power, self.centre, self.radius, self.axis, self.cosine)
+        )
+        x, y, z = (a[:, None] - c for a, c in zip(components(apex), components(centre), strict=True))
+        distance2 = x * x + y * y + z * z
+        inside = distance2 <= radius**2
+        distance = jnp.sqrt(jnp.where(inside, 1.0, distance2))
+        nx, ny, nz = components(axis)
+        off = jnp.clip((nx * x + ny * y + nz * z) / distance, -1.0, 1.0)  # cosines and sines; no angles: those are slow
+        wide_sine = jnp.where(inside, 0.0, radius / distance)
+        wide = jnp.sqrt(1.0 - wide_sine**2)
+        off, off_sine = _less(off, jnp.sqrt(1.0 - off**2), wide, wide_sine)
+        facing, _ = _less(off, off_sine, cosine, jnp.sqrt(1.0 - cosine**2))
+        facing = jnp.where(inside, 1.0, jnp.maximum(facing, 0.0))
+        return power * facing / jnp.maximum(distance2, radius**2)
+
+    def _probabilities(self, importance, first: int, used: Any = True) -> Float[Array, "N k"]:
+        """Of nodes by their importance; by power where nothing can be lit."""
+        total = importance.sum(1, keepdims=True)
+        either = jnp.where(total > 0, importance, jnp.where(used, self.power[first:], 0.0))
+        return either / either.sum(1, keepdims=True)
+
+
+class Cut(eqx.Module):
+    """Which nodes are `used` at points, and with what `probability` each is chosen there."""
+
+    used: Bool[Array, "N U"]
+    probability: Float[Array, "N U"]
+
+
+def chosen(probability: Float[Array, "N k"], u: Float[Array, " N"]) -> tuple[Int[Array, " N"], Float[Array, " N"]]:
+    """(entries chosen by the probabilities in their rows, uniform numbers that are left)."""
+    cumulative = jnp.cumsum(probability, 1)
+    aim = u * cumulative[:, -1]
+    entry = jnp.minimum((cumulative <= aim[:, None]).sum(1), probability.shape[1] - 1)
+    width = picked(probability, entry)
+    left = (aim - picked(cumulative, entry) + width) / jnp.where(width > 0, width, 1.0)
+    return entry, jnp.clip(left, 0.0, 1.0)
+
+
+def picked(table: Array, entry: Int[Array, " N"]) -> Array:
+    """One entry of every row."""
+    return jnp.take_along_axis(table, entry[:, None], 1)[:, 0]
+
+
+def _less(cosine, sine, other, other_sine):
+    """(cosine, sine) of an angle less another one, or of zero if that is larger."""
+    less = cosine > other
+    return jnp.where(less, 1.0, cosine * other + sine * other_sine), jnp.where(
+        less, 0.0, sine * other - cosine * other_sine
+    )
+
+
+def leaf_count(faces: int) -> int:
+    """Leaves of the tree over so many emitting faces."""
+    return min(MOST_LEAVES, 1 << max(0, math.ceil(math.log2(faces / FACES_OF_LEAF))))
+
+
+def emitter_clusters(
+    triangles: Float[Array, "L 3 3"], faces: Int[Array, " L"], weight: Float[Array, " L"], face_count: int
+) -> EmitterClusters:
+    """The tree over emitting `faces` of a scene with their corners; `weight` is what they are chosen by. Detached."""
+    triangles, weight = jax.lax.stop_gradient((triangles, weight))
+    count, leaves = faces.shape[0], leaf_count(faces.shape[0])
+    size = -(-count // leaves)
+    slots = leaves * size
+    repeated = jnp.arange(slots) >= count  # the last slots hold the last face once more, without power
+    slot = jnp.argsort(_morton(triangles.mean(1)))[jnp.minimum(jnp.arange(slots), count - 1)]
+    face, corner = faces[slot], triangles[slot]
+    a, b, c = corners(corner)
+    normal2 = cross(b - a, c - a)
+    area = jnp.where(repeated, 0.0, 0.5 * norm(normal2))
+    power = jnp.where(repeated, 0.0, weight[slot])
+    nodes = []
+    for level in range(leaves.bit_length()):
+        nodes.append(_bounds(corner, normalize(normal2), power, area, 1 << level))
+    share, radiance, centre, radius, axis, cosine = (jnp.concatenate(parts) for parts in zip(*nodes, strict=True))
+
+    in_leaf = power.reshape(leaves, size)
+    dark = in_leaf.sum(1, keepdims=True) == 0  # never chosen, but no division by zero
+    within = jnp.where(dark, 1.0, in_leaf)
+    within = within / within.sum(1, keepdims=True)
+    density = jnp.where(dark, 0.0, within).reshape(-1) / jnp.where(area > 0, area, 1.0)
+    cdf = jnp.cumsum(within, 1)
+    return EmitterClusters(
+        face=face.reshape(leaves, size),
+        cdf=cdf / cdf[:, -1:],
+        leaf=jnp.zeros(face_count, jnp.int32).at[face].add(jnp.where(repeated, 0, jnp.arange(slots) // size)),
+        density=jnp.zeros(face_count, density.dtype).at[face].add(density),
+        power=share / share[0],
+        radiance=radiance,
+        centre=centre,
+        radius=radius,
+        axis=axis,
+        cosine=cosine,
+    )
+
+
+def _bounds(corner, normal, power, area, nodes: int):
+    """(power, mean radiance, sphere, cone) of as many nodes of one size."""
+    power, area = (table.reshape(nodes, -1).sum(1) for table in (power, area))
+    points = corner.reshape(nodes, -1, 3)
+    centre = 0.5 * (points.min(1) + points.max(1))
+    radius = norm(points - centre[:, None]).max(1) * (1.0 + SLACK)
+    normals = normal.reshape(nodes, -1, 3)
+    axis = normalize(normals.sum(1))
+    cosine = dot(normals, axis[:, None]).min(1)
+    angle = jnp.where(dot(axis, axis) > 0.5, jnp.arccos(jnp.clip(cosine, -1.0, 1.0)) + SLACK, math.pi)
+    cosine = jnp.cos(jnp.minimum(angle, math.pi))
+    return power, power / jnp.where(area > 0, area, 1.0), centre, radius, axis, cosine
+
+
+def _morton(points: Float[Array, "L 3"]) -> Int[Array, " L"]:
+    """Places on a Morton curve through the points' bounding cube, ten bits a side."""
+    low = points.min(0)
+    size = (points.max(0) - low).max()
+    cell = jnp.clip((points - low) / jnp.where(size > 0, size, 1.0) * 1023.0, 0.0, 1023.0).astype(jnp.int32)
+    code = jnp.zeros(points.shape[0], jnp.int32)
+    for axis, along in enumerate(components(cell)):
+        for bit in range(10):
+            code = code | (((along >> bit) & 1) << (3 * bit + axis))
+    return code

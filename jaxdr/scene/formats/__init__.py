@@ -1,0 +1,1 @@
+"""Scene files of other programs: `mitsuba` (XML) and `gltf`."""

@@ -1,0 +1,52 @@
+"""Cameras of glTF files, and one that frames a scene where there is none."""
+
+import numpy as np
+
+from jaxdr.geometry.gltf.document import Document
+from jaxdr.geometry.gltf.nodes import Node, named
+from jaxdr.scene.camera import Camera, Orthographic, Perspective, look_at
+from jaxdr.scene.film import Film
+from jaxdr.scene.scene import Shape
+
+FRAMING_FOV = 40.0  # degrees
+FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: assets face +z, and y is up
+
+
+def read_camera(
+    document: Document, nodes: list[Node], shapes: dict[str, Shape], width: int, height: int | None
+) -> Camera:
+    """The first camera, or one that frames the scene."""
+    for node, index in named(nodes, "camera"):
+        camera = document.item("cameras", index, node.label)
+        with document.at(document.label("cameras", index)):
+            matrix = node.to_world @ np.diag([-1.0, 1, -1, 1])  # glTF looks along -z with x to the right
+            matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+            if camera["type"] == "orthographic":
+                return _orthographic(matrix, camera["orthographic"], width, height)
+            return _perspective(matrix, camera["perspective"], width, height)
+    return _framing(shapes, width, height)
+
+
+def _perspective(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Perspective:
+    film = Film(width, height or max(1, round(width / lens.get("aspectRatio", 1.0))))
+    near = float(lens["znear"])
+    return Perspective(matrix, np.degrees(lens["yfov"]), film, "y", near, float(lens.get("zfar", 1e6 * near)))
+
+
+def _orthographic(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Orthographic:
+    """`xmag` and `ymag` are half the width and height of what it shows."""
+    x, y, far = (float(lens[name]) for name in ("xmag", "ymag", "zfar"))
+    film = Film(width, height or max(1, round(width * abs(y / x))))
+    # The film covers y in proportion to its height; the scales are such that it shows `ymag` at the upper edge.
+    matrix = matrix @ np.diag([abs(x), abs(y) * film.width / film.height, 1, 1])
+    return Orthographic(matrix, film, max(float(lens["znear"]), 1e-6 * far), far)
+
+
+def _framing(shapes: dict[str, Shape], width: int, height: int | None) -> Perspective:
+    points = np.concatenate([np.asarray(shape.mesh.vertices) for shape in shapes.values()])
+    lower, upper = points.min(0), points.max(0)
+    centre, radius = (lower + upper) / 2, np.linalg.norm(upper - lower) / 2
+    distance = radius / np.sin(np.radians(FRAMING_FOV) / 2)
+    origin = centre + distance * FRAMING_DIRECTION / np.linalg.norm(FRAMING_DIRECTION)
+    matrix = look_at(origin, centre, (0, 1, 0))
+    return Perspective(matrix, FRAMING_FOV, Film(width, height or width), "smaller", 1e-3 * distance, 1e3 * distance)

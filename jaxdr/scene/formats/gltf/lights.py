@@ -1,0 +1,44 @@
+"""Lights of glTF files (KHR_lights_punctual) and their units."""
+
+import numpy as np
+
+from jaxdr.geometry.gltf.document import Document, numbers
+from jaxdr.geometry.gltf.nodes import Node
+from jaxdr.scene.formats.gltf.problems import Problems
+from jaxdr.scene.lights import DeltaLight, DirectionalLight, PointLight, SpotLight
+
+LIGHTS = "KHR_lights_punctual"
+
+
+def light_at(document: Document, node: Node) -> dict | None:
+    """The light of a node, if it has one."""
+    if LIGHTS not in node.header.get("extensions", {}):
+        return None
+    with document.at(f"{node.label}: {LIGHTS}"):
+        index = node.header["extensions"][LIGHTS]["light"]
+        lights = document.header.get("extensions", {}).get(LIGHTS, {}).get("lights", [])
+        if not isinstance(index, int) or not 0 <= index < len(lights):
+            raise ValueError(f"refers to light {index}; there are {len(lights)}")
+        return lights[index]
+
+
+def read_light(document: Document, node: Node, light: dict, problems: Problems) -> DeltaLight:
+    """A light at its node. It shines along -z. Scale has no effect on it.
+
+    The file's numbers are kept: candela are W / sr here, lux W / m^2, and nits W / m^2 sr. So images are in nits.
+    """
+    place = f"{node.label}: {LIGHTS}"
+    with document.at(place):
+        power = numbers(light, "color", (1.0, 1.0, 1.0)) * light.get("intensity", 1.0)
+        position, along = node.to_world[:3, 3], -node.to_world[:3, 2]
+        if "range" in light:
+            problems.note(f"{place}: range has no effect; its light falls off with the squared distance alone")
+        if light["type"] == "point":
+            return PointLight(position, power)
+        if light["type"] == "directional":
+            return DirectionalLight(along, power)
+        if light["type"] == "spot":
+            cone = light.get("spot", {})
+            inner, outer = cone.get("innerConeAngle", 0.0), cone.get("outerConeAngle", np.pi / 4)
+            return SpotLight(position, along, power, np.degrees(outer), np.degrees(inner))
+        raise ValueError(f"a light must be of type point, directional or spot, not {light['type']!r}")

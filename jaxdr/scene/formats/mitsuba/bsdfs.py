@@ -1,0 +1,118 @@
+"""BSDF plugins of Mitsuba 3 scene files."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxdr.scene.bsdf import BSDF, Blend, BumpMap, Diffuse, Mask, NormalMap, TwoSided
+from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.materials import MATERIALS
+from jaxdr.scene.formats.mitsuba.textures import any_texture, as_number, opacity, textured_color, textured_number
+from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
+from jaxdr.scene.scene import unwrap
+from jaxdr.scene.textures import Texture
+
+
+def _diffuse(element: Element) -> Diffuse:
+    reflectance = textured_color(Properties(element), "reflectance", 0.5)
+    if isinstance(reflectance, Texture):
+        return Diffuse(reflectance)
+    if np.min(reflectance) < 0 or np.max(reflectance) > 1:
+        raise ValueError(f"reflectance must be in [0, 1], got {np.asarray(reflectance).tolist()}")
+    return Diffuse(reflectance)
+
+
+def _two_sided(element: Element) -> TwoSided:
+    inner, bsdf = _inner(Properties(element))
+    if isinstance(bsdf, TwoSided):
+        raise inner.error("the BSDF inside is two-sided already")
+    return TwoSided(bsdf)
+
+
+def _mask(element: Element) -> Mask | TwoSided:
+    """Of a two-sided BSDF as well: the holes have no sides."""
+    properties = Properties(element)
+    share = opacity(properties, "opacity", 0.5)
+    _, bsdf = _inner(properties)
+    if isinstance(bsdf, TwoSided):
+        return TwoSided(Mask(share, bsdf.bsdf))
+    return Mask(share, bsdf)
+
+
+def _normal_map(element: Element) -> BSDF | TwoSided:
+    properties = Properties(element)
+    normal = textured_color(properties, "normalmap", None)
+    _as_by_default(properties)
+    inner, bsdf = _inner(properties)
+    if not isinstance(normal, Texture):
+        raise ValueError("needs a <texture> named 'normalmap'")
+    return _mapped(element.type, inner, bsdf, lambda inside: NormalMap(normal, inside))
+
+
+def _bump_map(element: Element) -> BSDF | TwoSided:
+    properties = Properties(element)
+    _as_by_default(properties)
+    scale = properties.value("scale", NUMBER, 1.0)
+    inner, bsdf = _inner(properties)
+    height = as_number(any_texture(properties, "heights"))
+    return _mapped(element.type, inner, bsdf, lambda inside: BumpMap(height, inside, scale))
+
+
+def _as_by_default(properties: Properties) -> None:
+    for name in ("flip_invalid_normals", "use_shadowing_function"):
+        if not properties.value(name, "boolean", True):
+            raise ValueError(f"{name} other than true is not supported")
+
+
+def _mapped(kind: str, inner: Element, bsdf: BSDF | TwoSided, make: Callable[[BSDF], BSDF]) -> BSDF | TwoSided:
+    """A normal or bump map of a BSDF; of a two-sided one, both sides of the same map."""
+    if not isinstance(bsdf, TwoSided):
+        return make(bsdf)
+    inner.unsupported(
+        f"twosided inside a {kind} is not supported; put it around", "the back's bumps are those of the front"
+    )
+    return TwoSided(make(bsdf.bsdf))
+
+
+def _blend(element: Element) -> Blend | TwoSided:
+    """The first BSDF, and `weight` of the second."""
+    properties = Properties(element)
+    weight = textured_number(properties, "weight", None)
+    if weight is None:
+        raise ValueError("parameter 'weight' is missing")
+    elements = properties.objects("bsdf")
+    if len(elements) != 2:
+        raise ValueError(f"needs two <bsdf> inside, got {len(elements)}")
+    first, second = (read_bsdf(inner) for inner in elements)
+    if not isinstance(first, TwoSided) and not isinstance(second, TwoSided):
+        return Blend(weight, first, second)
+    if not isinstance(first, TwoSided) or not isinstance(second, TwoSided):
+        element.unsupported(
+            "of a blend one BSDF is twosided and the other is not; put twosided around the blend", "both are"
+        )
+    return TwoSided(Blend(weight, unwrap(first), unwrap(second)))
+
+
+def _inner(properties: Properties) -> tuple[Element, BSDF | TwoSided]:
+    """The one BSDF that an adapter holds."""
+    inner = properties.at_most_one("bsdf")
+    if inner is None:
+        raise ValueError("needs a <bsdf> inside")
+    return inner, read_bsdf(inner)
+
+
+BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
+    "diffuse": _diffuse,
+    "twosided": _two_sided,
+    "mask": _mask,
+    "normalmap": _normal_map,
+    "bumpmap": _bump_map,
+    "blendbsdf": _blend,
+    **{name: lambda element, make=make: make(Properties(element)) for name, make in MATERIALS.items()},
+}
+
+
+def read_bsdf(element: Element) -> BSDF | TwoSided:
+    """A `<bsdf>`; grey where it can't be read, which is noted as a problem."""
+    bsdf = read_plugin(element, BSDFS, "a grey diffuse BSDF takes its place")
+    return Diffuse(0.5) if bsdf is None else bsdf

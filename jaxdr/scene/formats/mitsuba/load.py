@@ -1,0 +1,119 @@
+"""Mitsuba 3 scene files: from the tree of elements to a `Scene`.
+
+The plugins are in tables, a file each: `shapes`, `bsdfs`, `textures`, `emitters`, `sensors`; how one is read is in
+`xml`. A new plugin is one function and one line in its table.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from jaxdr.scene.formats.mitsuba.document import read_document
+from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.emitters import SHAPE_EMITTERS, read_emitters
+from jaxdr.scene.formats.mitsuba.scene_shapes import SceneShapes
+from jaxdr.scene.formats.mitsuba.sensors import read_film, read_filter, read_sampler, read_sensor
+from jaxdr.scene.formats.mitsuba.textures import TEXTURES
+from jaxdr.scene.formats.mitsuba.xml import Properties, read_plugin
+from jaxdr.scene.scene import Scene
+
+INTEGRATOR_SETTINGS = (
+    *("max_depth", "rr_depth", "shading_samples", "emitter_samples", "bsdf_samples", "sppc", "sppp", "sppi"),
+    *("guiding", "guiding_proj", "guiding_rounds"),
+)
+
+
+def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False, **variables: object) -> Scene:
+    """The scene in a Mitsuba 3 XML file. Units and orientations are Mitsuba's.
+
+    - Keywords set the file's `$variables` and override its `<default>`s.
+    - Shapes are named by their XML ids, one without id by its type (`sphere`, `sphere_1`, …). Those of an instance of
+      several are named by its name, `_` and theirs.
+    - Everything becomes meshes, and instances become copies of them. `shapes` says how fine they
+      are, and where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
+    - Integrator and sampler are checked, but have no effect: `jaxdr.render` is given its own.
+
+    Raises one ValueError that names file, line and tag of all that is wrong (values out of range, missing files, ids)
+    or not supported (elements, plugins, parameters that nobody reads). With `ignore_unsupported` the latter become
+    warnings that say what happens instead. Malformed XML, and a variable without value, are raised at once; what is
+    wrong in mesh files, which are read last, comes in an error of its own. Warns of what is not read and has no part in
+    the expected image.
+    """
+    root = read_document(Path(path), variables)
+    properties, shapes = Properties(root), SceneShapes()
+    for element in properties.objects("bsdf"):
+        shapes.bsdf(element)  # even if no shape refers to it, so that a mistake in it shows
+    for element in properties.objects("texture", "spectrum"):
+        read_plugin(element, TEXTURES, "it is left out")
+    for element in properties.objects("integrator"):
+        _read_integrator(element)
+    for tag, read in (("film", read_film), ("rfilter", read_filter), ("sampler", read_sampler)):
+        for element in properties.objects(tag):
+            _read_part(element, read)
+    sensor = properties.at_most_one("sensor")
+    camera = None if sensor is None else read_sensor(sensor)
+    plans = shapes.plans(properties.objects("shape"))
+    emitters = properties.objects("emitter")
+    for element in emitters:
+        if element.type in SHAPE_EMITTERS:
+            _read_part(element, shapes.emitter)
+    others = [element for element in emitters if element.type not in SHAPE_EMITTERS]
+    environment, lights = read_emitters(others, plans)
+    properties.finish()
+    if sensor is None:
+        root.problems.add(root, root.place("the scene has no <sensor>"))
+    root.problems.check(Path(path), ignore_unsupported)
+    if camera is None:
+        raise sensor.error("the scene has no other sensor that could take its place")
+    meshes = {name: shapes.shape(plan) for name, plan in plans.items()}
+    root.problems.check(Path(path), ignore_unsupported)
+    found = {name: shape for name, shape in meshes.items() if shape is not None}
+    if not found:
+        raise root.error("the scene has no <shape> that can be seen; it needs at least one")
+    with root.located():
+        return Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+
+
+def _read_part(element: Element, read: Callable[[Element], object]) -> None:
+    """What stands in the scene only to be referred to."""
+    read(element)
+    if not element.referred:
+        element.harmless("nothing refers to it: it has no effect")
+
+
+def _integrator(element: Element) -> None:
+    """How an image is estimated, not what it shows: `jaxdr.render` has its own arguments for that."""
+    properties = Properties(element)
+    if properties.value("hide_emitters", "boolean", False):
+        element.unsupported("hide_emitters is not supported", "emitters stay visible")
+    properties.ignore(*INTEGRATOR_SETTINGS)
+
+
+def _several_images(element: Element) -> None:
+    """What is added to the image of the integrator inside; `jaxdr.render_aovs` has its own names for that."""
+    properties = Properties(element)
+    properties.ignore("aovs")
+    for inner in properties.objects("integrator"):
+        _read_integrator(inner)
+
+
+def _read_integrator(element: Element) -> None:
+    """An `<integrator>`: one that nobody knows is as good as any, but for those that show something else than light."""
+    if element.type in INTEGRATORS or element.type in NO_LIGHT or "type" not in element.attributes:
+        read_plugin(element, INTEGRATORS, "it has no effect")
+        return
+    element.harmless(f"unknown type {element.type!r}: it has no effect, jaxdr.render is given an integrator of its own")
+    hidden = next((child for child in element.children if child.attributes.get("name") == "hide_emitters"), None)
+    if hidden is not None and hidden.attributes.get("value", "").lower() == "true":
+        element.unsupported("hide_emitters is not supported", "emitters stay visible")
+
+
+NO_LIGHT = ("ao", "depth", "field", "multichannel", "stokes")
+SAME_IMAGE = (  # without media
+    *("path", "direct", "volpath", "volpathmis", "ptracer"),
+    *("prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"),
+)
+INTEGRATORS: dict[str, Callable[[Element], None]] = {
+    **dict.fromkeys(SAME_IMAGE, _integrator),
+    **dict.fromkeys(("aov", "moment"), _several_images),
+}

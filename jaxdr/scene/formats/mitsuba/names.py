@@ -1,0 +1,31 @@
+"""Names of a Mitsuba 3 scene file's shapes and lights, as parameters are called after them."""
+
+from collections.abc import Collection
+
+from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.scene import RESERVED
+
+
+def object_names(elements: list[Element], others: Collection[str] = ()) -> list[str]:
+    """Their ids; for one without, its type with the first free number (`cube`, `cube_1`, …). `others` are taken."""
+    taken = {element.attributes.get("id") for element in elements} | set(others)
+    names = []
+    for element in elements:
+        name = element.attributes.get("id")
+        if name is None:
+            candidates = (f"{element.type}_{i}" if i else element.type for i in range(len(taken) + 1))
+            name = next(candidate for candidate in candidates if candidate not in taken)
+            taken.add(name)
+        names.append(name)
+    return names
+
+
+def parameter_name(element: Element, name: str) -> str:
+    """The name, or where it would make no name of a parameter, which is noted, one that does."""
+    if name and "." not in name and name not in RESERVED:
+        return name
+    kind = "shape" if element.tag == "shape" else "light"
+    other = name.replace(".", "_") + ("" if "." in name else f"_{kind}")
+    rule = f"not empty, no dots, not {' or '.join(RESERVED)}"
+    element.unsupported(f"id {name!r} can't name a {kind} ({rule}); give it another", f"it is called {other!r}")
+    return other

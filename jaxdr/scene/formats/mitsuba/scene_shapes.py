@@ -1,0 +1,148 @@
+"""The shapes of a Mitsuba 3 scene: first what they are and what is wrong with them, then their meshes.
+
+Groups are flattened: an instance is a copy of the group's meshes in another place.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxdr.geometry.mesh import EmptyMesh, Mesh, has_area
+from jaxdr.geometry.shapes import transformed_arrays
+from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
+from jaxdr.scene.emitters import AreaEmitter
+from jaxdr.scene.formats.mitsuba.attributes import Attributes
+from jaxdr.scene.formats.mitsuba.bsdfs import read_bsdf
+from jaxdr.scene.formats.mitsuba.document import descendants
+from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.emitters import read_shape_emitter
+from jaxdr.scene.formats.mitsuba.names import object_names, parameter_name
+from jaxdr.scene.formats.mitsuba.shapes import SHAPES, Plan
+from jaxdr.scene.formats.mitsuba.xml import REASONS, Properties, read_plugin
+from jaxdr.scene.scene import Shape
+
+
+class SceneShapes:
+    """Reads shapes and what they are made of; what several refer to is read once. Problems go to the elements'."""
+
+    def __init__(self) -> None:
+        self._read: dict[int, Any] = {}
+        self._groups = {"shapegroup": self._group, "instance": self._instance}
+
+    def plans(self, elements: list[Element]) -> dict[str, Plan]:
+        """What the `<shape>`s of a scene show, by name: one each, none for a group as such, and for an instance what is
+        inside. Their BSDFs and emitters are read, their meshes not yet.
+
+        Shapes of an instance of several are named by its name, `_` and theirs. A name that can't be is noted.
+        """
+        found: dict[str, Plan] = {}
+        for name, element in zip(object_names(elements), elements, strict=True):
+            if element.type in self._groups:
+                inside = read_plugin(element, self._groups, "it is left out") or []
+                shapes = [(f"{name}_{inner}" if len(inside) > 1 else name, plan) for inner, plan in inside]
+            else:
+                shapes = [(name, self._plan(element))]
+            for wanted, plan in shapes:
+                whole = parameter_name(element, wanted)
+                if whole in found:
+                    message = f"a second shape {whole!r}; give one of them another id"
+                    element.problems.add(element, element.place(message))
+                elif plan is not None and element.type != "shapegroup":
+                    found[whole] = plan
+        return found
+
+    def shape(self, plan: Plan) -> Shape | None:
+        """The shape in world space; None where it can't be, which is noted as a problem."""
+        try:
+            mesh, attributes = _mesh(plan)
+        except EmptyMesh as error:
+            plan.element.unsupported(str(error), "the shape is left out")
+            return None
+        except ValueError as error:
+            plan.element.problems.add(plan.element, plan.element.place(str(error)))
+            return None
+        for element in (plan.bsdf, plan.emitter):
+            if element is not None:
+                element.vertex_data = attributes
+        emitter = self.emitter(plan.emitter)
+        bsdf = Diffuse(0.5 if plan.emitter is None else 0.0)  # Mitsuba's: a light reflects nothing
+        if plan.bsdf is not None:
+            bsdf = self.bsdf(plan.bsdf) or bsdf
+        return Shape(mesh, bsdf, emitter)
+
+    def bsdf(self, element: Element) -> BSDF | TwoSided | None:
+        """What `read_bsdf` makes of an element; None for a surface that rays pass through, which is noted."""
+        if element.type == "null":
+            element.unsupported(f"unknown type 'null'; {REASONS['null']}", "shapes that have it are left out")
+            return None
+        return self._once(element, read_bsdf)
+
+    def emitter(self, element: Element | None) -> AreaEmitter | None:
+        """What `read_shape_emitter` makes of an element."""
+        return None if element is None else self._once(element, read_shape_emitter)
+
+    def _once(self, element: Element, read: Callable[[Element], Any]) -> Any:
+        if element.vertex_data is not None and _needs_mesh(element):
+            return read(element)
+        # All references to an element share its children.
+        key = id(element.children)
+        if key not in self._read:
+            self._read[key] = read(element)
+        return self._read[key]
+
+    def _plan(self, element: Element) -> Plan | None:
+        """A `<shape>` with all that is not its mesh checked; None where it can't be read, which is noted."""
+        plan = read_plugin(element, SHAPES, "it is left out")
+        if plan is None:
+            return None
+        self.emitter(plan.emitter)
+        passable = plan.bsdf is not None and self.bsdf(plan.bsdf) is None
+        return None if passable else plan
+
+    def _group(self, element: Element) -> list[tuple[str, Plan]]:
+        """The shapes inside with their names; they are seen only through instances."""
+        inside = Properties(element).objects("shape")
+        plans = [(name, self._plan(child)) for name, child in zip(object_names(inside), inside, strict=True)]
+        return [(name, plan._replace(make=functools.cache(plan.make))) for name, plan in plans if plan is not None]
+
+    def _instance(self, element: Element) -> list[tuple[str, Plan]]:
+        """The shapes of a group in another place, as meshes of their own."""
+        properties = Properties(element)
+        to_world = properties.value("to_world", "transform", np.eye(4))
+        group = properties.at_most_one("shape")
+        if group is None or group.type != "shapegroup":
+            raise ValueError("needs a shapegroup inside")
+        key = id(group.children)
+        if key not in self._read:
+            self._read[key] = read_plugin(group, self._groups, "it is left out") or []
+        return [(name, plan._replace(instance=to_world)) for name, plan in self._read[key]]
+
+
+def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
+    """The mesh in world space, and its attributes."""
+    source = plan.make()
+    arrays, flips = source.arrays, plan.flips
+    if not np.array_equal(plan.to_world, np.eye(4)):
+        # `transformed_arrays` keeps the outside outside; in Mitsuba a mirrored file's triangles turn over instead.
+        flips ^= bool(np.linalg.det(plan.to_world) < 0) and not source.keeps_side
+        arrays = transformed_arrays(arrays, plan.to_world)
+    if flips:
+        arrays = arrays.turned()
+    if plan.instance is not None:
+        arrays = transformed_arrays(arrays, plan.instance)
+    mesh = Mesh(*arrays)
+    attributes = source.attributes
+    if len(mesh.faces) < len(arrays.faces):  # without area
+        kept = has_area(np.asarray(mesh.vertices), arrays.faces)
+        attributes = {
+            name: values[kept] if name.startswith("face_") and values is not None else values
+            for name, values in attributes.items()
+        }
+    return mesh, attributes
+
+
+def _needs_mesh(element: Element) -> bool:
+    """Whether there is a texture inside whose values belong to a mesh."""
+    return any(child.type == "mesh_attribute" for _, child in descendants(element))

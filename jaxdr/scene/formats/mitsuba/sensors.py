@@ -1,0 +1,151 @@
+"""Sensors of Mitsuba 3 scene files, with what is inside them: films, reconstruction filters and samplers."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxdr.scene.camera import Camera, Orthographic, Perspective, ThinLens
+from jaxdr.scene.film import Box, Film, Gaussian, ReconstructionFilter, Tent
+from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.values import floats
+from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
+
+SAMPLER_SETTINGS = ("sample_count", "seed", "jitter", "strength")
+# How Mitsuba stores the image. Our pixels at the border always see beyond the film, as with its sample_border.
+FILM_SETTINGS = (
+    *("file_format", "component_format", "sample_border", "compensate", "banner", "high_quality_edges", "attach_log"),
+    *("gamma", "exposure", "tonemap_method", "key", "burn"),  # of Mitsuba 0.x: what we make is linear
+)
+PIXEL_FORMATS = ("rgb", "rgba")  # there is no alpha channel here; the colours are the same
+SENSOR_SETTINGS = ("shutter_open", "shutter_close")  # nothing moves in time
+FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for this film format
+
+
+def _perspective(element: Element) -> Perspective:
+    properties = Properties(element)
+    offset = [properties.value(f"principal_point_offset_{axis}", NUMBER, 0.0) for axis in "xy"]
+    properties.ignore("focus_distance")  # of a lens, which is not there
+    return Perspective(**_common(properties, scales=False), **field_of_view(properties), principal_point=offset)
+
+
+def _thin_lens(element: Element) -> ThinLens:
+    properties = Properties(element)
+    common = _common(properties, scales=False)
+    radius = properties.value("aperture_radius", NUMBER)
+    if radius is None:
+        raise ValueError("aperture_radius is missing")
+    focus = properties.value("focus_distance", NUMBER, common["far_clip"])
+    return ThinLens(**common, **field_of_view(properties), aperture_radius=radius, focus_distance=focus)
+
+
+def _orthographic(element: Element) -> Orthographic:
+    properties = Properties(element)
+    properties.ignore("focus_distance")
+    return Orthographic(**_common(properties, scales=True))
+
+
+def _common(properties: Properties, scales: bool) -> dict[str, Any]:
+    """What all cameras have."""
+    to_world = properties.value("to_world", "transform", np.eye(4))
+    if not scales and not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
+        raise ValueError("to_world must not scale or shear")
+    near, far = properties.value("near_clip", NUMBER, 1e-2), properties.value("far_clip", NUMBER, 1e4)
+    sampler, film = properties.at_most_one("sampler"), properties.at_most_one("film")
+    if sampler is not None:
+        read_sampler(sampler)
+    properties.ignore(*SENSOR_SETTINGS)
+    return {"to_world": to_world, "film": read_film(film), "near_clip": near, "far_clip": far}
+
+
+def field_of_view(properties: Properties) -> dict[str, Any]:
+    """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
+    fov = properties.value("fov", NUMBER)
+    axis = properties.value("fov_axis", "string", "x")
+    focal_length = properties.value("focal_length", "string")
+    if fov is not None:
+        if focal_length is not None:
+            raise ValueError("give either fov or focal_length, not both")
+        if not 0 < fov < 180:
+            raise ValueError(f"fov must be between 0 and 180 degrees, got {fov}")
+        return {"fov": fov, "fov_axis": axis}
+    millimetres = floats((focal_length or "50mm").removesuffix("mm"), 1)[0]
+    if millimetres <= 0:
+        raise ValueError(f"focal_length must be positive, got {focal_length}")
+    return {"fov": math.degrees(2 * math.atan(0.5 * FULL_FRAME_DIAGONAL / millimetres)), "fov_axis": "diagonal"}
+
+
+def _hdr_film(element: Element) -> Film:
+    properties = Properties(element)
+    width, height = properties.value("width", "integer", 768), properties.value("height", "integer", 576)
+    names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+    defaults = (0, 0, width, height)
+    crop = tuple(properties.value(n, "integer", d) for n, d in zip(names, defaults, strict=True))
+    pixel_format = properties.value("pixel_format", "string", "rgb").lower()
+    if pixel_format not in PIXEL_FORMATS:
+        element.unsupported(f"pixel_format must be {' or '.join(PIXEL_FORMATS)}, got {pixel_format!r}", "it is rgb")
+    rfilter = properties.at_most_one("rfilter")
+    properties.ignore(*FILM_SETTINGS)
+    return Film(width, height, read_filter(rfilter), None if crop == defaults else crop)
+
+
+def _gaussian(element: Element) -> Gaussian:
+    return Gaussian(Properties(element).value("stddev", NUMBER, 0.5))
+
+
+def _box(element: Element) -> Box:
+    return Box()
+
+
+def _tent(element: Element) -> Tent:
+    return Tent(Properties(element).value("radius", NUMBER, 1.0))
+
+
+def _sampler(element: Element) -> None:
+    """Random numbers change nothing in the expected image; `jaxdr.render` draws its own."""
+    Properties(element).ignore(*SAMPLER_SETTINGS)
+
+
+def _low_dynamic_range_film(element: Element) -> Film:
+    """The film of Mitsuba 0.x that stores what a screen shows."""
+    element.harmless("the image is linear, as of an hdrfilm: it is not tone mapped")
+    return _hdr_film(element)
+
+
+SENSORS: dict[str, Callable[[Element], Camera]] = {
+    "perspective": _perspective,
+    "thinlens": _thin_lens,
+    "orthographic": _orthographic,
+}
+FILMS: dict[str, Callable[[Element], Film]] = {"hdrfilm": _hdr_film, "ldrfilm": _low_dynamic_range_film}
+# Mitsuba's others (mitchell, catmullrom, lanczos) have negative lobes: no density to draw film points from.
+FILTERS: dict[str, Callable[[Element], ReconstructionFilter]] = {"box": _box, "gaussian": _gaussian, "tent": _tent}
+SAMPLERS: dict[str, Callable[[Element], None]] = dict.fromkeys(
+    ("independent", "stratified", "multijitter", "orthogonal", "ldsampler"), _sampler
+)
+
+
+def read_sensor(element: Element) -> Camera | None:
+    """A `<sensor>`; None where it can't be read, which is noted as a problem."""
+    return read_plugin(element, SENSORS, "it is left out")
+
+
+def read_sampler(element: Element) -> None:
+    """A `<sampler>`: checked; any is as good."""
+    if element.type in SAMPLERS or "type" not in element.attributes:
+        read_plugin(element, SAMPLERS, "it has no effect")
+    else:
+        element.harmless(f"unknown type {element.type!r}: it has no effect, samples are drawn independently")
+
+
+def read_film(element: Element | None) -> Film:
+    """A `<film>`, or Mitsuba's default."""
+    film = None if element is None else read_plugin(element, FILMS, "a film of 768 x 576 pixels takes its place")
+    return Film(768, 576) if film is None else film
+
+
+def read_filter(element: Element | None) -> ReconstructionFilter:
+    """An `<rfilter>`, or Mitsuba's default."""
+    rfilter = None if element is None else read_plugin(element, FILTERS, "a Gaussian filter takes its place")
+    return Gaussian() if rfilter is None else rfilter

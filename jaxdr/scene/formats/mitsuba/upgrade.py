@@ -1,0 +1,153 @@
+"""Scene files of Mitsuba 0.x as those of Mitsuba 3.
+
+First the changes that Mitsuba 3 itself makes when it reads them; then what it no longer reads and what has a
+counterpart in its files: colours in sRGB or hexadecimal, the index around a metal, how images are filtered.
+"""
+
+import re
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxdr.images import from_srgb
+from jaxdr.scene.formats.mitsuba.element import Element
+
+METALS = ("conductor", "roughconductor")
+COLORS = ("rgb", "srgb", "spectrum")
+UNBOUNDED = ("eta", "k", "scale", "int_ior", "ext_ior", "sigma_a", "sigma_s", "sigma_t")  # not reflectances
+AIR = 1.000277
+UV_SETTINGS = {"uoffset": 0.0, "voffset": 0.0, "uscale": 1.0, "vscale": 1.0}
+
+
+def upgrade(element: Element) -> None:
+    """Rewrite an element and all of the same file inside it, in place.
+
+    Names become snake_case (`maxDepth`, `intIOR`); a diffuse BSDF's colour `reflectance`; `uscale`, … a transform;
+    `<lookAt>` is `<lookat>`. What changes the image a little, or is a guess, is noted.
+    """
+    if "name" in element.attributes:
+        element.attributes["name"] = snake_case(element.attributes["name"])
+    if element.tag == "lookAt":
+        element.tag = "lookat"
+    for child in element.children:
+        if child.file == element.file:
+            upgrade(child)
+    if element.tag == "bsdf" and element.attributes.get("type") == "diffuse":
+        for child in element.children:
+            if child.attributes.get("name") == "diffuse_reflectance":
+                child.attributes["name"] = "reflectance"
+    if element.tag == "bsdf" and element.attributes.get("type") in METALS:
+        _upgrade_metal(element)
+    if element.tag == "texture":
+        _upgrade_uvs(element)
+        _upgrade_image(element)
+    for child in element.children:
+        if child.tag in COLORS and "value" in child.attributes:
+            _upgrade_color(child, element)
+
+
+def snake_case(name: str) -> str:
+    """`intIOR` -> `int_ior`; capitals in a row are one word."""
+    return re.sub(r"(?<=[a-z])[A-Z]+", lambda capitals: "_" + capitals[0].lower(), name)
+
+
+def _upgrade_uvs(texture: Element) -> None:
+    given = {child.attributes.get("name"): child for child in texture.children if child.tag == "float"}
+    given = {name: child for name, child in given.items() if name in UV_SETTINGS}
+    if not given:
+        return
+    texture.children[:] = [child for child in texture.children if child not in given.values()]
+    text = {name: str(default) for name, default in UV_SETTINGS.items()}
+    text |= {name: child.attributes.get("value", "") for name, child in given.items()}
+    place = next(iter(given.values()))
+
+    def made(tag: str, attributes: dict[str, str], children: list[Element]) -> Element:
+        return Element(tag, attributes, place.file, place.line, children, texture.problems, texture.folders)
+
+    steps = [
+        made("translate", {"x": text["uoffset"], "y": text["voffset"]}, []),
+        made("scale", {"x": text["uscale"], "y": text["vscale"]}, []),
+    ]
+    texture.children.append(made("transform", {"name": "to_uv"}, steps))
+
+
+def _given(element: Element, name: str) -> Element | None:
+    return next((child for child in element.children if child.attributes.get("name") == name), None)
+
+
+def _upgrade_image(texture: Element) -> None:
+    """Images are filtered bilinearly, and decoded from sRGB unless `raw`."""
+    kind, gamma = _given(texture, "filter_type"), _given(texture, "gamma")
+    if kind is not None and kind.attributes.get("value") in ("trilinear", "ewa"):
+        kind.harmless(f"filter_type {kind.attributes['value']!r} counts as bilinear: images have no smaller versions")
+        kind.attributes["value"] = "bilinear"
+    for name in ("max_anisotropy", "cache"):
+        unused = _given(texture, name)
+        if unused is not None:
+            texture.children.remove(unused)
+    if gamma is not None and re.fullmatch(r"\s*(-1|0|1|2\.2)(\.0*)?\s*", gamma.attributes.get("value", "")):
+        texture.children.remove(gamma)
+        value = float(gamma.attributes["value"])
+        if value == 1:
+            raw = {"name": "raw", "value": "true"}
+            texture.children.append(Element("boolean", raw, gamma.file, gamma.line, [], gamma.problems, gamma.folders))
+        elif value == 2.2:
+            gamma.harmless("gamma 2.2 counts as sRGB")
+
+
+def _upgrade_metal(metal: Element) -> None:
+    """Indices relative to what is around the metal: Mitsuba 3 has vacuum there."""
+    if all(_given(metal, name) is None for name in ("material", "eta", "k")):
+        metal.harmless("a metal without a material is a perfect mirror, as in Mitsuba 3; in Mitsuba 0.x it is copper")
+    around = _given(metal, "ext_eta")
+    if around is None:
+        return
+    text = around.attributes.get("value", "").strip().lower()
+    outside = {"air": AIR, "vacuum": 1.0}.get(text)
+    if outside is None:
+        try:
+            outside = float(text)
+        except ValueError:
+            return  # reported as unknown
+    if abs(outside - 1) < 1e-3:  # air changes the indices by 0.03 %
+        metal.children.remove(around)
+        return
+    given = [_given(metal, name) for name in ("eta", "k")]
+    numbers = [None if one is None or one.tag == "texture" else _numbers(one) for one in given]
+    if _given(metal, "material") is None and all(values is not None for values in numbers):
+        metal.children.remove(around)
+        for one, values in zip(given, numbers, strict=True):
+            one.attributes["value"] = ", ".join(map(repr, (values / outside).tolist()))
+
+
+def _upgrade_color(color: Element, owner: Element) -> None:
+    """Linear RGB of sRGB and hexadecimal numbers, and of spectra that have three numbers for red, green and blue.
+
+    What reflects more than all light can only be meant as bytes: it is noted.
+    """
+    values = _numbers(color)
+    if values is None:
+        return
+    name = color.attributes.get("name", "")
+    if color.tag == "spectrum" and len(values) == 3:
+        color.tag = "rgb"
+    elif color.tag == "spectrum":
+        return
+    if owner.tag in ("bsdf", "texture") and name not in UNBOUNDED and 1 < values.max() <= 255:
+        color.unsupported(f"colour {values.tolist()} is above 1", "it is divided by 255")
+        values = values / 255
+    if color.tag == "srgb":
+        color.tag, values = "rgb", from_srgb(values)
+    color.attributes["value"] = ", ".join(map(repr, values.tolist()))
+
+
+def _numbers(element: Element) -> Float[np.ndarray, " n"] | None:
+    """The one or three numbers of a colour; None where it is something else, which is reported when it is read."""
+    text = element.attributes.get("value", "").strip()
+    if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
+        return np.array([int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    try:
+        values = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        return None
+    return values if len(values) in (1, 3) and np.isfinite(values).all() else None
