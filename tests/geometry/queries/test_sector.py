@@ -13,7 +13,7 @@ from jaxdr.geometry import queries, shapes
 from jaxdr.geometry.edge_tree import build_edge_tree
 from jaxdr.geometry.edges import INTERIOR
 from jaxdr.geometry.queries import NO_GROUP, UNBOUNDED
-from tests.geometry.query_meshes import MESHES, affine, make
+from tests.geometry.queries.query_meshes import MESHES, affine, make
 
 COUNT = 400
 OPEN = jd.Mesh([[0, 0, 0], [1, 0, 0.2], [0.2, 1, 0], [1, 1, 0.4], [0.4, 0.4, 0.9]], [[0, 1, 2], [1, 3, 2], [1, 2, 4]])

@@ -12,14 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from jaxdr.geometry import warp_kernels as kernels
-from jaxdr.geometry import warp_records as records
-from jaxdr.geometry import warp_sector_kernels as sector_kernels
-from jaxdr.geometry import warp_tree_kernels as tree_kernels
 from jaxdr.geometry.edge_tree import LEAF
-from jaxdr.geometry.warp_launch import compact, launch, on_host
-from jaxdr.geometry.warp_records import Call, Numbers
-from jaxdr.geometry.warp_structures import structure_cache
+from jaxdr.geometry.queries.warp import kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
+from jaxdr.geometry.queries.warp.records import Call, Numbers
+from jaxdr.geometry.queries.warp.structures import structure_cache
 
 WHOLE, REAL = wp.array(dtype=int), wp.array(dtype=float)
 WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)

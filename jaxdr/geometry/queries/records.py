@@ -1,4 +1,4 @@
-"""What ray queries are asked and what they answer, as records of arrays; `queries` says what each query does with them.
+"""What ray queries are asked and what they answer, as records of arrays; `api` says what each query does with them.
 
 N rows of rays, segments or sectors; V vertices, F faces, E edges with up to K faces each.
 """

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry import embree_scene, queries, shapes
-from jaxdr.geometry.queries import IMPLEMENTATIONS
+from jaxdr.geometry import queries, shapes
+from jaxdr.geometry.queries import IMPLEMENTATIONS, api
+from jaxdr.geometry.queries.embree import scene as embree_scene
 from jaxdr.transport.interaction import SurfacePoint, leave
-from tests.geometry.query_meshes import (
+from tests.geometry.queries.query_meshes import (
     EPS,
     FAR,
     FAR_AWAY,
@@ -144,7 +145,7 @@ def test_watertight(shape, matrix):
         n = len(origin[some])
         rays = vertices, faces, origin[some], direction[some], np.full(n, FAR)
         face, *_ = ask_rays(queries.closest_hit, *rays, implementation=implementation)
-        most = 1e-3 * n if implementation == "embree" else 0  # see `embree_scene.ROBUST`
+        most = 1e-3 * n if implementation == "embree" else 0  # see `embree.scene.ROBUST`
         assert np.sum(face < 0) <= most, f"{implementation}: {np.sum(face < 0)} of {n} rays leak"
         blocked = ask_rays(queries.occluded, *rays, implementation=implementation)
         assert np.sum(~blocked) <= most, f"{implementation}: occluded leaks {np.sum(~blocked)} of {n}"
@@ -198,6 +199,6 @@ def test_without_embree(monkeypatch):
     for name in ("embreex", "embreex.rtcore"):
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(embree_scene, "library", embree_scene.library.__wrapped__)
-    assert queries._module("auto").__name__.endswith("warp_queries")
+    assert api._module("auto").__name__.endswith("warp.queries")
     with pytest.raises(ImportError, match="pip install"):
-        queries._module("embree")
+        api._module("embree")

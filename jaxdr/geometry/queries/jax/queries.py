@@ -6,7 +6,7 @@ Faces (edges) are visited in blocks by a loop, so memory is rays x block and not
 import jax
 import jax.numpy as jnp
 
-from jaxdr.geometry.jax_sector import sector_crossings  # noqa: F401
+from jaxdr.geometry.queries.jax.sector import sector_crossings  # noqa: F401
 from jaxdr.geometry.vector import dot, norm
 
 BLOCK = 32

@@ -6,7 +6,7 @@ The tree is that of `edge_tree.build_edge_tree`, a few times faster; the plain v
 import warp as wp
 
 from jaxdr.geometry import edge_tree
-from jaxdr.geometry.warp_records import EdgeSet, Geometry
+from jaxdr.geometry.queries.warp.records import EdgeSet, Geometry
 
 wp.set_module_options({"enable_backward": False})
 

@@ -3,9 +3,9 @@
 import numpy as np
 import warp as wp
 
-from jaxdr.geometry import warp_tree_kernels as tree_kernels
-from jaxdr.geometry.bvh_cache import BVHCache
-from jaxdr.geometry.warp_launch import launch
+from jaxdr.geometry.queries.bvh_cache import BVHCache
+from jaxdr.geometry.queries.warp import tree_kernels
+from jaxdr.geometry.queries.warp.launch import launch
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps

@@ -16,11 +16,10 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Int
 
-from jaxdr.geometry import embree_scene, jax_queries
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
-from jaxdr.geometry.query_records import (  # noqa: F401
-    NO_GROUP,
-    UNBOUNDED,
+from jaxdr.geometry.queries.embree import scene as embree_scene
+from jaxdr.geometry.queries.jax import queries as jax_queries
+from jaxdr.geometry.queries.records import (
     Candidates,
     Crossings,
     EdgePoints,
@@ -45,12 +44,13 @@ def _module(implementation: str) -> Any:
     if implementation == "jax":
         return jax_queries
     if implementation == "warp":
-        from jaxdr.geometry import warp_queries  # imported on use: a GPU that Warp does not know needs only `jax`
+        # Imported on use: a GPU that Warp does not know needs only `jax`.
+        from jaxdr.geometry.queries.warp import queries as warp_queries
 
         return warp_queries
     if implementation == "embree":
         embree_scene.library()  # here, where an error reaches the caller
-        from jaxdr.geometry import embree_queries
+        from jaxdr.geometry.queries.embree import queries as embree_queries
 
         return embree_queries
     raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(CHOICES)}")

@@ -1,4 +1,4 @@
-"""The records of `query_records` as Warp's kernels see them, and kernels as functions of JAX arrays in such records."""
+"""The records of `queries` as Warp's kernels see them, and kernels as functions of JAX arrays in such records."""
 
 import inspect
 from collections.abc import Callable

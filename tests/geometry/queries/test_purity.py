@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.geometry import bvh_cache, queries, warp_structures
-from jaxdr.geometry.queries import IMPLEMENTATIONS, Geometry, Lines, Rays
+from jaxdr.geometry import queries
+from jaxdr.geometry.queries import IMPLEMENTATIONS, Geometry, Lines, Rays, bvh_cache
+from jaxdr.geometry.queries.warp import structures as warp_structures
 from jaxdr.geometry.shapes import sphere
 
 SQUARE = jnp.asarray([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

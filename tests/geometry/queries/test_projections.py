@@ -5,7 +5,7 @@ import pytest
 
 from jaxdr.geometry import queries
 from jaxdr.geometry.queries import IMPLEMENTATIONS
-from tests.geometry.query_meshes import arrays, ask, every_crossing, make
+from tests.geometry.queries.query_meshes import arrays, ask, every_crossing, make
 
 COUNT = 100
 

@@ -9,8 +9,8 @@ folds within rounding.
 import warp as wp
 
 from jaxdr.geometry import edge_tree
-from jaxdr.geometry.warp_kernels import faces_all_alike, keeps, part
-from jaxdr.geometry.warp_records import EdgeSet, EdgeTree, Geometry, SectorQuery
+from jaxdr.geometry.queries.warp.kernels import faces_all_alike, keeps, part
+from jaxdr.geometry.queries.warp.records import EdgeSet, EdgeTree, Geometry, SectorQuery
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
@@ -141,7 +141,7 @@ def sector_crossings(
     """Visible silhouette crossings of chords (`first`, `last`) seen from apexes; see `queries.sector_crossings`.
 
     `found` = [kept, all, chords with inconsistent counts, chords of more than `MOST` crossings, nodes visited, rays].
-    The tree is walked without a stack, as in `warp_kernels.edge_candidates`.
+    The tree is walked without a stack, as in `kernels.edge_candidates`.
     """
     i = start + wp.tid()
     if sectors.needed[i] <= 0.0:

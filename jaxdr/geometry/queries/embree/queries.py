@@ -1,14 +1,14 @@
-"""Nearest hits and occlusion by Embree on the CPU, called as `warp_queries`; all other queries are Warp's own.
+"""Nearest hits and occlusion by Embree on the CPU, called as `warp.queries`; all other queries are Warp's own.
 
 On other devices these two are Warp's as well.
 """
 
-from jaxdr.geometry import embree_kernels as kernels
-from jaxdr.geometry import warp_queries
-from jaxdr.geometry.bvh_cache import BVHCache
-from jaxdr.geometry.embree_scene import EmbreeScene, library
-from jaxdr.geometry.warp_launch import SLICE, launch, on_host
-from jaxdr.geometry.warp_queries import (  # noqa: F401
+from jaxdr.geometry.queries.bvh_cache import BVHCache
+from jaxdr.geometry.queries.embree import kernels
+from jaxdr.geometry.queries.embree.scene import EmbreeScene, library
+from jaxdr.geometry.queries.warp import queries as warp_queries
+from jaxdr.geometry.queries.warp.launch import SLICE, launch, on_host
+from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
     edge_candidates,
     edge_tree,
     point_candidates,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxdr.geometry.bvh_cache import BVHCache
+from jaxdr.geometry.queries.bvh_cache import BVHCache
 
 
 class Structure:

@@ -6,7 +6,7 @@ Every kernel works on the slice that starts at `start`, so that a CPU launch can
 import warp as wp
 
 from jaxdr.geometry import edge_tree
-from jaxdr.geometry.warp_records import EdgePoints, EdgeSet, EdgeTree, Geometry, Lines, Rays, StripQuery
+from jaxdr.geometry.queries.warp.records import EdgePoints, EdgeSet, EdgeTree, Geometry, Lines, Rays, StripQuery
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 

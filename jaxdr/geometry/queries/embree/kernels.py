@@ -5,7 +5,7 @@ The structure in the snippets is RTCRayHit16 of Embree 4, which begins with RTCR
 
 import warp as wp
 
-from jaxdr.geometry.warp_records import Rays
+from jaxdr.geometry.queries.warp.records import Rays
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
