@@ -18,7 +18,7 @@ import jaxdr as jd
 from experiments import common, reference_scenes
 from jaxdr.boundary.divergence import hidden_velocities
 from jaxdr.boundary.occluders import connect_faces
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point

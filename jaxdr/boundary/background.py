@@ -12,7 +12,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.silhouettes import PathSegments, horizon_normal, occluded_side, on_face, past_edge
+from jaxdr.boundary.path_segments import PathSegments, on_face
+from jaxdr.boundary.projection import horizon_normal, occluded_side, past_edge
 from jaxdr.boundary.term import stream_of
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import between, corners, dot, norm, scale

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.boundary_segments import SegmentEnds, Segments
 from jaxdr.boundary.edge_lunes import EdgeLunes
-from jaxdr.boundary.silhouettes import on_face
+from jaxdr.boundary.path_segments import on_face
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene

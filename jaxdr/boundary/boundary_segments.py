@@ -22,7 +22,7 @@ from jaxdr.boundary.edge_lunes import (
     occluded_side,
     passing,
 )
-from jaxdr.boundary.silhouettes import BESIDE
+from jaxdr.boundary.projection import BESIDE
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import components, dot, interpolate, norm, normalize, orthonormal_basis, scale
 from jaxdr.scene.packed import PackedScene

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.chords import Chords, LobeChords, lobe_chords
-from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.boundary.path_segments import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.scene.packed import PackedScene

@@ -15,7 +15,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.edge_chains import EdgeOrder
-from jaxdr.boundary.silhouettes import never_silhouettes
+from jaxdr.boundary.projection import never_silhouettes
 from jaxdr.geometry.vector import (
     Frame,
     between,

@@ -18,7 +18,8 @@ from jaxdr.boundary.chords import (
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
 from jaxdr.boundary.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.on_planes import OnPlanes
-from jaxdr.boundary.silhouettes import PathSegments, project_edges
+from jaxdr.boundary.path_segments import PathSegments
+from jaxdr.boundary.projection import project_edges
 from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.boundary.silhouettes import affine_coordinates, affine_rates
+from jaxdr.boundary.projection import affine_coordinates, affine_rates
 from jaxdr.geometry.vector import corners, dot, norm, normalize, triangle_normals
 from jaxdr.scene.emitter_clusters import FEW_FACES
 from jaxdr.scene.packed import PackedScene

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
-from jaxdr.boundary.silhouettes import on_face
+from jaxdr.boundary.path_segments import on_face
 from jaxdr.boundary.term import Chunk, Context, named_key, streams
 from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
 from jaxdr.scene.camera import View

@@ -17,14 +17,8 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.silhouettes import (
-    BESIDE,
-    PathSegments,
-    affine_coordinates,
-    never_silhouettes,
-    occluded_side,
-    past_edge,
-)
+from jaxdr.boundary.path_segments import PathSegments
+from jaxdr.boundary.projection import BESIDE, affine_coordinates, never_silhouettes, occluded_side, past_edge
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (

@@ -18,17 +18,15 @@ from jaxdr.boundary.emitter_planes import emitter_face_at, emitter_groups, few_e
 from jaxdr.boundary.lobe_kernel import lobe_edges
 from jaxdr.boundary.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
+from jaxdr.boundary.path_segments import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.plain_kernel import near_points, share_of_disc, shrinking_radii
-from jaxdr.boundary.silhouettes import (
-    PathSegments,
+from jaxdr.boundary.projection import (
     Projection,
-    SegmentEnds,
     affine_coordinates,
     affine_rates,
     displacement,
     never_silhouettes,
     past_edge,
-    path_segments,
     project_edges,
 )
 from jaxdr.boundary.term import Chunk, Context

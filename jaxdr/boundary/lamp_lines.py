@@ -18,8 +18,8 @@ from jaxtyping import Array, Float, Int
 from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.chords import Chords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.path_segments import PathSegments
 from jaxdr.boundary.sampled_arcs import on_same_side, place
-from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale, z_of
 from jaxdr.scene.color import luminance

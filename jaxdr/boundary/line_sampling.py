@@ -17,7 +17,8 @@ from jaxdr.boundary.emitter_planes import emitter_groups
 from jaxdr.boundary.lamp_lines import LampLines, LampShare
 from jaxdr.boundary.lobe_lines import LobeLines
 from jaxdr.boundary.on_planes import OnPlanes, sum_on_planes
-from jaxdr.boundary.silhouettes import PathSegments, never_silhouettes, path_segments
+from jaxdr.boundary.path_segments import PathSegments, path_segments
+from jaxdr.boundary.projection import never_silhouettes
 from jaxdr.boundary.sky_lines import SkyLines, SkyShare
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry import queries

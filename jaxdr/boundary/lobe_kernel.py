@@ -17,8 +17,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.background import BehindEdges, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.blocks import map_over_blocks
+from jaxdr.boundary.path_segments import PathSegments
+from jaxdr.boundary.projection import foot_on_edge
 from jaxdr.boundary.sampled_arcs import sampled_arc
-from jaxdr.boundary.silhouettes import PathSegments, foot_on_edge
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, scale

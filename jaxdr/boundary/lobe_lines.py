@@ -9,7 +9,7 @@ from jaxdr.boundary.chords import LobeChords, lobe_weight
 from jaxdr.boundary.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
 from jaxdr.boundary.emitter_lines import Centres
 from jaxdr.boundary.lamp_lines import LampShare
-from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.boundary.path_segments import PathSegments
 from jaxdr.boundary.sky_lines import SkyShare
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.color import luminance

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.continuous_velocity import Auxiliary
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene

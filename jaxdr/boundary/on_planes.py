@@ -7,7 +7,8 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.blocks import sum_over_blocks
-from jaxdr.boundary.silhouettes import PathSegments, Projection, displacement
+from jaxdr.boundary.path_segments import PathSegments
+from jaxdr.boundary.projection import Projection, displacement
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.packed import PackedScene
 

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.occluders import Faces
-from jaxdr.boundary.silhouettes import SegmentEnds, affine_coordinates
+from jaxdr.boundary.path_segments import SegmentEnds
+from jaxdr.boundary.projection import affine_coordinates
 from jaxdr.geometry.vector import (
     components,
     corners,

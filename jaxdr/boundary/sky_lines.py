@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from jaxdr.boundary.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.path_segments import PathSegments
 from jaxdr.boundary.sampled_arcs import on_same_side, place
-from jaxdr.boundary.silhouettes import PathSegments
 from jaxdr.geometry.vector import cross, dot, normalize, scale, z_of
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene

@@ -20,7 +20,8 @@ from jaxdr.boundary.divergence import (
     hidden_velocities,
 )
 from jaxdr.boundary.occluders import Faces, connect_faces
-from jaxdr.boundary.silhouettes import PathSegments, SegmentEnds, affine_coordinates, path_segments
+from jaxdr.boundary.path_segments import PathSegments, SegmentEnds, path_segments
+from jaxdr.boundary.projection import affine_coordinates
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jaxdr.boundary.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
 from jaxdr.boundary.occluders import Faces
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.boundary.warped_area import Onward, WarpedArea, sent_back
 from jaxdr.geometry.vector import interpolate, norm, normalize, scale

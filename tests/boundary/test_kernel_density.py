@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.boundary.plain_kernel import PLAIN
-from jaxdr.boundary.silhouettes import SegmentEnds, displacement, project_edges
+from jaxdr.boundary.projection import displacement, project_edges
 from jaxdr.geometry.shapes import displaced_sphere
 from jaxdr.scene.packed import pack
 from tests.references.central_differences import central

@@ -7,7 +7,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.boundary.moving_edges import _joined
-from jaxdr.boundary.silhouettes import PathSegments
+from jaxdr.boundary.path_segments import PathSegments
 from jaxdr.geometry.queries import Candidates
 from jaxdr.geometry.shapes import box, plane, rectangle, transformed
 from jaxdr.scene.camera import look_at

@@ -20,7 +20,7 @@ from jaxdr.boundary.continuous_velocity import (
 from jaxdr.boundary.divergence import displacement, hidden_velocities
 from jaxdr.boundary.occluders import connect_faces
 from jaxdr.boundary.outlines import keep_inside
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry.shapes import box
 from jaxdr.geometry.vector import dot, norm, normalize, orthonormal_basis
 from jaxdr.scene.packed import pack
