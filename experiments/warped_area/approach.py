@@ -17,7 +17,7 @@ import numpy as np
 import jaxdr as jd
 from experiments import common, reference_scenes
 from jaxdr.boundary.divergence import hidden_velocities
-from jaxdr.boundary.occluders import connect_faces
+from jaxdr.boundary.face_neighbours import connect_faces
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.scene.packed import pack

@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.blocks import sum_over_blocks
 from jaxdr.boundary.continuous_velocity import Kernel, draw_auxiliary, velocity_field
-from jaxdr.boundary.occluders import Faces, find_occluders
+from jaxdr.boundary.face_neighbours import Faces
+from jaxdr.boundary.occluders import find_occluders
 from jaxdr.boundary.outlines import keep_inside
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry.vector import (

@@ -7,21 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.continuous_velocity import Auxiliary
+from jaxdr.boundary.face_neighbours import Faces
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import OFFSET, SurfacePoint, leave
-
-
-class Faces(NamedTuple):
-    """Unit normals of all faces (detached) and the faces behind their sides.
-
-    Side k is opposite of corner k; -1 where there is no other face or more than one.
-    """
-
-    normal: Float[Array, "F 3"]
-    behind: Int[Array, "F 3"]
 
 
 class Occluders(NamedTuple):
@@ -35,18 +26,6 @@ class Occluders(NamedTuple):
     barycentric: Float[Array, "N Q C 3"]
     boundary: Float[Array, "N Q C"]
     own: Bool[Array, "N Q C"] | None
-
-
-def connect_faces(packed: PackedScene) -> Faces:
-    """Neighbours of all faces, from the edges."""
-    behind = jnp.full(packed.faces.shape, -1, jnp.int32)
-    faces, opposite, interior = packed.edges.faces, packed.edges.opposite, packed.edges.interior
-    for k in (0, 1):
-        face = jnp.where(interior, faces[:, k], packed.faces.shape[0])
-        corners = packed.faces[jnp.maximum(faces[:, k], 0)]
-        side = jnp.argmax(corners == opposite[:, k, None], axis=1)
-        behind = behind.at[face, side].set(faces[:, 1 - k], mode="drop")
-    return Faces(jax.lax.stop_gradient(normalize(packed.face_normals())), behind)
 
 
 def find_occluders(

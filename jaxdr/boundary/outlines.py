@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.boundary.occluders import Faces
+from jaxdr.boundary.face_neighbours import Faces
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.boundary.projection import affine_coordinates
 from jaxdr.geometry.vector import (

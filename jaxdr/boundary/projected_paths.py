@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.boundary_segments import SegmentEnds, Segments, lines_past
 from jaxdr.boundary.edge_lunes import EdgeLunes, EdgePoints, passing
 from jaxdr.boundary.edge_reservoir import passes
-from jaxdr.boundary.occluders import connect_faces
+from jaxdr.boundary.face_neighbours import connect_faces
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene

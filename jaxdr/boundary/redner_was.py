@@ -30,7 +30,7 @@ from jaxdr.boundary.divergence import (
     divergence_term,
     hidden_velocities,
 )
-from jaxdr.boundary.occluders import Faces, connect_faces
+from jaxdr.boundary.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.path_segments import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals

@@ -11,7 +11,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jaxdr.boundary.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
-from jaxdr.boundary.occluders import Faces
+from jaxdr.boundary.face_neighbours import Faces
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.boundary.term import Chunk, Context
 from jaxdr.boundary.warped_area import Onward, WarpedArea, sent_back

@@ -18,7 +18,7 @@ from jaxdr.boundary.continuous_velocity import (
     velocity_field,
 )
 from jaxdr.boundary.divergence import displacement, hidden_velocities
-from jaxdr.boundary.occluders import connect_faces
+from jaxdr.boundary.face_neighbours import connect_faces
 from jaxdr.boundary.outlines import keep_inside
 from jaxdr.boundary.path_segments import SegmentEnds
 from jaxdr.geometry.shapes import box
