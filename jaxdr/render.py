@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.texture_jumps import check_still_maps
+from jaxdr.boundary.shared.texture_jumps import check_still_maps
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
