@@ -50,7 +50,7 @@ class Plan(NamedTuple):
     gathered: bool
 
 
-class Prepared(NamedTuple):
+class GuidedEdgesState(NamedTuple):
     """What all chunks of an image share: the edges, which shapes move, a guide for every plan, `order` where sorted."""
 
     lunes: EdgeLunes
@@ -135,12 +135,12 @@ class GuidedEdges(eqx.Module):
             plans.append(Plan(DirectionSampling, by_direction, indirect))
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
 
-    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
         """Edges and guides. Raises ValueError for what no segment covers, and for what has not been verified yet."""
         del key  # all images of the same scene have the same guide
         return self.build(context.packed, context.moving.seen, context.settings)
 
-    def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> Prepared:
+    def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
         """The same for shapes that can move. Raises ValueError as `prepare`."""
         _check(packed)
         detached = jax.tree.map(stop_gradient, packed)
@@ -161,7 +161,7 @@ class GuidedEdges(eqx.Module):
             return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
 
         guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
-        return Prepared(lunes, flags, guides, order)
+        return GuidedEdgesState(lunes, flags, guides, order)
 
     def _targets(
         self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
@@ -203,13 +203,13 @@ class GuidedEdges(eqx.Module):
         settings: PathSettings,
         guides: tuple[Defended, ...],
         order: EdgeOrder | None,
-    ) -> Prepared:
+    ) -> GuidedEdgesState:
         """`build` with guides that were built for another position of the same meshes.
 
         Raises ValueError as `build` does, and for another number of strategies than there are guides.
         """
         self._plans_of(packed, settings, guides)
-        return Prepared(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
+        return GuidedEdgesState(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
 
     def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[Plan, ...]:
         """The plans that guides were built for; raises ValueError where they weren't."""
@@ -257,7 +257,7 @@ class GuidedEdges(eqx.Module):
         return Unguided()
 
     def draw(
-        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+        self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, list["_Drawn"]]:
         """Segments of all strategies, and requests for what their sources scatter."""
         count, drawn, asked = max(1, round(chunk.paths * self.samples)), [], []
@@ -268,7 +268,7 @@ class GuidedEdges(eqx.Module):
         return joined(asked) if asked else None, drawn
 
     def image(
-        self, context: Context, state: Prepared, chunk: Chunk, held: list["_Drawn"], answers: Answers | None
+        self, context: Context, state: GuidedEdgesState, chunk: Chunk, held: list["_Drawn"], answers: Answers | None
     ) -> Float[Array, "H W 3"]:
         """Boundary term, an estimate of the whole film by itself: zero in value, right in derivative."""
         packed, settings = context.packed, context.settings
@@ -294,7 +294,7 @@ class GuidedEdges(eqx.Module):
         return chunk.share * total
 
     def _draw(
-        self, context: Context, prepared: Prepared, number: int, count: int, key
+        self, context: Context, prepared: GuidedEdgesState, number: int, count: int, key
     ) -> tuple[list[Requests], "_Drawn"]:
         """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
         packed, settings, lunes = context.packed, context.settings, prepared.lunes

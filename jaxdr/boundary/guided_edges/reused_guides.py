@@ -13,7 +13,7 @@ import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder
-from jaxdr.boundary.guided_edges.estimator import GuidedEdges, Prepared
+from jaxdr.boundary.guided_edges.estimator import GuidedEdges, GuidedEdgesState
 from jaxdr.boundary.guided_edges.primary_guides import Defended
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.compilation import unfolded
@@ -35,7 +35,7 @@ class ReusedGuides(eqx.Module):
 
     name = "boundary"
 
-    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
         """Edges of the shape of the moment.
 
         Raises ValueError as `GuidedEdges.prepare` does, and for guides of another mesh or depth.
@@ -45,11 +45,11 @@ class ReusedGuides(eqx.Module):
         scene = context.packed, context.moving.seen, context.settings
         return self.boundary.prepare_with(*scene, self.guides, self.order)
 
-    def draw(self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray):
+    def draw(self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray):
         """As `GuidedEdges.draw`."""
         return self.boundary.draw(context, state, chunk, key)
 
-    def image(self, context: Context, state: Prepared, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
+    def image(self, context: Context, state: GuidedEdgesState, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
         """As `GuidedEdges.image`."""
         return self.boundary.image(context, state, chunk, held, answers)
 

@@ -43,7 +43,7 @@ from jaxdr.transport.radiance import Answers, Requests
 from jaxdr.transport.sampler import seed_of
 
 
-class Prepared(NamedTuple):
+class KernelDensityState(NamedTuple):
     """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges.
 
     `group` numbers the emitters' planes; None where the radiance of no emitter varies. `moving`: the edges that move,
@@ -157,7 +157,7 @@ class KernelDensity(eqx.Module):
         """Radius of every iteration relative to the first (Eq. 21)."""
         return shrinking_radii(self.alpha, self.iterations)
 
-    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> KernelDensityState:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges."""
         del key
         packed, moving, settings = context.packed, context.moving.seen, context.settings
@@ -169,10 +169,12 @@ class KernelDensity(eqx.Module):
         group = emitter_groups(packed) if packed.glow else None
         # Every edge may bound what moving surfaces see, only moving ones what still surfaces see of still ones.
         apart = self.kernel == "edge" and any(moving) and not all(moving)
-        return Prepared(radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None)
+        return KernelDensityState(
+            radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None
+        )
 
     def draw(
-        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+        self, context: Context, state: KernelDensityState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, "_Held"]:
         """Boundary points near segments, and requests for the radiance behind those near BSDF-sampled directions."""
         packed, settings, record, shrunk = context.packed, context.settings, chunk.record, self._scale(chunk)
@@ -192,7 +194,7 @@ class KernelDensity(eqx.Module):
         return asked, _Held(direct, scattered, behind)
 
     def image(
-        self, context: Context, state: Prepared, chunk: Chunk, held: "_Held", answers: Answers | None
+        self, context: Context, state: KernelDensityState, chunk: Chunk, held: "_Held", answers: Answers | None
     ) -> Float[Array, "H W 3"]:
         """Boundary term: zero in value, right in derivative."""
         packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
@@ -285,7 +287,7 @@ class KernelDensity(eqx.Module):
     def estimate_connected(
         self,
         packed: PackedScene,
-        prepared: Prepared,
+        prepared: KernelDensityState,
         primary: PrimarySamples,
         drawn: Drawn,
         weight: Float[Array, "C N"],

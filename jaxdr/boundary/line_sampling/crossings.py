@@ -27,7 +27,7 @@ class RankedEdges(NamedTuple):
     tree: EdgeTree
 
 
-class Prepared(NamedTuple):
+class LineSamplingState(NamedTuple):
     """What all chunks of an image share.
 
     `edges` for silhouettes. `group` numbers the emitters' planes, `moving` tells which shapes move; `count_layers`
@@ -70,7 +70,7 @@ class Lines(Protocol):
 
     traces_paths: bool
     packed: PackedScene
-    prepared: Prepared
+    prepared: LineSamplingState
     paths: PathSegments
     settings: PathSettings
 

@@ -15,7 +15,13 @@ from jaxdr.boundary.line_sampling.chords import (
     emitter_rate,
     lobe_rate,
 )
-from jaxdr.boundary.line_sampling.crossings import Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.line_sampling.crossings import (
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    lobe_reach,
+    silhouette_crossings,
+)
 from jaxdr.boundary.shared.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.shared.on_planes import OnPlanes
 from jaxdr.boundary.shared.path_segments import PathSegments
@@ -41,7 +47,7 @@ class Centres(NamedTuple):
     """
 
     packed: PackedScene
-    prepared: Prepared
+    prepared: LineSamplingState
     paths: PathSegments
     reach: float
     emitters: Float[Array, "B P n"]
@@ -92,7 +98,7 @@ class EmitterLines:
 
     traces_paths = False
 
-    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
         self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
         self.both: Centres | None = None
 

@@ -8,7 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.line_sampling.crossings import BOUNDS, HIDES, MOVES, Chosen, Crossings, Lines, Prepared, RankedEdges
+from jaxdr.boundary.line_sampling.crossings import (
+    BOUNDS,
+    HIDES,
+    MOVES,
+    Chosen,
+    Crossings,
+    Lines,
+    LineSamplingState,
+    RankedEdges,
+)
 from jaxdr.boundary.line_sampling.emitter_lines import Centres, EmitterLines
 from jaxdr.boundary.line_sampling.lamp_lines import LampLines, LampShare
 from jaxdr.boundary.line_sampling.lobe_lines import LobeLines
@@ -81,7 +90,7 @@ class LineSampling(eqx.Module):
         if not self.pilot >= 0:
             raise ValueError(f"LineSampling: pilot must not be negative, got {self.pilot}")
 
-    def prepare(self, context: Context, key: PRNGKeyArray) -> Prepared:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> LineSamplingState:
         """Ranks of the edges and the tree over them."""
         del key
         packed, moving = context.packed, context.moving.seen
@@ -96,10 +105,10 @@ class LineSampling(eqx.Module):
         if packed.has_area_emitters and packed.clusters is None:
             group = emitter_groups(packed)
         count_layers = jnp.asarray(bool(still <= faces.sum() // 2))
-        return Prepared(RankedEdges(rank, tree), group, flags, count_layers)
+        return LineSamplingState(RankedEdges(rank, tree), group, flags, count_layers)
 
     def draw(
-        self, context: Context, state: Prepared, chunk: Chunk, key: PRNGKeyArray
+        self, context: Context, state: LineSamplingState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, "_Held | None"]:
         """Crossings of chords, and requests for the radiance behind those of geodesic ones."""
         packed, settings = context.packed, context.settings
@@ -116,7 +125,7 @@ class LineSampling(eqx.Module):
         return joined(asked) if asked else None, _Held(found, behind)
 
     def image(
-        self, context: Context, state: Prepared, chunk: Chunk, held: "_Held | None", answers: Answers | None
+        self, context: Context, state: LineSamplingState, chunk: Chunk, held: "_Held | None", answers: Answers | None
     ) -> Float[Array, "H W 3"]:
         """Boundary term: zero in value, right in derivative."""
         packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
@@ -132,7 +141,7 @@ class LineSampling(eqx.Module):
             first = last
         return chunk.image(packed, total)
 
-    def _spreads(self, packed: PackedScene, state: Prepared, paths: PathSegments, settings, key):
+    def _spreads(self, packed: PackedScene, state: LineSamplingState, paths: PathSegments, settings, key):
         """(chords on emitters or None; those around BSDF samples, around a map's, towards lamps of many faces)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)

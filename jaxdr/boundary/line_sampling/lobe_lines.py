@@ -5,7 +5,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_weight
-from jaxdr.boundary.line_sampling.crossings import Chosen, Crossings, Prepared, draw_lobe_chords, silhouette_crossings
+from jaxdr.boundary.line_sampling.crossings import (
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    draw_lobe_chords,
+    silhouette_crossings,
+)
 from jaxdr.boundary.line_sampling.emitter_lines import Centres
 from jaxdr.boundary.line_sampling.lamp_lines import LampShare
 from jaxdr.boundary.line_sampling.sky_lines import SkyShare
@@ -26,7 +32,7 @@ class LobeLines:
 
     traces_paths = True
 
-    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings, reach: float):
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings, reach: float):
         self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
         self.both: Centres | LampShare | None = None
         self.skies: SkyShare | None = None

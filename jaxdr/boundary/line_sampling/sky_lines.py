@@ -8,7 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.boundary.line_sampling.chords import LobeChords, balance, lobe_rate, random_across
-from jaxdr.boundary.line_sampling.crossings import WIDEST, Chosen, Crossings, Prepared, lobe_reach, silhouette_crossings
+from jaxdr.boundary.line_sampling.crossings import (
+    WIDEST,
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    lobe_reach,
+    silhouette_crossings,
+)
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
@@ -57,7 +64,7 @@ class SkyLines:
 
     traces_paths = True
 
-    def __init__(self, packed: PackedScene, prepared: Prepared, paths: PathSegments, settings: PathSettings):
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
         self.packed, self.prepared, self.paths = packed, prepared, paths
         self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
         self.both: SkyShare | None = None
