@@ -60,7 +60,7 @@ class Chords(NamedTuple):
     inverse: Float[Array, " C"]
 
 
-class Crossings(NamedTuple):
+class ChainCrossings(NamedTuple):
     """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
 
     chords: Chords
@@ -91,7 +91,7 @@ class Jumps(NamedTuple):
     `weight` of what jumps there, over the steepness of g; `faces` of the chain.
     """
 
-    crossings: Crossings
+    crossings: ChainCrossings
     film_point: Float[Array, "C 2"]
     weight: Float[Array, " C"]
     faces: Int[Array, "C B"]
@@ -188,7 +188,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
 
 def _candidates(
     detached: PackedScene, table: EdgeTable, chords: Chords, key, settings
-) -> tuple[Crossings, Float[Array, " C"]]:
+) -> tuple[ChainCrossings, Float[Array, " C"]]:
     """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
     count, dtype = chords.inverse.shape[0], chords.inverse.dtype
     key_seed, key_choice = jax.random.split(jax.random.fold_in(key, 2))
@@ -206,7 +206,7 @@ def _candidates(
     number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
     edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
     weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
-    return Crossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
+    return ChainCrossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
 
 
 def _view(camera: Camera, chords: Chords) -> View:
@@ -232,7 +232,7 @@ def _moved(detached, chords: Chords, t, settings) -> tuple[ChainSegments, _Rate]
     return chain, _Rate(*rates)
 
 
-def _segment(crossings: Crossings, *tables):
+def _segment(crossings: ChainCrossings, *tables):
     """Rows of tables [B, C, ...] for the segments that cross."""
     return jax.tree.map(lambda x: x[crossings.number, jnp.arange(x.shape[1])], tables)
 
@@ -242,7 +242,7 @@ def _bundles(detached, chain: ChainSegments, rate: _Rate) -> Bundles:
     return Bundles(chain.origin, chain.direction, rate.origin, rate.direction, end)
 
 
-def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
+def _find(detached, table: EdgeTable, crossings: ChainCrossings, settings) -> Found:
     """Where the chords cross the edges, by Newton's method from their centres.
 
     A function of the arguments alone, and false unless the edge is among the centre's candidates: trials rely on it.
@@ -267,7 +267,7 @@ def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
     return Found(chords.centre + scale(chords.towards, t), valid)
 
 
-def _trials(detached, table, crossings: Crossings, target: Found, key, settings) -> Float[Array, " C"]:
+def _trials(detached, table, crossings: ChainCrossings, target: Found, key, settings) -> Float[Array, " C"]:
     """Numbers of centres on the chords until one finds `target`: 1 / P on average."""
     chords = crossings.chords
 
@@ -302,7 +302,7 @@ def _report(lost, total):
     )
 
 
-def _volume(packed, crossings: Crossings, film_point, faces, settings) -> Float[Array, " C"]:
+def _volume(packed, crossings: ChainCrossings, film_point, faces, settings) -> Float[Array, " C"]:
     """g for a scene and film points, along the faces of chains."""
     chords = crossings.chords
     chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
@@ -311,7 +311,9 @@ def _volume(packed, crossings: Crossings, film_point, faces, settings) -> Float[
     return volume(origin, direction, start, end - start)
 
 
-def _jumps(packed, table: EdgeTable, crossings: Crossings, valid, key, settings) -> tuple[Jumps, Requests, Requests]:
+def _jumps(
+    packed, table: EdgeTable, crossings: ChainCrossings, valid, key, settings
+) -> tuple[Jumps, Requests, Requests]:
     """(where chords cross edges, requests for the radiance on both sides)."""
     chords = crossings.chords
     found = _find(packed, table, crossings, settings)
@@ -352,7 +354,7 @@ class _Side(NamedTuple):
     valid: Bool[Array, " C"]
 
 
-def _side(packed, table: EdgeTable, crossings: Crossings, view, film_points, settings) -> _Side:
+def _side(packed, table: EdgeTable, crossings: ChainCrossings, view, film_points, settings) -> _Side:
     """What chains from film points beside crossings find."""
     start = table.ends[crossings.edge, 0]
     side = table.ends[crossings.edge, 1] - start

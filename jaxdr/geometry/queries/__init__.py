@@ -20,7 +20,6 @@ from jaxdr.geometry.queries.api import sector_crossings as sector_crossings
 from jaxdr.geometry.queries.records import NO_GROUP as NO_GROUP
 from jaxdr.geometry.queries.records import UNBOUNDED as UNBOUNDED
 from jaxdr.geometry.queries.records import Candidates as Candidates
-from jaxdr.geometry.queries.records import Crossings as Crossings
 from jaxdr.geometry.queries.records import EdgePoints as EdgePoints
 from jaxdr.geometry.queries.records import EdgeSet as EdgeSet
 from jaxdr.geometry.queries.records import Geometry as Geometry
@@ -28,5 +27,6 @@ from jaxdr.geometry.queries.records import Hit as Hit
 from jaxdr.geometry.queries.records import Lines as Lines
 from jaxdr.geometry.queries.records import Projections as Projections
 from jaxdr.geometry.queries.records import Rays as Rays
+from jaxdr.geometry.queries.records import SectorCrossings as SectorCrossings
 from jaxdr.geometry.queries.records import SectorQuery as SectorQuery
 from jaxdr.geometry.queries.records import StripQuery as StripQuery

@@ -21,7 +21,6 @@ from jaxdr.geometry.queries.embree import scene as embree_scene
 from jaxdr.geometry.queries.jax import queries as jax_queries
 from jaxdr.geometry.queries.records import (
     Candidates,
-    Crossings,
     EdgePoints,
     EdgeSet,
     Geometry,
@@ -29,6 +28,7 @@ from jaxdr.geometry.queries.records import (
     Lines,
     Projections,
     Rays,
+    SectorCrossings,
     SectorQuery,
     StripQuery,
 )
@@ -191,7 +191,7 @@ def sector_crossings(
     least_layer: int,
     capacity: int,
     implementation: str = "auto",
-) -> Crossings:
+) -> SectorCrossings:
     """Where silhouettes, seen from `apex`, cross chords from `first` to `last` and bound what is visible of them.
 
     All edges that cut the planar sector (apex, chord) are found; with quantitative invisibility (Appel 1967) the layers
@@ -213,4 +213,4 @@ def sector_crossings(
     """
     query = _module(implementation).sector_crossings
     fixed = geometry, edges, face_group, sectors, seed
-    return Crossings(*_asked(query, fixed, least_layer=least_layer, capacity=capacity))
+    return SectorCrossings(*_asked(query, fixed, least_layer=least_layer, capacity=capacity))

@@ -130,7 +130,7 @@ class Candidates(NamedTuple):
     weight: Float[Array, "*n"]
 
 
-class Crossings(NamedTuple):
+class SectorCrossings(NamedTuple):
     """Compacted (chord, edge) pairs with the fraction of the way `along` the edge; unused slots have `chord` -1.
 
     `weight` as in `Candidates`. `counts`: all crossings found, chords whose layers could not be counted consistently,
