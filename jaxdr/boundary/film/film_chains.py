@@ -76,7 +76,7 @@ class Found(NamedTuple):
     valid: Bool[Array, " C"]
 
 
-def chain_edges(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
+def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
     """The edges that may jump in the image as it is seen over delta lobes; `moving` shapes, relative to the camera."""
     flags, turns = jnp.asarray(moving), jnp.asarray(False)
     for group in packed.bsdfs:
@@ -111,7 +111,7 @@ class FilmChains:
         packed, seen = context.packed, context.moving.seen
         if not (any(seen) and packed.has_delta_lobes and context.settings.max_depth > 1):
             return None
-        return chain_edges(packed, seen, context.settings.rays)
+        return edges_of_chains(packed, seen, context.settings.rays)
 
     def draw(self, context: Context, state: EdgeTable, chunk: Chunk, key):
         """Where chords cross edges, and requests for the radiance on both sides."""
