@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.guided_edges.boundary_segments import SegmentEnds, Segments
+from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.geometry import queries
@@ -50,8 +50,8 @@ class Detected(NamedTuple):
 
 def detect(
     packed: PackedScene,
-    drawn: Segments,
-    ends_of: SegmentEnds,
+    drawn: BoundarySegments,
+    ends_of: BoundaryEnds,
     weight: Float[Array, " n"],
     number: Int[Array, " n"],
     key: PRNGKeyArray,
@@ -91,7 +91,7 @@ def detect(
 
 
 def moves(
-    packed: PackedScene, moving: Bool[Array, " S"], lunes: EdgeLunes, drawn: Segments, ends_of: SegmentEnds
+    packed: PackedScene, moving: Bool[Array, " S"], lunes: EdgeLunes, drawn: BoundarySegments, ends_of: BoundaryEnds
 ) -> Bool[Array, " n"]:
     """Whether anything that bounds a segment moves."""
     shape = packed.face_shape
@@ -103,8 +103,8 @@ def moves(
 def image(
     packed: PackedScene,
     lunes: EdgeLunes,
-    drawn: Segments,
-    ends_of: SegmentEnds,
+    drawn: BoundarySegments,
+    ends_of: BoundaryEnds,
     seen: Detected,
     radiance: Float[Array, "B n 3"],
     form: str,
@@ -123,7 +123,9 @@ def image(
     return total
 
 
-def _displacements(packed: PackedScene, lunes, drawn: Segments, ends_of: SegmentEnds, seen: Detected, form: str):
+def _displacements(
+    packed: PackedScene, lunes, drawn: BoundarySegments, ends_of: BoundaryEnds, seen: Detected, form: str
+):
     """(V d with the detector a material point, the same with a first hit of this form), zero in value."""
     detector, source = ends_of.detector, ends_of.source
     near = norm(detector.position - drawn.position)

@@ -33,7 +33,7 @@ from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 APART = 4.0  # offsets: an object's edge on its receiver has no shadow apart from it
 
 
-class Segments(NamedTuple):
+class BoundarySegments(NamedTuple):
     """Lines past edges; detached.
 
     `towards` is the unit direction to the source. `pole`: unit normal of the plane through edge and line, towards the
@@ -52,7 +52,7 @@ class Segments(NamedTuple):
     emitter: SurfacePoint | None
 
 
-class SegmentEnds(NamedTuple):
+class BoundaryEnds(NamedTuple):
     """Both ends of boundary segments as material points, detached; a source that is not valid is the environment.
 
     `valid`: there is a detector, apart from the edge, and nothing hides the source or what it should be.
@@ -69,21 +69,21 @@ class DirectionSampling:
     samples_emitters = False
 
     @staticmethod
-    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> Segments:
+    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> BoundarySegments:
         """Lines from primary numbers."""
         point = edge_points(lunes, u[:, 0])
         return lines_past(lunes, point, lune_directions(lunes, point.row, u[:, 1:]), None)
 
     @staticmethod
     def density(
-        packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds | None = None
+        packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds | None = None
     ) -> Float[Array, " n"]:
         """1 / J_B: per length and solid angle."""
         return lunes.density[drawn.point.row] * lune_pdf(lunes, drawn.point.row)
 
     @staticmethod
     def numbers(
-        packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds | None = None
+        packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds | None = None
     ) -> Float[Array, "n 3"]:
         """Primary numbers of lines past edges."""
         passed = passing(lunes, drawn.point.row, drawn.towards)
@@ -97,7 +97,7 @@ class EmitterSampling:
     samples_emitters = True
 
     @staticmethod
-    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> Segments:
+    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> BoundarySegments:
         """Lines from primary numbers; those towards lights without area do not count."""
         point = edge_points(lunes, u[:, 0])
         sample = sample_emitter(packed, u[:, 1:])
@@ -106,7 +106,9 @@ class EmitterSampling:
         return drawn._replace(silhouette=drawn.silhouette & sample.shines_on(towards))
 
     @staticmethod
-    def density(packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds) -> Float[Array, " n"]:
+    def density(
+        packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds
+    ) -> Float[Array, " n"]:
         """1 / J_B: per length and solid angle, at what glows; zero elsewhere."""
         offset = ends.source.position - drawn.position
         distance2 = jnp.where(ends.source.valid, dot(offset, offset), 1.0)
@@ -116,7 +118,9 @@ class EmitterSampling:
         return lunes.density[drawn.point.row] * jnp.where(glows, pdf, 0.0)
 
     @staticmethod
-    def numbers(packed: PackedScene, lunes: EdgeLunes, drawn: Segments, ends: SegmentEnds) -> Float[Array, "n 3"]:
+    def numbers(
+        packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds
+    ) -> Float[Array, "n 3"]:
         """Primary numbers of lines towards what glows."""
         u, _ = emitter_numbers(packed, ends.source, drawn.towards)
         return jnp.concatenate([edge_number(lunes, drawn.point)[:, None], u], -1)
@@ -127,17 +131,17 @@ Strategy = type[DirectionSampling] | type[EmitterSampling]
 
 def lines_past(
     lunes: EdgeLunes, point: EdgePoints, towards: Float[Array, "n 3"], emitter: SurfacePoint | None
-) -> Segments:
+) -> BoundarySegments:
     """Lines in unit directions past points on edges."""
     passed = passing(lunes, point.row, towards)
     pole = occluded_side(lunes, point.row, passed)
     sine = jnp.sqrt(jnp.maximum(1.0 - passed.cosine**2, 0.0))
     position, start, side = point.position(lunes), lunes.start[point.row], lunes.side[point.row]
     size = jnp.maximum(jnp.abs(start), jnp.abs(start + side)).max(-1)
-    return Segments(point, position, towards, pole, size, sine, passed.silhouette, emitter)
+    return BoundarySegments(point, position, towards, pole, size, sine, passed.silhouette, emitter)
 
 
-def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"], rays: str) -> SegmentEnds:
+def segment_ends(packed: PackedScene, drawn: BoundarySegments, active: Bool[Array, " n"], rays: str) -> BoundaryEnds:
     """Both ends of lines past edges, from rays that start just beside them."""
     beside = BESIDE * drawn.scale
     start = drawn.position - scale(drawn.pole, beside)
@@ -152,7 +156,7 @@ def segment_ends(packed: PackedScene, drawn: Segments, active: Bool[Array, " n"]
         hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
     detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)
     apart = norm(detector.position - drawn.position) > APART * beside
-    return SegmentEnds(detector, source, active & ~hidden & detector.valid & apart)
+    return BoundaryEnds(detector, source, active & ~hidden & detector.valid & apart)
 
 
 def _hit(packed: PackedScene, start, direction, active, rays: str) -> SurfacePoint:

@@ -11,10 +11,10 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.guided_edges.beam import Detected, detect, image, moves
 from jaxdr.boundary.guided_edges.boundary_segments import (
+    BoundaryEnds,
+    BoundarySegments,
     DirectionSampling,
     EmitterSampling,
-    SegmentEnds,
-    Segments,
     Strategy,
     segment_ends,
 )
@@ -65,8 +65,8 @@ class _Row(NamedTuple):
     `sent`: emission of the source over its density; `inverse`: one over the density for what the source scatters.
     """
 
-    segments: Segments
-    ends: SegmentEnds
+    segments: BoundarySegments
+    ends: BoundaryEnds
     value: Float[Array, "n B 3"]
     film_point: Float[Array, "n B 2"]
     lens: Float[Array, "n 2"] | None

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.guided_edges.boundary_segments import SegmentEnds, Segments, lines_past
+from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments, lines_past
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, EdgePoints, passing
 from jaxdr.boundary.shared.edge_reservoir import passes
 from jaxdr.boundary.shared.face_neighbours import connect_faces
@@ -65,7 +65,7 @@ def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> Shado
 
 def project_paths(
     packed: PackedScene, lunes: EdgeLunes, count: int, key: PRNGKeyArray, rays: str
-) -> tuple[Segments, SegmentEnds]:
+) -> tuple[BoundarySegments, BoundaryEnds]:
     """`count` lines past edges, from as many paths. Not `valid` where no edge is found, or there are no shadows."""
     key_paths, key_pairs = jax.random.split(key)
     u = lattice(key_paths, 1, jnp.arange(count), 4, packed.vertices.dtype)[0]
@@ -91,7 +91,7 @@ def project_paths(
     last = shadow_rays(packed, inside, rays)
     point, found = _nearest_silhouettes(packed, lunes, last)
     drawn = lines_past(lunes, point, last.emitter.direction_from(point.position(lunes)), last.emitter.point)
-    return drawn, SegmentEnds(last.first, last.emitter.point, both & found & drawn.silhouette)
+    return drawn, BoundaryEnds(last.first, last.emitter.point, both & found & drawn.silhouette)
 
 
 def _nearest_silhouettes(
