@@ -45,7 +45,7 @@ CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mir
 BESIDE = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
 
 
-class Chords(NamedTuple):
+class FilmChords(NamedTuple):
     """C chords from `centre` along the unit `towards`; detached.
 
     `u` are the random numbers of the paths, those of `stream`, `lens` those of the camera's aperture; `inverse` is one
@@ -63,7 +63,7 @@ class Chords(NamedTuple):
 class ChainCrossings(NamedTuple):
     """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
 
-    chords: Chords
+    chords: FilmChords
     number: Int[Array, " C"]
     edge: Int[Array, " C"]
     weight: Float[Array, " C"]
@@ -164,7 +164,7 @@ def _margin(packed: PackedScene) -> int:
     return math.ceil(packed.camera.film.filter.radius + REACH)
 
 
-def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths, settings) -> Chords:
+def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths, settings) -> FilmChords:
     """Chords from random points of cells, the pixels of the window with a margin around it.
 
     Their paths have the numbers that the wavefront draws for their streams from `key_paths`.
@@ -176,7 +176,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
     row, column = jnp.divmod(cell, width + 2 * margin)
     corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
     angle, stream = math.pi * drawn[:, 2], streams(FilmChains.name, cell.shape[0])
-    return Chords(
+    return FilmChords(
         centre=corner + drawn[:, :2],
         towards=from_components(jnp.cos(angle), jnp.sin(angle)),
         stream=stream,
@@ -187,7 +187,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
 
 
 def _candidates(
-    detached: PackedScene, table: EdgeTable, chords: Chords, key, settings
+    detached: PackedScene, table: EdgeTable, chords: FilmChords, key, settings
 ) -> tuple[ChainCrossings, Float[Array, " C"]]:
     """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
     count, dtype = chords.inverse.shape[0], chords.inverse.dtype
@@ -209,7 +209,7 @@ def _candidates(
     return ChainCrossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
 
 
-def _view(camera: Camera, chords: Chords) -> View:
+def _view(camera: Camera, chords: FilmChords) -> View:
     return camera.view(chords.lens)
 
 
@@ -220,7 +220,7 @@ class _Rate(NamedTuple):
     direction: Float[Array, "*B C 3"]
 
 
-def _moved(detached, chords: Chords, t, settings) -> tuple[ChainSegments, _Rate]:
+def _moved(detached, chords: FilmChords, t, settings) -> tuple[ChainSegments, _Rate]:
     """Chains from the points at t of chords, and their derivatives along the chords."""
     view, u = _view(detached.camera, chords), chords.u.swapaxes(0, 1)
 
