@@ -42,7 +42,7 @@ CONVERGED = 1e-3  # pixels: last step of Newton's method, and how far apart two 
 TRIALS = 256  # at most; what is lost beyond is reported
 NEAR = 1e-3  # share of the distance by which what is beside an edge may be nearer than the edge
 CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mirror's own
-BESIDE = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
+BESIDE_ON_FILM = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
 
 
 class FilmChords(NamedTuple):
@@ -329,7 +329,7 @@ def _jumps(
     steepness = norm(gradient)
     valid = valid & (steepness > 0)
     steepness = jnp.where(valid, steepness, 1.0)
-    step = scale(gradient, BESIDE * max(packed.camera.film.width, packed.camera.film.height) / steepness)
+    step = scale(gradient, BESIDE_ON_FILM * max(packed.camera.film.width, packed.camera.film.height) / steepness)
     sides = jax.vmap(lambda x: _side(packed, table, crossings, view, x, settings))(jnp.stack([x - step, x + step]))
     valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
     trials = _trials(packed, table, crossings, Found(x, valid), key, settings)

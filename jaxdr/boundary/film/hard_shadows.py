@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.path_segments import PathSegments
-from jaxdr.boundary.shared.projection import BESIDE, affine_coordinates, never_silhouettes, occluded_side, past_edge
+from jaxdr.boundary.shared.projection import affine_coordinates, never_silhouettes, occluded_side, past_edge
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (
@@ -231,7 +231,7 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
     position = shadow(edge_point, place, triangle)
     arrived = stop_gradient(position)
     # Where an object stands on the receiver its edge has no shadow apart from it: what it hides, it hides from all.
-    apart = norm(arrived - still) > 4.0 * BESIDE * jnp.abs(still).max(-1)
+    apart = norm(arrived - still) > 4.0 * queries.BESIDE * jnp.abs(still).max(-1)
     barycentric = affine_coordinates(still_triangle, arrived)
     point = material_point(detached, face, barycentric, found & apart)
     distance2 = jnp.where(infinite[:, 0], 1.0, dot(arrived - source, arrived - source))
@@ -388,7 +388,7 @@ def scattered_shadow_term(
     value = scale(value, geometry * weight)
     visible = point.valid & (value != 0).any(-1)
     start = scatterer.leave(towards)
-    beside = scale(normalize(points.lit), 4.0 * BESIDE * point.scale)
+    beside = scale(normalize(points.lit), 4.0 * queries.BESIDE * point.scale)
     for side in (1.0, -1.0):
         end = leave(point, -towards) + side * beside
         reach = jnp.where(visible, 1.0, 0.0).astype(start.dtype)

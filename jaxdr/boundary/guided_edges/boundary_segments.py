@@ -22,7 +22,6 @@ from jaxdr.boundary.guided_edges.edge_lunes import (
     occluded_side,
     passing,
 )
-from jaxdr.boundary.shared.projection import BESIDE
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
@@ -143,7 +142,7 @@ def lines_past(
 
 def segment_ends(packed: PackedScene, drawn: BoundarySegments, active: Bool[Array, " n"], rays: str) -> BoundaryEnds:
     """Both ends of lines past edges, from rays that start just beside them."""
-    beside = BESIDE * drawn.scale
+    beside = queries.BESIDE * drawn.scale
     start = drawn.position - scale(drawn.pole, beside)
     hidden = jnp.zeros_like(active)
     if drawn.emitter is None:

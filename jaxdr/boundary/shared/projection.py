@@ -7,6 +7,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (
     between,
     corners,
@@ -21,9 +22,6 @@ from jaxdr.geometry.vector import (
     triangle_normals,
 )
 from jaxdr.scene.packed import PackedScene, concave_edges
-
-# How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
-BESIDE = 1.2e-5
 
 
 class Projection(eqx.Module):
@@ -143,7 +141,7 @@ def past_edge(
     edge_point: Float[Array, "C 3"], apex: Float[Array, "C 3"], normal: Float[Array, "C 3"]
 ) -> Float[Array, "C 3"]:
     """Points just beside edges for visibility rays from `apex`; `normal` points to the occluded side."""
-    beside = BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(apex).max(-1))
+    beside = queries.BESIDE * jnp.maximum(jnp.abs(edge_point).max(-1), jnp.abs(apex).max(-1))
     return edge_point - scale(normal, beside)
 
 

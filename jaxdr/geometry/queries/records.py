@@ -146,3 +146,6 @@ class SectorCrossings(NamedTuple):
 
 # Groups of faces that a chord looks past, beside those of faces (0, 1, ...).
 NO_GROUP, UNBOUNDED = -1, -2
+
+# How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
+BESIDE = 1.2e-5

@@ -6,10 +6,10 @@ For tests, tiny scenes and devices that Warp does not know.
 import jax
 import jax.numpy as jnp
 
+from jaxdr.geometry.queries.records import BESIDE
 from jaxdr.geometry.vector import dot, normalize
 
 MOST = 48  # crossings of one chord
-BESIDE = 1.2e-5
 BATCH = 64  # chords at once
 
 

@@ -9,6 +9,7 @@ folds within rounding.
 import warp as wp
 
 from jaxdr.geometry import edge_tree
+from jaxdr.geometry.queries import records
 from jaxdr.geometry.queries.warp.kernels import faces_all_alike, keeps, part
 from jaxdr.geometry.queries.warp.records import EdgeSet, EdgeTree, Geometry, SectorQuery
 
@@ -16,8 +17,7 @@ wp.set_module_options({"enable_backward": False})  # answers are discrete: no de
 
 LEAF = wp.constant(edge_tree.LEAF)
 MOST = 32  # crossings of one chord that are sorted at once; more take another walk each
-# How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
-BESIDE = wp.constant(1.2e-5)
+BESIDE = wp.constant(records.BESIDE)
 
 _Places = wp.types.vector(length=MOST, dtype=wp.float64)
 _Edges = wp.types.vector(length=MOST, dtype=wp.int32)
