@@ -1,14 +1,12 @@
 """The gradient over eight views, divided over all devices: GPUs where there are some, else the processor as two."""
 
 import jax
-
-jax.config.update("jax_num_cpu_devices", 2)  # before anything is computed; GPUs ignore it
-
 import jax.numpy as jnp
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 import jaxdr as jd
 
+jax.config.update("jax_num_cpu_devices", 2)  # before anything is computed; GPUs ignore it
 ball = jd.Shape(jd.shapes.sphere(2, radius=0.5, center=(0.0, 0.0, 0.8)), jd.Diffuse((0.8, 0.5, 0.3)))
 floor = jd.Shape(jd.shapes.plane(10.0), jd.TwoSided(jd.Diffuse(0.5)))
 film = jd.Film(32, 32)
@@ -41,9 +39,7 @@ def of_device(offset, poses, keys):
 
 mesh = jax.make_mesh((jax.device_count(),), ("views",), axis_types=(AxisType.Auto,))
 shared, divided = PartitionSpec(), PartitionSpec("views")
-step = jd.jit(
-    jax.shard_map(of_device, mesh=mesh, in_specs=(shared, divided, divided), out_specs=(shared, shared))
-)
+step = jd.jit(jax.shard_map(of_device, mesh=mesh, in_specs=(shared, divided, divided), out_specs=(shared, shared)))
 
 keys = jax.random.split(jax.random.key(0), len(poses))
 poses, keys = (jax.device_put(x, NamedSharding(mesh, divided)) for x in (poses, keys))

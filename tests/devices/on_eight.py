@@ -12,7 +12,8 @@ import numpy as np
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 import jaxdr as jd
-from jaxdr.geometry import embree_queries, warp_queries
+from jaxdr.geometry.queries.embree import queries as embree_queries
+from jaxdr.geometry.queries.warp import queries as warp_queries
 from jaxdr.optimize.devices import Divided, Division, divide
 from jaxdr.optimize.phase import view_gradient
 
