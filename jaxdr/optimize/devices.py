@@ -14,6 +14,7 @@ from jaxtyping import Array, PRNGKeyArray
 
 from jaxdr.compilation import jit
 
+Device = Any  # jax.Device, which is a variable to type checkers
 VIEW, SHARE = "view", "share"  # axes of the mesh of devices
 
 
@@ -57,7 +58,7 @@ def divide(views: int, devices: int, spp: int) -> Division:
     return Division(rows, devices // rows)
 
 
-def chosen_devices(count: int | None = None) -> list[jax.Device]:
+def chosen_devices(count: int | None = None) -> list[Device]:
     """The first `count` devices of all processes; all by default. Raises ValueError where there are fewer."""
     devices = jax.devices()
     if count is not None and not 1 <= count <= len(devices):
@@ -73,7 +74,7 @@ class Divided:
     With a `Division` of one row and share it is the compiled function itself, called for one item after the other.
     """
 
-    def __init__(self, function: Callable[[Any, Any], Any], division: Division, devices: Sequence[jax.Device]):
+    def __init__(self, function: Callable[[Any, Any], Any], division: Division, devices: Sequence[Device]):
         self.division, self.several = division, len(devices) > 1
         if not self.several:
             self.program = jit(function)

@@ -14,7 +14,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
 from jaxdr.optimize.config import Level, OptimizeConfig, Remesh
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.field_aligned import remesh_field_aligned, require_pyinstantmeshes
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
@@ -71,7 +71,7 @@ class _Run:
 
     folder: RunFolder
 
-    def __init__(self, config: OptimizeConfig, devices: list[jax.Device]):
+    def __init__(self, config: OptimizeConfig, devices: list[Device]):
         self.config, self.devices = config, devices
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.processes import any_process, run_in
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
@@ -58,7 +58,7 @@ class _Run:
 
     folder: OutputFolder
 
-    def __init__(self, config: ReconstructConfig, views: Views, devices: list[jax.Device]):
+    def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
         self.config, self.views, self.devices = config, views, devices
         self.fitted = views.fitted
         self.interruption = Interruption()

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.devices import Divided, divide
+from jaxdr.optimize.devices import Device, Divided, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
@@ -88,7 +88,7 @@ def make_stage(
     number: int,
     start: int,
     mesh: Mesh,
-    devices: Sequence[jax.Device],
+    devices: Sequence[Device],
 ) -> Stage:
     """A level for a mesh."""
     level = config.levels[number]

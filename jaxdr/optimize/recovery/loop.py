@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
 from jaxdr.optimize.processes import any_process, run_in
@@ -54,7 +54,7 @@ class _Run:
 
     folder: RunFolder
 
-    def __init__(self, config: RecoveryConfig, devices: list[jax.Device]):
+    def __init__(self, config: RecoveryConfig, devices: list[Device]):
         self.config, self.devices = config, devices
         self.key = jax.random.key(config.seed)
         self.set_problem(build_problem(config))
