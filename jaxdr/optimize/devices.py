@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from jaxdr.compilation import jit
 
@@ -146,14 +147,14 @@ def batches(items: Iterable[Any], size: int) -> list[list[Any]]:
 class _KeyData(NamedTuple):
     """The words of a random key, which can be placed on devices like numbers."""
 
-    words: Array | np.ndarray
+    words: Any
 
 
 def _key_data(tree: Any) -> Any:
     """The tree with the words of its keys, on the host."""
 
     def plain(x):
-        is_key = isinstance(x, jax.Array) and jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key)
+        is_key = isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
         return _KeyData(np.asarray(jax.random.key_data(x))) if is_key else x
 
     return jax.tree.map(plain, tree)
