@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.compilation import unfolded
 from jaxdr.geometry.vector import norm
 from jaxdr.scene.packed import PackedScene, pack
@@ -112,7 +113,7 @@ def _averages(settings: _Settings, packed: PackedScene, key) -> dict[str, Array]
     first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, "fixed"))
     shapes = {name: jax.eval_shape(FLOATS[name], packed, first) for name in names}
     start = {name: jnp.zeros((height, width, s.shape[1]), s.dtype) for name, s in shapes.items()}
-    return jax.lax.scan(chunk, start, jnp.arange(-(-settings.spp // per_chunk)))[0]
+    return loops.scan(chunk, start, jnp.arange(-(-settings.spp // per_chunk)))[0]
 
 
 def _central_faces(settings: _Settings, packed: PackedScene):

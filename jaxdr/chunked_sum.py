@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
 from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
+
+from jaxdr import loops
 
 
 class _Sum(NamedTuple):
@@ -49,7 +50,7 @@ def chunked_derivative(
     """
     leaves, structure = jax.tree.flatten(fixed)
     how = _Sum(term, chunks, len(at), structure, tuple(out.shape), jnp.dtype(out.dtype))
-    return _derivative.bind(*at, *leaves, *moved, how=how)
+    return _derivative.bind(*loops.varying((*at, *leaves, *moved)), how=how)
 
 
 def _chunk(how: _Sum, leaves, index):
@@ -66,7 +67,7 @@ def _over_chunks(how: _Sum, part: Callable[[Any], Any], zero):
     def add(total, index):
         return jax.tree.map(jnp.add, total, part(index)), None
 
-    return jax.lax.scan(add, zero, jnp.arange(how.chunks))[0]
+    return loops.scan(add, zero, jnp.arange(how.chunks))[0]
 
 
 def _sum_forward(how: _Sum, *operands) -> Array:
@@ -161,7 +162,7 @@ def _abstract(*operands, how: _Sum):
     for axes in reversed(how.axes):
         sizes.append(next(s[a] for s, a in zip(shapes, axes, strict=True) if a is not None))
         shapes = [s if a is None else s[:a] + s[a + 1 :] for s, a in zip(shapes, axes, strict=True)]
-    return ShapedArray((*sizes, *shape), how.dtype)
+    return loops.result_like(operands, (*sizes, *shape), how.dtype)
 
 
 def _batch(operands, axes, how: _Sum):

@@ -34,6 +34,7 @@ from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
+from jaxdr.optimize.processes import ProcessLost, start_processes
 from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.reconstruction.config import reconstruct_config
 from jaxdr.optimize.reconstruction.loop import reconstruct
@@ -64,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warp.config.log_level = warp.LOG_WARNING  # no banner and compilation notes between a command's own lines
     try:
         options = _parser().parse_args(arguments)
+        if options.divides:
+            _start_devices(options)
         if options.compiles:
             _keep_programs(options)
         return options.command(options)
@@ -71,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "options" in locals() and options.debug:
             raise
         return _complain(problem, ERROR)
-    except NotFinite as problem:
+    except (NotFinite, ProcessLost) as problem:
         return _complain(problem, FAILED)
     except Interrupted as problem:
         print(f"jaxdr: {problem}", file=sys.stderr)
@@ -79,6 +82,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("jaxdr: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _start_devices(options) -> None:
+    """The processor as so many devices, which GPUs ignore; and the other processes of the run."""
+    if options.devices is not None:
+        jax.config.update("jax_num_cpu_devices", options.devices)
+    named = (options.coordinator, options.processes, options.process)
+    if any(value is not None for value in named) or options.distributed:
+        start_processes(*named)
 
 
 def _keep_programs(options) -> None:
@@ -243,10 +255,10 @@ def _optimize(options) -> int:
     try:
         if is_recovery(table):
             config = recovery_config(table, path)
-            summary = recover(config, resume=options.resume, overwrite=options.overwrite)
+            summary = recover(config, **_how(options))
         else:
             config = optimize_config(table, path)
-            summary = optimize(config, resume=options.resume, overwrite=options.overwrite)
+            summary = optimize(config, **_how(options))
     except Interrupted as interruption:
         overrides = "".join(f" --set {assignment}" for assignment in options.set)
         raise Interrupted(f"{interruption}; go on with: jaxdr optimize {options.config}{overrides} --resume") from None
@@ -262,6 +274,11 @@ def _optimize(options) -> int:
     return 0
 
 
+def _how(options) -> dict[str, Any]:
+    """What is said of a run beside its config."""
+    return {"resume": options.resume, "overwrite": options.overwrite, "devices": options.devices}
+
+
 def _reconstruct(options) -> int:
     if options.config:
         source, table = options.config, read_toml(Path(options.config), options.set)
@@ -269,7 +286,7 @@ def _reconstruct(options) -> int:
         source, table = "--set", override_table({}, options.set, "the defaults")
     config = reconstruct_config(table, source, options.folder, options.output, options.holdout or "")
     try:
-        summary = reconstruct(config, resume=options.resume, overwrite=options.overwrite)
+        summary = reconstruct(config, **_how(options))
     except Interrupted as interruption:
         command = ["jaxdr", "reconstruct", options.folder, "-o", options.output]
         for name, values in (("--config", [options.config]), ("--holdout", [options.holdout]), ("--set", options.set)):
@@ -371,7 +388,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def add(name, function, summary, compiles=True):
         command = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        command.set_defaults(command=function, compiles=compiles)
+        command.set_defaults(command=function, compiles=compiles, divides=False)
         if compiles:
             command.add_argument(
                 "--set", action="append", default=[], metavar="NAME=VALUE", help="change a value; repeatable"
@@ -431,6 +448,8 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("config", metavar="CONFIG.toml")
         command.add_argument("--resume", action="store_true", help=kept)
         command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+        if name == "optimize":
+            _add_device_options(command)
     command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs with known cameras.")
     command.add_argument("folder", metavar="FOLDER", help="NeRF synthetic scene, instant-ngp or COLMAP folder")
     command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for asset.glb and the rest")
@@ -439,12 +458,25 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--holdout", metavar="PATTERN", help=what)
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
     command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
+    _add_device_options(command)
 
     command = add("view", _view, "Write a web page of a folder of results, and print its path.", compiles=False)
     command.add_argument("folder", metavar="RUN", help="output folder of optimize, reconstruct or chart")
     command.add_argument("-o", "--output", metavar="PAGE.html", help=f"the page (default: RUN/{PAGE_NAME})")
     command.add_argument("--open", action="store_true", help="open it in the browser")
     return parser
+
+
+def _add_device_options(command) -> None:
+    """How many devices and processes share a run."""
+    command.set_defaults(divides=True)
+    what = "devices that share the work: N GPUs, or the processor as N devices (default: all GPUs, or one processor)"
+    command.add_argument("--devices", type=_positive(int), metavar="N", help=what)
+    what = "join the run's other processes, as SLURM, Open MPI or Kubernetes names them"
+    command.add_argument("--distributed", action="store_true", help=what)
+    command.add_argument("--coordinator", metavar="HOST:PORT", help="process 0 of a run of several processes")
+    command.add_argument("--processes", type=_positive(int), metavar="N", help="how many processes the run has")
+    command.add_argument("--process", type=int, metavar="I", help="which of them this is, from 0")
 
 
 def _add_plan_options(command) -> None:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.boundary.texture_jumps import check_still_maps
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
@@ -241,4 +242,4 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
 
     _, _, width, height = packed.camera.film.window
     black = jnp.zeros((height, width, 3), packed.vertices.dtype)
-    return jax.lax.scan(accumulate, dict.fromkeys(["interior", *(prepared or ())], black), jnp.arange(chunks))[0]
+    return loops.scan(accumulate, dict.fromkeys(["interior", *(prepared or ())], black), jnp.arange(chunks))[0]

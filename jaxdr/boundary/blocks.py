@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxdr import loops
 from jaxdr.geometry.queries import rematerialised
 
 BLOCKS = 6
@@ -23,14 +24,14 @@ def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
     def body(total, block):
         return jax.tree.map(jnp.add, total, part(block)), None
 
-    return jax.lax.scan(body, zeros, blocks)[0]
+    return loops.scan(body, zeros, blocks)[0]
 
 
 def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any, used: Int[Array, ""]) -> Any:
     """The same for a function with a result for every slot: zeros in the blocks that are not computed."""
     length = jax.tree.leaves(slots)[0].shape[0]
     part, _, blocks = _split(function, slots, used)
-    stacked = jax.lax.scan(lambda _, block: (None, part(block)), None, blocks)[1]
+    stacked = loops.scan(lambda _, block: (None, part(block)), None, blocks)[1]
     return jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:])[:length], stacked)
 
 
@@ -55,6 +56,6 @@ def _split(function, slots, used):
     @rematerialised
     def part(numbered):
         index, block = numbered
-        return jax.lax.cond(index * size < used, whole, lambda *_: zeros, block, index)
+        return loops.cond(index * size < used, whole, lambda *_: zeros, block, index)
 
     return part, zeros, (jnp.arange(BLOCKS, dtype=jnp.int32), jax.tree.map(split, slots))

@@ -8,10 +8,10 @@ doubling the steps along them (pointer jumping, Wyllie 1979) numbers their edges
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr import loops
 from jaxdr.geometry.vector import corners, dot, normalize
 
 MOST_AROUND = 64  # ends at a vertex that an end is compared with
@@ -33,7 +33,7 @@ def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts:
     count = edges.shape[0]
     # Of end 2 e + s: the end that it is joined with, -1 for none. What is left over chooses again.
     partner = jnp.full(2 * count, -1, jnp.int32)
-    partner = jax.lax.fori_loop(0, ROUNDS, lambda _, p: _partners(vertices, edges, counts, p), partner)
+    partner = loops.fori_loop(0, ROUNDS, lambda _, p: _partners(vertices, edges, counts, p), partner)
     ends = jnp.arange(2 * count)
     # Leave an edge by one end: the next one is entered by that one's partner, and left by the other end of its edge.
     following = jnp.where(partner >= 0, partner ^ 1, ends)
@@ -43,7 +43,7 @@ def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts:
         to, least = state
         return (to[to], jnp.minimum(least, least[to])), None
 
-    (far, least), _ = jax.lax.scan(jump, (following, ends), None, steps)
+    (far, least), _ = loops.scan(jump, (following, ends), None, steps)
     # A ring never ends: it is cut in front of the end of lowest number in either sense.
     stops = jnp.where((partner[far] >= 0) & (least == ends), ends, following)
 
@@ -51,7 +51,7 @@ def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts:
         to, length = state
         return (to[to], length + length[to]), None
 
-    (last, length), _ = jax.lax.scan(measure, (stops, (stops != ends).astype(jnp.int32)), None, steps)
+    (last, length), _ = loops.scan(measure, (stops, (stops != ends).astype(jnp.int32)), None, steps)
     # Both ends of an edge lead somewhere: the sense with the lower last end is the chain's.
     pairs, lengths = last.reshape(-1, 2), length.reshape(-1, 2)
     sense = (pairs[:, 1] < pairs[:, 0]).astype(jnp.int32)
@@ -87,7 +87,7 @@ def _partners(vertices, edges, counts, partner) -> Int[Array, " N"]:
         return jnp.where(better, other, best), jnp.where(better, cosine, straightest)
 
     start = jnp.full(total, total), jnp.full(total, 1.5, vertices.dtype)
-    best, _ = jax.lax.fori_loop(1, most, compare, start)
+    best, _ = loops.fori_loop(1, most, compare, start)
     chosen = jnp.minimum(best, total - 1)
     mutual = (best < total) & (best[chosen] == place)
     joined = jnp.where(mutual, order[chosen], -1).astype(jnp.int32)

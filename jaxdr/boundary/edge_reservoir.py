@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxdr import loops
 from jaxdr.boundary.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.texture_jumps import seam_jumps
 from jaxdr.geometry.edge_tree import LEAF, EdgeTree
@@ -181,7 +182,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
     nothing = jnp.zeros(seed.shape, jnp.int32)
     zero = jnp.zeros(seed.shape, bundles.end.dtype)
     start = (jnp.where(active, 1, 0), Drawn(nothing, zero, zero))
-    return jax.lax.while_loop(lambda carry: (carry[0] > 0).any(), step, start)[1]
+    return loops.while_loop(lambda carry: (carry[0] > 0).any(), step, start)[1]
 
 
 def _hashed(seed, edge):

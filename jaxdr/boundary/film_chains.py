@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
+from jaxdr import loops
 from jaxdr.boundary.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
@@ -262,7 +263,7 @@ def _find(detached, table: EdgeTable, crossings: Crossings, settings) -> Found:
 
     nothing = jnp.zeros_like(crossings.weight)
     state = (nothing, nothing, jnp.ones_like(nothing, bool))
-    (t, change, valid), _ = jax.lax.scan(step, state, jnp.arange(STEPS))
+    (t, change, valid), _ = loops.scan(step, state, jnp.arange(STEPS))
     valid = valid & (change < CONVERGED) & (jnp.abs(t) <= REACH)
     return Found(chords.centre + scale(chords.towards, t), valid)
 
@@ -284,9 +285,9 @@ def _trials(detached, table, crossings: Crossings, target: Found, key, settings)
         return number + 1, done | same, count + ~done
 
     nothing = jnp.zeros_like(crossings.weight)
-    _, done, count = jax.lax.while_loop(unfinished, trial, (jnp.int32(0), ~target.valid, nothing))
+    _, done, count = loops.while_loop(unfinished, trial, (jnp.int32(0), ~target.valid, nothing))
     lost = (~done).sum()
-    jax.lax.cond(lost > 0, lambda: jax.debug.callback(_report, lost, target.valid.sum()), lambda: None)
+    loops.cond(lost > 0, lambda: jax.debug.callback(_report, lost, target.valid.sum()), lambda: None)
     return count
 
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.boundary.primary_guides import Choice, Target, below_one, choice, evaluate
 from jaxdr.scene.sampling import linear
 from jaxdr.transport.compaction import rows_where
@@ -98,7 +99,7 @@ class KdTree(NamedTuple):
             first = self.first[node]
             return jnp.where(first >= 0, first + above, node)
 
-        return jax.lax.fori_loop(0, ROUNDS, descend, node)
+        return loops.fori_loop(0, ROUNDS, descend, node)
 
 
 def _middle(lower, upper):
@@ -151,7 +152,7 @@ def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samp
         return (nodes, first, axis, used), None
 
     starts = roots + 2 * count * jnp.arange(ROUNDS)
-    nodes, first, axis, used = jax.lax.scan(step, (nodes, first, axis, used), starts)[0]
+    nodes, first, axis, used = loops.scan(step, (nodes, first, axis, used), starts)[0]
     leaf = used & (first < 0)
     return KdTree(nodes, first, axis, borders[:-1], _leaf_choice(nodes, leaf))
 

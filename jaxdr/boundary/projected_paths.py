@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.boundary.boundary_segments import SegmentEnds, Segments, lines_past
 from jaxdr.boundary.edge_lunes import EdgeLunes, EdgePoints, passing
 from jaxdr.boundary.edge_reservoir import passes
@@ -87,7 +88,7 @@ def project_paths(
         still = (shadow_rays(packed, middle, rays).occluder >= 0)[:, None]
         return jnp.where(still, middle, inside), jnp.where(still, outside, middle)
 
-    inside, _ = jax.lax.fori_loop(0, HALVINGS, halve, (u[one], outside))
+    inside, _ = loops.fori_loop(0, HALVINGS, halve, (u[one], outside))
     last = shadow_rays(packed, inside, rays)
     point, found = _nearest_silhouettes(packed, lunes, last)
     drawn = lines_past(lunes, point, last.emitter.direction_from(point.position(lunes)), last.emitter.point)
@@ -123,7 +124,7 @@ def _nearest_silhouettes(
 
     zero = jnp.zeros_like(path.occluder)
     start = jnp.maximum(path.occluder, 0), zero - 1, zero, jnp.zeros_like(origin[:, 0]), zero > 0
-    _, _, row, along, found = jax.lax.fori_loop(0, STEPS, step, start)
+    _, _, row, along, found = loops.fori_loop(0, STEPS, step, start)
     return EdgePoints(row, along), found & (path.occluder >= 0)
 
 

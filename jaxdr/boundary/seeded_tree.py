@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.boundary.primary_guides import SHARES, Choice, Defended, Target, below_one, choice, evaluate
 from jaxdr.transport.sampler import lattice, uniform
 
@@ -77,7 +78,7 @@ class SeededTree(NamedTuple):
             along = jnp.take_along_axis(primary, self.axis[node][:, None], 1)[:, 0]
             return 2 * node + 1 + (along >= self.split[node])
 
-        node = jax.lax.fori_loop(0, levels, descend, jnp.zeros(primary.shape[0], jnp.int32))
+        node = loops.fori_loop(0, levels, descend, jnp.zeros(primary.shape[0], jnp.int32))
         return node - self.split.shape[0]
 
 
@@ -153,7 +154,7 @@ def _grown(target: Target, points, values, scale, leaves: int, samples: int, key
         return (slot, lower, upper), (axis, split)
 
     start = jnp.where(real, 0, leaves), jnp.zeros((leaves, 3), points.dtype), jnp.ones((leaves, 3), points.dtype)
-    (slot, cell_lower, cell_upper), (axis, split) = jax.lax.scan(divide, start, None, levels)
+    (slot, cell_lower, cell_upper), (axis, split) = loops.scan(divide, start, None, levels)
     axis, split = (jnp.concatenate([a[level, : 1 << level] for level in range(levels)]) for a in (axis, split))
 
     number, least, most = extents(slot)

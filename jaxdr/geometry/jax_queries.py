@@ -6,6 +6,7 @@ Faces (edges) are visited in blocks by a loop, so memory is rays x block and not
 import jax
 import jax.numpy as jnp
 
+from jaxdr import loops
 from jaxdr.geometry.jax_sector import sector_crossings  # noqa: F401
 from jaxdr.geometry.vector import dot, norm
 
@@ -78,7 +79,7 @@ def closest_hit(geometry, rays):
 
     n = rays.reach.shape[0]
     start = (jnp.full(n, -1, jnp.int32), jnp.full(n, MISS, jnp.float32), jnp.ones((n, 3), jnp.float32))
-    face, t, areas = jax.lax.scan(visit, start, _blocks(geometry.faces))[0]
+    face, t, areas = loops.scan(visit, start, _blocks(geometry.faces))[0]
     return face, t, areas / areas.sum(-1, keepdims=True)
 
 
@@ -88,7 +89,7 @@ def occluded(geometry, rays):
     def visit(found, block):
         return found | (_crossings(geometry.vertices, block[2][0], *rays)[0] < MISS).any(1), None
 
-    return jax.lax.scan(visit, jnp.zeros(rays.reach.shape[0], bool), _blocks(geometry.faces))[0]
+    return loops.scan(visit, jnp.zeros(rays.reach.shape[0], bool), _blocks(geometry.faces))[0]
 
 
 def projections(geometry, face_shape, lines, capacity):
@@ -122,7 +123,7 @@ def _nearest(crossings, blocks, lines, capacity):
         jnp.full((lines, capacity), MISS, jnp.float32),
         jnp.zeros(lines, jnp.int32),
     )
-    return jax.lax.scan(visit, start, blocks)[0]
+    return loops.scan(visit, start, blocks)[0]
 
 
 def _side_of_faces(vertices, opposite, p0, p1, plane, apex):
@@ -179,12 +180,12 @@ def _candidates(near_block, blocks, seed, capacity):
 
         empty = jnp.zeros(capacity, jnp.int32)
         state = (jnp.int32(0), jnp.int32(0), empty - 1, empty)
-        return jax.lax.scan(visit, state, blocks)[0]
+        return loops.scan(visit, state, blocks)[0]
 
     full = run(1.0)
     share = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity)
     probability = jnp.where(full[1] > capacity, share / jnp.maximum(full[1], 1), 1.0).astype(jnp.float32)
-    state = jax.lax.cond(full[1] > capacity, lambda: run(probability), lambda: full)
+    state = loops.cond(full[1] > capacity, lambda: run(probability), lambda: full)
     return state[2], state[3], state[1], 1.0 / probability
 
 

@@ -8,15 +8,16 @@ becomes one larger batch of rays.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Int
 
 from jaxdr.geometry import embree_scene, jax_queries
+from jaxdr.geometry.batches import asked
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 from jaxdr.geometry.query_records import (  # noqa: F401
     NO_GROUP,
@@ -67,36 +68,9 @@ def _discrete(records):
 
 
 def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> Any:
-    """`query(*fixed, *rows, **options)`, records of arrays. Under `vmap` batches of `rows` alone become longer ones.
-
-    Other batches, and those of a query without `rows`, run one by one.
-    """
-
-    @custom_vmap
-    def call(fixed, rows):
-        return query(*fixed, *rows, **options)
-
-    @call.def_vmap
-    def batched(size, is_batched, fixed, rows):
-        if any(jax.tree.leaves(is_batched[0])):
-            batches, tree = jax.tree.flatten((fixed, rows))
-            every = jax.tree.leaves(is_batched)
-
-            def one(i):
-                return call(*tree.unflatten([a[i] if b else a for a, b in zip(batches, every, strict=True)]))
-
-            results = jax.lax.map(one, jnp.arange(size))
-        else:
-
-            def flat(a, b):
-                a = a if b else jnp.broadcast_to(a, (size, *a.shape))
-                return a.reshape(-1, *a.shape[2:])
-
-            results = call(fixed, jax.tree.map(flat, rows, is_batched[1]))
-            results = jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
-        return results, jax.tree.map(lambda _: True, results)
-
-    return jax.tree.map(lambda answer: checkpoint_name(answer, ANSWER), call(*_discrete((fixed, rows))))
+    """`query(*fixed, *rows, **options)` of detached arrays; see `batches.asked`."""
+    answers = asked(partial(query, **options), _discrete(fixed), _discrete(rows))
+    return jax.tree.map(lambda answer: checkpoint_name(answer, ANSWER), answers)
 
 
 def rematerialised(function: Callable) -> Callable:

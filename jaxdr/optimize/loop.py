@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,15 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
 from jaxdr.optimize.config import Level, OptimizeConfig, Remesh
+from jaxdr.optimize.devices import chosen_devices
 from jaxdr.optimize.field_aligned import remesh_field_aligned, require_pyinstantmeshes
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.phase import Phase, Programs, State, make_phase, make_programs
 from jaxdr.optimize.planned import planned
 from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
-from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
+from jaxdr.optimize.processes import any_process, mesh_of_writer, run_in
+from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.remesh import remesh, remesh_to, require_gpytoolbox
 from jaxdr.optimize.signal import signal_to_noise
 from jaxdr.optimize.targets import rendered, target_views
@@ -29,17 +32,23 @@ from jaxdr.plan.report import Plan
 TARGETS, STEPS, PICTURES, PLAN, SECOND = range(5)  # SECOND: of a step that is estimated twice
 
 
-def optimize(config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+def optimize(
+    config: OptimizeConfig, *, resume: bool = False, overwrite: bool = False, devices: int | None = None
+) -> dict:
     """Run a config to its end and return the summary that `metrics.json` holds.
 
-    Every random number derives from the seed and the iteration, so a run that was interrupted and is resumed ends with
-    the same bits. Raises ValueError for a config that can't be run or an output folder in use, ImportError before the
-    start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C, and `NotFinite` rather than go
-    on with NaN.
+    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every
+    random number derives from the seed and the iteration, so a run that was interrupted and is resumed ends with the
+    same bits. Raises ValueError for a config that can't be run, an output folder in use or too few devices, ImportError
+    before the start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C, `NotFinite` rather than
+    go on with NaN, and `ProcessLost`.
     """
-    run = _Run(config)
-    run.folder.open(resume, overwrite)
-    with deferred_interrupt() as run.interruption:
+    run = _Run(config, chosen_devices(devices))
+
+    def open_at(path: Path) -> RunFolder:
+        return RunFolder(path, config).opened(resume, overwrite)
+
+    with run_in(run, Path(config.output), open_at, resume):
         try:
             return run.run(resume)
         finally:
@@ -60,8 +69,10 @@ def with_new_topology(mesh: Mesh, to: Level | Remesh) -> Mesh:
 class _Run:
     """One call of `optimize`."""
 
-    def __init__(self, config: OptimizeConfig):
-        self.config = config
+    folder: RunFolder
+
+    def __init__(self, config: OptimizeConfig, devices: list[jax.Device]):
+        self.config, self.devices = config, devices
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh
         options = config.optimizer
@@ -72,7 +83,6 @@ class _Run:
             require_pyinstantmeshes()  # now, not after an hour
         if not all(is_field_aligned(to) for to in sizes):
             require_gpytoolbox()
-        self.folder = RunFolder(config)
         self.plan: Plan | None = None
         self.programs: list[Programs] = []  # one for each level, made once the integrator is known
         self.beside = ThreadPoolExecutor(1, "jaxdr ahead")
@@ -87,7 +97,7 @@ class _Run:
     def run(self, resume: bool) -> dict:
         total = self.config.optimizer.iterations
         self.plan_integrator(resume)
-        self.programs = make_programs(self.config, self.problem)
+        self.programs = make_programs(self.config, self.problem, self.devices)
         iteration, phase, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(iteration)
         compiled = self.ahead(self.compile, phase.level, phase.mesh)
@@ -120,9 +130,10 @@ class _Run:
                     self.look_ahead(phase, resume)
                 if self.due(iteration, self.config.report.pictures):
                     self.save_pictures(phase, state, targets, iteration)
-                if self.due(iteration, self.config.report.checkpoint) or self.interruption.requested:
+                stop = any_process(self.interruption.requested)
+                if self.due(iteration, self.config.report.checkpoint) or stop:
                     self.save_checkpoint(phase, state, iteration)
-                if self.interruption.requested and iteration < total:
+                if stop and iteration < total:
                     raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
         return self.finish(phase, state)
 
@@ -198,7 +209,7 @@ class _Run:
         """Have the gradient of a level compiled for meshes like this one: JAX does when it is called."""
         resolution = self.stages[level].resolution
         target = jnp.zeros((resolution, resolution, 3), mesh.vertices.dtype)
-        self.programs[level].gradient(mesh, self.poses()[0], target, self.key)
+        self.programs[level].gradient.compile(mesh, (self.poses()[0], target, self.key))
 
     def step(self, phase: Phase, state: State, targets, iteration: int) -> tuple[State, dict]:
         """Mean loss and gradient over the views of this step, and the move they cause."""
@@ -207,22 +218,25 @@ class _Run:
         views = views_of_step(len(poses), count, done, self.config.seed)
         # Where there is a level to go to, the last step of every round of views is estimated twice: to see the noise.
         twice = phase.level + 1 < len(self.stages) and (done + 1) % -(-len(poses) // count) == 0
-        losses, gradients = [], []
-        for stream in (STEPS, SECOND) if twice else (STEPS,):
-            gradients.append(jnp.zeros_like(vertices))
-            key = jax.random.fold_in(jax.random.fold_in(self.key, stream), iteration)
-            for slot, view in enumerate(views):
-                subkey = jax.random.fold_in(key, slot)
-                loss, part = phase.view_gradient(vertices, poses[view], jnp.asarray(targets[view]), subkey)
-                wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not np.isfinite(v).all()]
-                if wrong:
-                    self.save_checkpoint(phase, state, iteration)
-                    raise NotFinite(
-                        f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}; "
-                        f"the state before that step is in {self.folder.checkpoint}"
-                    )
-                losses.append(float(loss))
-                gradients[-1] += part / len(views)
+        streams = (STEPS, SECOND) if twice else (STEPS,)
+        keys = [jax.random.fold_in(jax.random.fold_in(self.key, stream), iteration) for stream in streams]
+        items = [
+            (poses[view], jnp.asarray(targets[view]), jax.random.fold_in(key, slot))
+            for key in keys
+            for slot, view in enumerate(views)
+        ]
+        losses, gradients = [], [jnp.zeros_like(vertices) for _ in streams]
+        for number, (loss, part) in enumerate(phase.gradients(vertices, items)):
+            view = views[number % len(views)]
+            wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not np.isfinite(v).all()]
+            if wrong:
+                self.save_checkpoint(phase, state, iteration)
+                raise NotFinite(
+                    f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}; "
+                    f"the state before that step is in {self.folder.checkpoint}"
+                )
+            losses.append(float(loss))
+            gradients[number // len(views)] += part / len(views)
         gradient = sum(gradients) / len(gradients)
         row = {
             "loss": sum(losses) / len(losses),
@@ -269,7 +283,7 @@ class _Run:
         """The current mesh with a new topology; None, said aloud, when remeshing fails."""
         current = phase.current_mesh(state)
         try:
-            mesh = with_new_topology(current, to)
+            mesh = mesh_of_writer(lambda: with_new_topology(current, to))
         except ValueError as problem:
             progress.say(f"after step {iteration}: kept the mesh as it was ({problem})")
             return None

@@ -37,8 +37,8 @@ class RunFolder:
     `metrics.json` the summary of a finished run.
     """
 
-    def __init__(self, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
-        self.path = Path(config.output)
+    def __init__(self, path: Path, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
+        self.path = path
         self.config = config
         self.columns = tuple(columns)
 
@@ -56,12 +56,13 @@ class RunFolder:
         """Whether the run came to its end."""
         return (self.path / "metrics.json").exists()
 
-    def open(self, resume: bool, overwrite: bool) -> None:
+    def opened(self, resume: bool, overwrite: bool) -> "RunFolder":
         """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
         # How often the folder is written to doesn't change the result.
         open_results(self.path, self.config, resume, overwrite, free=("output", "report"))
         for name in ("pictures", "meshes"):
             (self.path / name).mkdir(exist_ok=True)
+        return self
 
     def start_metrics(self, iteration: int) -> None:
         """Begin `metrics.csv`, or drop the lines of steps from `iteration` on, which will be done again."""

@@ -1,7 +1,7 @@
 """What an optimisation compiles for one topology and level: views, their gradients, and the step of the optimiser."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -14,6 +14,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize import losses
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer
+from jaxdr.optimize.devices import ALONE, Divided, Division, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
 from jaxdr.render import render
@@ -32,11 +33,12 @@ class Programs(NamedTuple):
     """What is compiled for a level: functions of meshes, which are traced anew for another number of vertices or faces.
 
     - `image`: (mesh, camera-to-world, key, spp) -> image.
-    - `gradient`: (mesh, camera-to-world, target, key) -> loss of one view and its gradient by the vertices.
+    - `gradient`: (mesh, views) -> losses of views and their gradients by the vertices; a view is (camera-to-world,
+      target, key).
     """
 
     image: Callable
-    gradient: Callable
+    gradient: Divided
 
 
 class Phase(NamedTuple):
@@ -46,7 +48,7 @@ class Phase(NamedTuple):
     - `level`: number of the level; `since`: number of steps done when it began.
     - `steps`: preconditioner; `optimizer`: its learning rate goes on from `start`.
     - `image`: (vertices, camera-to-world, key, spp) -> image.
-    - `view_gradient`: (vertices, camera-to-world, target, key) -> loss and its gradient by the vertices.
+    - `gradients`: (vertices, views) -> [(loss, its gradient by the vertices)].
     - `update`: jitted (state, gradient by the vertices) -> state.
     """
 
@@ -57,7 +59,7 @@ class Phase(NamedTuple):
     steps: LargeSteps
     optimizer: optax.GradientTransformation
     image: Callable
-    view_gradient: Callable
+    gradients: Callable
     update: Callable
 
     def fresh_state(self) -> State:
@@ -74,24 +76,33 @@ class Phase(NamedTuple):
         return self.mesh.with_vertices(self.vertices(state))
 
 
-def make_programs(config: OptimizeConfig, problem: Problem) -> list[Programs]:
-    """The programs of every level, shared where resolution and samples are the same; compiled when they are called."""
-    made: dict[tuple[int, int, int], Programs] = {}
+def make_programs(config: OptimizeConfig, problem: Problem, devices: Sequence[jax.Device]) -> list[Programs]:
+    """The programs of every level, compiled when they are called.
+
+    Levels of the same resolution and samples, whose views are divided over the devices alike, share one.
+    """
+    made: dict[tuple, Programs] = {}
+    found = []
     for stage in config.stages():
-        made.setdefault((stage.resolution, stage.image, stage.gradient), _programs(config, problem, stage))
-    return [made[stage.resolution, stage.image, stage.gradient] for stage in config.stages()]
+        division = divide(stage.views_per_step, len(devices), min(stage.image, stage.gradient))
+        kind = (stage.resolution, stage.image, stage.gradient, division)
+        if kind not in made:
+            made[kind] = _programs(config, problem, stage, division, devices)
+        found.append(made[kind])
+    return found
 
 
-def _programs(config: OptimizeConfig, problem: Problem, stage: Level) -> Programs:
+def _programs(config: OptimizeConfig, problem: Problem, stage: Level, division: Division, devices) -> Programs:
     image = view_renderer(problem, stage.resolution)
 
-    def gradient(mesh: Mesh, *view):
+    def gradient(mesh: Mesh, view):
         def moved(vertices, *arguments):
             return image(mesh.with_vertices(vertices), *arguments)
 
-        return view_gradient(moved, config.optimizer.loss, stage.image, stage.gradient)(mesh.vertices, *view)
+        of_view = view_gradient(moved, config.optimizer.loss, stage.image, stage.gradient, division)
+        return of_view(mesh.vertices, *view)
 
-    return Programs(jit(image, static_argnums=3), jit(gradient))
+    return Programs(jit(image, static_argnums=3), Divided(gradient, division, devices))
 
 
 def make_phase(
@@ -104,8 +115,8 @@ def make_phase(
     def image(vertices, *view):
         return programs.image(mesh.with_vertices(vertices), *view)
 
-    def gradient(vertices, *view):
-        return programs.gradient(mesh.with_vertices(vertices), *view)
+    def gradients(vertices, views):
+        return programs.gradient(mesh.with_vertices(vertices), views)
 
     @jit
     def update(state: State, gradient: Float[Array, "V 3"]) -> State:
@@ -113,7 +124,7 @@ def make_phase(
         updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
         return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
 
-    return Phase(mesh, start, level, since, steps, optimizer, image, gradient, update)
+    return Phase(mesh, start, level, since, steps, optimizer, image, gradients, update)
 
 
 def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
@@ -137,20 +148,23 @@ def view_renderer(problem: Problem, resolution: int) -> Callable:
     return image
 
 
-def view_gradient(image: Callable, loss: str, image_spp: int, gradient_spp: int) -> Callable:
+def view_gradient(
+    image: Callable, loss: str, image_spp: int, gradient_spp: int, division: Division = ALONE
+) -> Callable:
     """Function (vertices, camera-to-world, target, key) -> loss of one view, and an unbiased estimate of its gradient.
 
     The loss is that of one image (two for `two_key_l2`) with `image_spp` samples per pixel. Its derivative by the
     image multiplies the derivative of another, independent rendering with `gradient_spp`: independent factors make
-    the product unbiased, and two images that are alike in distribution can share it.
+    the product unbiased, and two images that are alike in distribution can share it. Devices that share a view take
+    part of the samples of each.
     """
     function, count = getattr(losses, loss), 2 if loss == "two_key_l2" else 1
 
     def gradient(vertices, to_world, target, key):
-        *keys, derivative_key = jax.random.split(key, count + 1)
-        images = [image(vertices, to_world, k, image_spp) for k in keys]
+        *keys, derivative_key = (division.own_key(k) for k in jax.random.split(key, count + 1))
+        images = [division.mean(image(vertices, to_world, k, division.samples(image_spp))) for k in keys]
         value, cotangents = jax.value_and_grad(lambda images: function(*images, target))(images)
-        _, pullback = jax.vjp(lambda v: image(v, to_world, derivative_key, gradient_spp), vertices)
-        return value, pullback(sum(cotangents))[0]
+        _, pullback = jax.vjp(lambda v: image(v, to_world, derivative_key, division.samples(gradient_spp)), vertices)
+        return value, division.mean(pullback(sum(cotangents))[0])
 
     return gradient

@@ -1,12 +1,15 @@
 """The integrator of a run, where the config leaves it to `jaxdr.plan`: measured once, then kept in the run's folder."""
 
+import json
 import sys
 from collections.abc import Sequence
 
+import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from jaxdr.optimize.config import Integrator
 from jaxdr.optimize.output import RunFolder
+from jaxdr.optimize.processes import of_writer
 from jaxdr.plan.plan import AUTO, plan
 from jaxdr.plan.report import Plan
 from jaxdr.scene.scene import Scene
@@ -30,16 +33,21 @@ def planned(
         return None
     if resume and folder.has_plan:
         return folder.load_plan()
-    print("jaxdr: plan: a pilot measures which integrator to take; see [integrator] to choose it", file=sys.stderr)
-    found = plan(
-        scene,
-        params,
-        key=key,
-        max_depth=None if options.max_depth == AUTO else int(options.max_depth),
-        boundary=AUTO if options.boundary == AUTO else options.estimator(),
-        spp=spp,
-    )
-    for line in found.lines:
-        print(f"jaxdr: plan: {line}", file=sys.stderr)
-    folder.save_plan(found)
-    return found
+
+    def measured() -> dict[str, np.ndarray]:
+        print("jaxdr: plan: a pilot measures which integrator to take; see [integrator] to choose it", file=sys.stderr)
+        found = plan(
+            scene,
+            params,
+            key=key,
+            max_depth=None if options.max_depth == AUTO else int(options.max_depth),
+            boundary=AUTO if options.boundary == AUTO else options.estimator(),
+            spp=spp,
+        )
+        for line in found.lines:
+            print(f"jaxdr: plan: {line}", file=sys.stderr)
+        folder.save_plan(found)
+        return {"plan": np.asarray(json.dumps(found.to_dict()))}
+
+    # Times decide, and they differ between processes.
+    return Plan.from_dict(json.loads(str(of_writer(measured)["plan"])))

@@ -2,10 +2,10 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr import loops
 from jaxdr.geometry.vector import components, from_components
 
 
@@ -96,7 +96,7 @@ def search_sorted_rows(
         return jnp.where(above, low, middle + 1), jnp.where(above, middle, high)
 
     low = jnp.zeros_like(row)
-    entry, _ = jax.lax.fori_loop(0, (count - 1).bit_length(), halve, (low, jnp.full_like(row, count - 1)))
+    entry, _ = loops.fori_loop(0, (count - 1).bit_length(), halve, (low, jnp.full_like(row, count - 1)))
     before = jnp.where(entry > 0, flat[first + entry - 1], 0.0)
     width = flat[first + entry] - before
     return entry, jnp.clip((u - before) / jnp.where(width > 0, width, 1.0), 0.0, 1.0)

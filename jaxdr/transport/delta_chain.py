@@ -6,11 +6,11 @@ freedom. So every segment of the chain is a differentiable function of the film 
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr import loops
 from jaxdr.geometry.vector import dot
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
@@ -66,4 +66,4 @@ def delta_chain(
         return (position, onwards, scatterer.leave(onwards), jnp.full_like(reach, 1e30), goes_on), segment
 
     given = jnp.zeros(u.shape[:2], jnp.int32) if faces is None else faces
-    return jax.lax.scan(step, (origin, direction, start, reach, everywhere), (u, given))[1]
+    return loops.scan(step, (origin, direction, start, reach, everywhere), (u, given))[1]

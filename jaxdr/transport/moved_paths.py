@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn, joined_vertices
@@ -212,7 +213,7 @@ def _camera_subpaths(packed: PackedScene, camera: Subpath, moved) -> Subpath:
         after = _onwards(packed, before, vertex, offset, False)
         return after, after
 
-    _, others = jax.lax.scan(step, first, (rest, moved))
+    _, others = loops.scan(step, first, (rest, moved))
     return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, others)
 
 
@@ -242,7 +243,7 @@ def _light_subpaths(packed: PackedScene, start: EmitterSample, drawn: Drawn, mov
         after = _onwards(packed, before, vertex, offset, True)
         return after, after
 
-    _, others = jax.lax.scan(step, first, (rest, moved[1:]))
+    _, others = loops.scan(step, first, (rest, moved[1:]))
     return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, others)
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr import loops
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, normalize, scale
 from jaxdr.scene.bsdf.base import DeltaSample
@@ -209,7 +210,7 @@ def gather(
         goes_on = bounce < bounces - 1 if ends_early(packed, settings) else True
         return scatter(packed, at, numbers, settings, goes_on, sees, moved)
 
-    return jax.lax.scan(step, start, jnp.arange(bounces))[1]
+    return loops.scan(step, start, jnp.arange(bounces))[1]
 
 
 def ends_early(packed: PackedScene, settings: PathSettings) -> bool:

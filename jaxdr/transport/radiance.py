@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
+from jaxdr import loops
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
@@ -152,7 +153,7 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
             return after, sums
 
         nobody = paths._replace(alive=jnp.zeros_like(paths.alive))
-        return jax.lax.fori_loop(0, -(-used // size), block, (nobody, sums)), None
+        return loops.fori_loop(0, -(-used // size), block, (nobody, sums)), None
 
     def at_vertices(paths, live, bounce):
         own = jax.tree.map(lambda x: x[paths.number], requests._replace(face=None, barycentric=None, wi=None))
@@ -186,7 +187,7 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
     state: Any = (start, [jnp.zeros_like(requests.wi) for _ in range(forms)])
     if bounces == 1:
         return step(state, 0)[0][1]
-    return jax.lax.scan(step, state, jnp.arange(bounces))[0][1]
+    return loops.scan(step, state, jnp.arange(bounces))[0][1]
 
 
 def arriving_radiance(

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
+from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, radiance_towards
@@ -134,7 +135,7 @@ def trace_on(
         following = _step(packed, vertex, numbers, adjoint, power, rays)
         return following, following
 
-    _, others = jax.lax.scan(step, start, u)
+    _, others = loops.scan(step, start, u)
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, others)
 
 

@@ -169,16 +169,17 @@ def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
     def spied(*arguments):
         made = original(*arguments)
 
-        def view_gradient(vertices, pose, target, key):
-            loss, gradient = made.view_gradient(vertices, pose, target, key)
-            calls.append((np.asarray(pose), jax.random.key_data(key).tolist(), np.asarray(gradient)))
-            return loss, gradient
+        def gradients(vertices, views):
+            found = made.gradients(vertices, views)
+            for (pose, _, key), (_, gradient) in zip(views, found, strict=True):
+                calls.append((np.asarray(pose), jax.random.key_data(key).tolist(), np.asarray(gradient)))
+            return found
 
         def update(state, gradient):
             moves.append(np.asarray(gradient))
             return made.update(state, gradient)
 
-        return made._replace(view_gradient=view_gradient, update=update)
+        return made._replace(gradients=gradients, update=update)
 
     monkeypatch.setattr(loop, "make_phase", spied)
     made = config(tmp_path / "run", levels=(Level(), Level()))

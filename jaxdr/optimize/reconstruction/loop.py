@@ -9,8 +9,10 @@ import numpy as np
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
+from jaxdr.optimize.devices import chosen_devices
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
+from jaxdr.optimize.processes import any_process, run_in
+from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.reconstruction.asset import require_xatlas
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
@@ -27,31 +29,38 @@ from jaxdr.views.record import Views
 STEPS, PICTURES = range(2)
 
 
-def reconstruct(config: ReconstructConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+def reconstruct(
+    config: ReconstructConfig, *, resume: bool = False, overwrite: bool = False, devices: int | None = None
+) -> dict:
     """Find mesh, textures and light from photographs, write them, and return what `metrics.json` holds.
 
-    Every random number derives from the seed and the step, so a run that was interrupted and is resumed ends with the
-    same bits. Raises ValueError for photographs or settings that can't be used and for an output folder in use,
+    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every
+    random number derives from the seed and the step, so a run that was interrupted and is resumed ends with the same
+    bits. Raises ValueError for photographs or settings that can't be used, an output folder in use or too few devices,
     ImportError before the start where an optional package is missing, `Interrupted` after Ctrl-C (checkpoint, asset and
-    light are written), and `NotFinite` rather than go on with NaN.
+    light are written), `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     require_gpytoolbox()
     require_skimage()
     require_xatlas()
     views = load_views(config.folder, holdout=config.holdout or None)
-    run = _Run(config, views)
-    run.folder.open(resume, overwrite)
-    with deferred_interrupt() as run.interruption:
+    run = _Run(config, views, chosen_devices(devices))
+
+    def open_at(path: Path) -> OutputFolder:
+        return OutputFolder(path, config).opened(resume, overwrite)
+
+    with run_in(run, Path(config.output), open_at, resume):
         return run.run(resume)
 
 
 class _Run:
     """One call of `reconstruct`."""
 
-    def __init__(self, config: ReconstructConfig, views: Views):
-        self.config, self.views = config, views
+    folder: OutputFolder
+
+    def __init__(self, config: ReconstructConfig, views: Views, devices: list[jax.Device]):
+        self.config, self.views, self.devices = config, views, devices
         self.fitted = views.fitted
-        self.folder = OutputFolder(Path(config.output), config)
         self.interruption = Interruption()
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
@@ -77,9 +86,10 @@ class _Run:
                 progress.step(loss=row["loss"], level=float(stage.number + 1))
                 if self.due(done, self.config.report.pictures):
                     self.folder.save_picture(done, *shown)
-                if self.due(done, self.config.report.checkpoint) or self.interruption.requested:
+                stop = any_process(self.interruption.requested)
+                if self.due(done, self.config.report.checkpoint) or stop:
                     self.save_checkpoint(stage, state, done)
-                if self.interruption.requested and done < total:
+                if stop and done < total:
                     progress.say("writing the asset as it is")
                     save_asset(self.folder, self.result(stage, state), self.config.report.texture)
                     raise Interrupted(f"stopped after step {done}; checkpoint in {self.folder.checkpoint}")
@@ -93,7 +103,7 @@ class _Run:
         """The beginning."""
         level = self.config.levels[0]
         mesh = remesh_to(self.surface, level.vertices).smooth()
-        stage = make_stage(self.config, self.fitted, self.pose, 0, 0, mesh)
+        stage = make_stage(self.config, self.fitted, self.pose, 0, 0, mesh, self.devices)
         return 0, stage, stage.fresh(first_unknowns(self.config, self.fitted, self.pose, mesh))
 
     def restored(self) -> tuple[int, Stage, State]:
@@ -105,7 +115,7 @@ class _Run:
             raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
         mesh = Mesh(saved.others["vertices"], saved.others["faces"]).smooth()
         number, start = int(saved.others["level"]), int(saved.others["start"])
-        stage = make_stage(self.config, self.fitted, self.pose, number, start, mesh)
+        stage = make_stage(self.config, self.fitted, self.pose, number, start, mesh, self.devices)
         rows = self.config.levels[number].sky
         template = Unknowns(
             mesh.vertices,
@@ -129,7 +139,7 @@ class _Run:
             f"after step {done}: level {number + 1} of {len(self.config.levels)}: {len(mesh.vertices)} vertices, "
             f"photographs of {level.resolution} pixels, a sky of {level.sky} rows"
         )
-        stage = make_stage(self.config, self.fitted, self.pose, number, done, mesh)
+        stage = make_stage(self.config, self.fitted, self.pose, number, done, mesh, self.devices)
         return stage, stage.fresh(unknowns)
 
     def step(self, stage: Stage, state: State, done: int) -> tuple[State, dict, tuple]:
@@ -139,9 +149,12 @@ class _Run:
         key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), done)
         unknowns, mesh = stage.unknowns(state), stage.mesh
         losses, total = [], None
-        for slot, view in enumerate(chosen):
-            arguments = (stage.photographs[view].camera, stage.photograph(view), jax.random.fold_in(key, slot))
-            loss, gradient, shown = stage.gradient(mesh, unknowns, *arguments)
+        items = [
+            (stage.photographs[view].camera, stage.photograph(view), jax.random.fold_in(key, slot))
+            for slot, view in enumerate(chosen)
+        ]
+        found = stage.gradient((mesh, unknowns), items)
+        for view, (loss, gradient, _) in zip(chosen, found, strict=True):
             finite = [np.isfinite(leaf).all() for leaf in jax.tree.leaves((loss, gradient))]
             if not all(finite):
                 self.save_checkpoint(stage, state, done)
@@ -158,7 +171,7 @@ class _Run:
             "vertices": len(mesh.vertices),
             "level": stage.number + 1,
         }
-        return stage.update(state, mean), row, (np.asarray(shown), stage.photographs[chosen[-1]])
+        return stage.update(state, mean), row, (np.asarray(found[-1][2]), stage.photographs[chosen[-1]])
 
     def result(self, stage: Stage, state: State) -> Result:
         """What was found, in the world of the cameras."""

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import Integrator
+from jaxdr.optimize.devices import ALONE, Division
 from jaxdr.optimize.reconstruction.config import Priors, Samples
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, scene_of
 from jaxdr.scene.color import luminance
@@ -65,24 +66,24 @@ def picture_loss(
     return loss + mask_weight * ((parts.alpha - photograph.alpha) ** 2).mean()
 
 
-def view_gradient(integrator: Integrator, samples: Samples, mask_weight: float) -> Callable:
+def view_gradient(integrator: Integrator, samples: Samples, mask_weight: float, division: Division = ALONE) -> Callable:
     """Function (mesh, unknowns, camera, photograph, key) -> (loss, its gradient by the unknowns, picture [H, W, 4]).
 
     The loss is that of one picture. Its derivative by the picture multiplies the derivative of another, independent
     picture: their product is an unbiased gradient of the expected loss, which is that of the noiseless picture and a
-    constant wherever the loss is quadratic.
+    constant wherever the loss is quadratic. Devices that share a view take part of the samples of each picture.
     """
 
     def gradient(mesh: Mesh, unknowns: Unknowns, pinhole: Pinhole, photograph: Photograph, key: PRNGKeyArray):
         height, width, _ = photograph.color.shape
         camera = pinhole.camera(Film(width, height, Box()))
-        image_key, derivative_key = jax.random.split(key)
+        image_key, derivative_key = (division.own_key(k) for k in jax.random.split(key))
 
         def rendered(unknowns: Unknowns, key, spp: int) -> tuple[Layers, Array]:
             scene = scene_of(mesh, unknowns, camera)
-            return layers(scene, camera, key, spp, integrator), unknowns.exposure[photograph.number]
+            return layers(scene, camera, key, division.samples(spp), integrator), unknowns.exposure[photograph.number]
 
-        shown = rendered(unknowns, image_key, samples.image)
+        shown = division.mean(rendered(unknowns, image_key, samples.image))
 
         def loss(parts, exposure):
             return picture_loss(parts, exposure, photograph, mask_weight)
@@ -91,7 +92,7 @@ def view_gradient(integrator: Integrator, samples: Samples, mask_weight: float) 
         _, pullback = jax.vjp(lambda unknowns: rendered(unknowns, derivative_key, samples.gradient), unknowns)
         parts = shown[0]
         picture = parts.full if photograph.alpha is None else parts.over_black
-        return value, pullback(cotangents)[0], jnp.concatenate([picture, parts.alpha[..., None]], -1)
+        return value, division.mean(pullback(cotangents)[0]), jnp.concatenate([picture, parts.alpha[..., None]], -1)
 
     return gradient
 

@@ -43,12 +43,13 @@ class OutputFolder:
         """Where the light is."""
         return self.path / ("light.exr" if has_openexr() else "light.hdr")
 
-    def open(self, resume: bool, overwrite: bool) -> None:
+    def opened(self, resume: bool, overwrite: bool) -> "OutputFolder":
         """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
         free = ("output", "report")  # how often the folder is written to doesn't change the result
         open_results(self.path, self.config, resume, overwrite, kind="reconstruction", free=free)
         for name in ("pictures", "test"):
             (self.path / name).mkdir(exist_ok=True)
+        return self
 
     def start_metrics(self, done: int) -> None:
         """Begin `metrics.csv`, or drop the lines of steps that will be done again."""

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.devices import Divided, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
@@ -47,7 +48,8 @@ class Stage(NamedTuple):
 
     - `mesh`: its topology, at the positions it began with; `start`: steps done by then; `number`: of the level.
     - `steps`: preconditioner; `transformation`: optimiser; `photographs`: of the fitted views.
-    - `gradient`: see `view_gradient`, compiled; `update`: compiled (state, gradient by the unknowns) -> state.
+    - `gradient`: `view_gradient` of ((mesh, unknowns), views), compiled.
+    - `update`: compiled (state, gradient by the unknowns) -> state.
     """
 
     number: int
@@ -56,7 +58,7 @@ class Stage(NamedTuple):
     steps: LargeSteps
     transformation: optax.GradientTransformation
     photographs: list[Cut]
-    gradient: Callable
+    gradient: Divided
     update: Callable
 
     def unknowns(self, state: State) -> Unknowns:
@@ -80,7 +82,13 @@ class Stage(NamedTuple):
 
 
 def make_stage(
-    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, start: int, mesh: Mesh
+    config: ReconstructConfig,
+    views: Sequence[View],
+    pose: Pose,
+    number: int,
+    start: int,
+    mesh: Mesh,
+    devices: Sequence[jax.Device],
 ) -> Stage:
     """A level for a mesh."""
     level = config.levels[number]
@@ -96,7 +104,10 @@ def make_stage(
         updates, moments = transformation.update(total, state.optimizer, state.latent)
         return State(jax.tree.map(jnp.add, state.latent, updates), moments)
 
-    gradient = jit(view_gradient(config.integrator.build(), config.samples, config.priors.mask))
+    samples = config.samples
+    division = divide(min(level.views, len(views)), len(devices), min(samples.image, samples.gradient))
+    of_view = view_gradient(config.integrator.build(), samples, config.priors.mask, division)
+    gradient = Divided(lambda common, view: of_view(*common, *view), division, devices)
     photographs = cuts(views, pose, level.resolution)
     return Stage(number, start, mesh, steps, transformation, photographs, gradient, update)
 

@@ -1,5 +1,6 @@
 """Recovery with Adam: a few views a step, new random numbers every step, a learning rate for every parameter."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ import optax
 from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
+from jaxdr.optimize.devices import Divided, divide
 from jaxdr.optimize.phase import view_gradient
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.progress import NotFinite
@@ -29,7 +31,9 @@ class AdamSteps:
 
     columns = ("loss", "gradient_norm")
 
-    def __init__(self, config: RecoveryConfig, options: Adam, problem: Problem, key: Array):
+    def __init__(
+        self, config: RecoveryConfig, options: Adam, problem: Problem, key: Array, devices: Sequence[jax.Device]
+    ):
         self.seed, self.options, self.problem, self.key = config.seed, options, problem, key
         samples = config.samples
         self.optimizers = {
@@ -37,11 +41,14 @@ class AdamSteps:
             for parameter in config.parameters
         }
 
-        def gradient(scene, *arguments):
-            image = partial(problem.image, scene)
-            return view_gradient(image, options.loss, samples.image, samples.gradient)(*arguments)
+        division = divide(options.views_per_step, len(devices), min(samples.image, samples.gradient))
 
-        self.view_gradient, self.update = jit(gradient), jit(self._update)
+        def gradient(common, view):
+            scene, latents = common
+            image = partial(problem.image, scene)
+            return view_gradient(image, options.loss, samples.image, samples.gradient, division)(latents, *view)
+
+        self.gradients, self.update = Divided(gradient, division, devices), jit(self._update)
 
     def fresh(self, targets: Float[np.ndarray, "N H W 3"]) -> AdamState:
         """The state at the start."""
@@ -64,11 +71,13 @@ class AdamSteps:
         """The state after a step, and its row of the metrics. Raises `NotFinite`."""
         key, views = jax.random.fold_in(self.key, iteration), self.problem.views
         chosen = views_of_step(len(views), self.options.views_per_step, iteration, self.seed)
+        items = [
+            (jnp.asarray(views[view], float), jnp.asarray(targets[view]), jax.random.fold_in(key, slot))
+            for slot, view in enumerate(chosen)
+        ]
         losses, parts = [], []
-        for slot, view in enumerate(chosen):
-            subkey = jax.random.fold_in(key, slot)
-            pose, target = jnp.asarray(views[view], float), jnp.asarray(targets[view])
-            loss, part = self.view_gradient(self.problem.scene, state.latents, pose, target, subkey)
+        found = self.gradients((self.problem.scene, state.latents), items)
+        for view, (loss, part) in zip(chosen, found, strict=True):
             wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not finite(v)]
             if wrong:
                 raise NotFinite(f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}")

@@ -1,6 +1,6 @@
 """Recovery with Levenberg-Marquardt (optimistix), from forward-mode Jacobians of all views on fixed random numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -61,7 +61,15 @@ class LeastSquaresSteps:
 
     columns = ("loss", "trust")
 
-    def __init__(self, config: RecoveryConfig, options: LevenbergMarquardt, problem: Problem, key: Array):
+    def __init__(
+        self,
+        config: RecoveryConfig,
+        options: LevenbergMarquardt,
+        problem: Problem,
+        key: Array,
+        devices: Sequence[jax.Device],
+    ):
+        del devices  # derivative images of all views come one after the other
         self.samples, self.options, self.problem = config.samples, options, problem
         self.keys = jax.random.split(key, len(problem.views))
         self.start, self.unravel = ravel_pytree(problem.start())

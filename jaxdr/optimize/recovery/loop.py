@@ -1,6 +1,7 @@
 """The loop of a recovery: targets, steps of a method, metrics, pictures, checkpoints."""
 
 import time
+from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
@@ -10,9 +11,11 @@ from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
 from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
+from jaxdr.optimize.devices import chosen_devices
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
-from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
+from jaxdr.optimize.processes import any_process, run_in
+from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.recovery.adam import AdamSteps
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.errors import Errors
@@ -26,28 +29,36 @@ METHODS = {"adam": AdamSteps, "levenberg_marquardt": LeastSquaresSteps}
 TARGETS, STEPS, PICTURES, LOSS, PLAN = 0, 1, 2, 3, 4
 
 
-def recover(config: RecoveryConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
+def recover(
+    config: RecoveryConfig, *, resume: bool = False, overwrite: bool = False, devices: int | None = None
+) -> dict:
     """Run a config to its end and return the summary that `metrics.json` holds.
 
-    `errors` there has start and end of every measure that `Errors` knows, `loss_initial` and `loss_final` are mean
-    squared differences of all views. Every random number derives from the seed and the iteration, so a run that was
-    interrupted and is resumed ends with the same bits. Raises ValueError for a config that can't be run or an output
-    folder in use, `Interrupted` after Ctrl-C, and `NotFinite` rather than go on with NaN.
+    `devices`: how many of JAX's devices share the work of Adam, by default all; least squares take one. `errors` there
+    has start and end of every measure that `Errors` knows, `loss_initial` and `loss_final` are mean squared differences
+    of all views. Every random number derives from the seed and the iteration, so a run that was interrupted and is
+    resumed ends with the same bits. Raises ValueError for a config that can't be run, a folder in use or too few
+    devices, `Interrupted` after Ctrl-C, `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
-    run = _Run(config)
-    run.folder.open(resume, overwrite)
-    with deferred_interrupt() as run.interruption:
+    run = _Run(config, chosen_devices(devices))
+
+    def open_at(path: Path) -> RunFolder:
+        return RunFolder(path, config, run.columns).opened(resume, overwrite)
+
+    with run_in(run, Path(config.output), open_at, resume):
         return run.run(resume)
 
 
 class _Run:
     """One call of `recover`."""
 
-    def __init__(self, config: RecoveryConfig):
-        self.config = config
+    folder: RunFolder
+
+    def __init__(self, config: RecoveryConfig, devices: list[jax.Device]):
+        self.config, self.devices = config, devices
         self.key = jax.random.key(config.seed)
         self.set_problem(build_problem(config))
-        self.folder = RunFolder(config, ("iteration", *self.method.columns, "seconds", *self.errors.names))
+        self.columns = ("iteration", *self.method.columns, "seconds", *self.errors.names)
         self.plan: Plan | None = None
         self.interruption = Interruption()
         self.clock = time.monotonic()
@@ -56,7 +67,7 @@ class _Run:
         """What is optimised, and all that is made for it."""
         self.problem = problem
         key, optimizer = jax.random.fold_in(self.key, STEPS), self.config.optimizer
-        self.method: Any = METHODS[optimizer.kind](self.config, optimizer, problem, key)
+        self.method: Any = METHODS[optimizer.kind](self.config, optimizer, problem, key, self.devices)
         self.errors = Errors(problem, self.config)
         self.image = jit(problem.image, static_argnums=4)
 
@@ -100,9 +111,10 @@ class _Run:
                 progress.step(**{name: row[name] for name in self.method.columns})
                 if last or iteration % self.config.report.pictures == 0:
                     self.save_pictures(state, targets, iteration)
-                if last or iteration % self.config.report.checkpoint == 0 or self.interruption.requested:
+                stop = any_process(self.interruption.requested)
+                if last or iteration % self.config.report.checkpoint == 0 or stop:
                     save_checkpoint(self.folder.checkpoint, state, iteration, self.seconds())
-                if self.interruption.requested and not last:
+                if stop and not last:
                     raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
         return self.finish(state, targets, iteration)
 

@@ -3,6 +3,7 @@
 import csv
 import json
 
+import jax
 import numpy as np
 import pytest
 import trimesh
@@ -110,7 +111,9 @@ def test_results_are_not_overwritten_unasked(folder, finished):
 
 
 def test_without_masks_it_starts_from_a_sphere(tmp_path):
-    run = loop._Run(config(write_nerf(tmp_path, alpha=False), tmp_path / "out"), jd.load_views(tmp_path))
+    run = loop._Run(
+        config(write_nerf(tmp_path, alpha=False), tmp_path / "out"), jd.load_views(tmp_path), jax.devices()[:1]
+    )
     assert run.kind == "sphere"
 
 

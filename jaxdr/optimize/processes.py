@@ -1,0 +1,151 @@
+"""Runs of several processes, on one host or many: one of them writes, and all take the same decisions."""
+
+import contextlib
+import io
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.progress import deferred_interrupt
+
+HEARTBEAT = 30  # seconds without a sign of life after which a process counts as lost
+
+
+class ProcessLost(Exception):
+    """Another process of the run has ended, or can't be reached; the message says how to go on."""
+
+
+def start_processes(coordinator: str | None, count: int | None, number: int | None) -> None:
+    """Join the processes of a run, before anything is computed; without arguments as the cluster says.
+
+    `coordinator`: HOST:PORT of process 0. JAX finds all three under SLURM, Open MPI and Kubernetes. Raises ValueError
+    where something is missing, or the processes don't find one another.
+    """
+    try:
+        jax.distributed.initialize(coordinator, count, number, heartbeat_timeout_seconds=HEARTBEAT)
+    except (ValueError, TypeError) as problem:
+        raise ValueError(
+            f"processes: the cluster does not say enough ({problem}); give --coordinator HOST:PORT, --processes N and "
+            "--process I"
+        ) from None
+    except RuntimeError as problem:
+        raise ValueError(f"processes: can't join the others at {coordinator}: {problem}") from None
+
+
+def is_writer() -> bool:
+    """Whether this process writes what the run leaves."""
+    return jax.process_index() == 0
+
+
+def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """What the writing process gets from `function`, which the others don't call; with one process, what it returns.
+
+    A ValueError there is one in all of them.
+    """
+    if jax.process_count() == 1:
+        return function()
+    data = b""
+    if is_writer():
+        with io.BytesIO() as file:
+            try:
+                np.savez(file, allow_pickle=False, **{f"value_{k}": v for k, v in function().items()})
+            except ValueError as problem:
+                np.savez(file, allow_pickle=False, problem=np.asarray(str(problem)))
+            data = file.getvalue()
+    with np.load(io.BytesIO(_broadcast(data)), allow_pickle=False) as found:
+        if "problem" in found:
+            raise ValueError(str(found["problem"]))
+        return {name.removeprefix("value_"): found[name] for name in found.files}
+
+
+def _broadcast(data: bytes) -> bytes:
+    """The bytes of the writing process."""
+    length = int(multihost_utils.broadcast_one_to_all(np.asarray(len(data), np.int64)))
+    words = np.zeros(length, np.uint8)
+    if is_writer():
+        words[:] = np.frombuffer(data, np.uint8)
+    return np.asarray(multihost_utils.broadcast_one_to_all(words)).tobytes()
+
+
+def any_process(flag: bool) -> bool:
+    """Whether the flag is set in any process: all call this at the same place."""
+    if jax.process_count() == 1:
+        return flag
+    return bool(np.any(multihost_utils.process_allgather(np.asarray(flag))))
+
+
+def mesh_of_writer(make: Callable[[], Mesh]) -> Mesh:
+    """The mesh that the writing process makes: rounding may differ between hosts, and so may what remeshing finds."""
+    if jax.process_count() == 1:
+        return make()
+
+    def arrays():
+        mesh = make()
+        smooth = np.asarray(mesh.normal_faces is not None)
+        return {"vertices": np.asarray(mesh.vertices), "faces": np.asarray(mesh.faces), "smooth": smooth}
+
+    found = of_writer(arrays)
+    mesh = Mesh(found["vertices"], found["faces"])
+    return mesh.smooth() if found["smooth"] else mesh
+
+
+Folder = TypeVar("Folder")
+
+
+@contextlib.contextmanager
+def folder_of_process(path: Path, open_at: Callable[[Path], Folder], resume: bool) -> Iterator[Folder]:
+    """The folder in which this process works on the run at `path`, which `open_at` makes or checks.
+
+    That of the writing process is `path` itself. Others have one of their own, with copies of the files that a run goes
+    on from, which is deleted in the end: they need not see the same file system. A ValueError of the writing process
+    is raised in all.
+    """
+
+    opened: list[Folder] = []
+
+    def files_of_writer():
+        opened.append(open_at(path))
+        kept = [p for p in sorted(path.iterdir()) if p.is_file() and p.suffix in (".npz", ".npy", ".json")]
+        return {p.name: np.frombuffer(p.read_bytes(), np.uint8) for p in kept} if resume else {}
+
+    files = of_writer(files_of_writer)
+    if is_writer():
+        yield opened[0]
+        return
+    own = Path(tempfile.mkdtemp(prefix="jaxdr-process-"))
+    try:
+        for name, content in files.items():
+            (own / name).write_bytes(content.tobytes())
+        yield open_at(own)
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def told_of_lost_processes(checkpoint: Path) -> Iterator[None]:
+    """Inside the block, what JAX reports of a lost process becomes a `ProcessLost` that says how to go on."""
+    try:
+        yield
+    except jax.errors.JaxRuntimeError as problem:
+        if jax.process_count() == 1:
+            raise
+        raise ProcessLost(
+            f"process {jax.process_index()} of {jax.process_count()} lost another one "
+            f"({str(problem).splitlines()[0]}); the last checkpoint is {checkpoint}; start all processes again "
+            "with --resume"
+        ) from None
+
+
+@contextlib.contextmanager
+def run_in(run: Any, path: Path, open_at: Callable[[Path], Any], resume: bool) -> Iterator[None]:
+    """Give a run the `folder` in which this process works on it, and the `interruption` that Ctrl-C sets."""
+    with folder_of_process(path, open_at, resume) as run.folder, deferred_interrupt() as run.interruption:
+        with told_of_lost_processes(path / run.folder.checkpoint.name):
+            yield
