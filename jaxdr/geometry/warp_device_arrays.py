@@ -4,8 +4,8 @@ All of it also runs on Warp's CPU device, where it is tested.
 
 What Warp guarantees (1.19), and what follows:
 
-- A callback from JAX works on XLA's stream, and kernels that it launched may still wait when it returns. A lock does not
-  tell whether a structure is in use: before one is refitted or dropped, all streams of the device are waited for.
+- A callback from JAX works on XLA's stream, and kernels that it launched may still wait when it returns. A lock does
+  not tell whether a structure is in use: before one is refitted or dropped, all streams of the device are waited for.
 - Memory is freed in the order of the default stream. That one waits for streams like Warp's own, and not for XLA's, so
   memory that kernels on XLA's stream still use could be given to others. Structures, and the scratch memory of their
   construction, therefore are made on a stream of Warp's own, and finished before others see them.
