@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 
 import jaxdr as jd
-from jaxdr.boundary.background import Behind, ask_behind, background_values, look_behind, seen_edges
-from jaxdr.boundary.silhouettes import path_segments
+from jaxdr.boundary.shared.background import Behind, ask_behind, background_values, look_behind, seen_edges
+from jaxdr.boundary.shared.path_segments import path_segments
 from jaxdr.geometry.vector import normalize
 
 

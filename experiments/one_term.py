@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from jaxdr.boundary.term import Chunk, Context
+from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.integrators.base import term_images
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import pack

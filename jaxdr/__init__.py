@@ -4,17 +4,17 @@ from importlib.metadata import PackageNotFoundError as _NotInstalled
 from importlib.metadata import version as _version
 
 from jaxdr.aovs import render_aovs as render_aovs
-from jaxdr.boundary.guide_report import guide_report as guide_report
+from jaxdr.boundary.baselines.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges as GuidedEdges
+from jaxdr.boundary.guided_edges.guide_report import guide_report as guide_report
+from jaxdr.boundary.guided_edges.reused_guides import ReusedGuides as ReusedGuides
+from jaxdr.boundary.guided_edges.reused_guides import build_guides as build_guides
+from jaxdr.boundary.guided_edges.reused_guides import refit_guides as refit_guides
 from jaxdr.boundary.kernel_density import KernelDensity as KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling as LineSampling
-from jaxdr.boundary.redner_was import RednerWAS as RednerWAS
-from jaxdr.boundary.reused_guides import ReusedGuides as ReusedGuides
-from jaxdr.boundary.reused_guides import build_guides as build_guides
-from jaxdr.boundary.reused_guides import refit_guides as refit_guides
-from jaxdr.boundary.term import Chunk as Chunk
-from jaxdr.boundary.term import Context as Context
-from jaxdr.boundary.term import Term as Term
+from jaxdr.boundary.shared.term import Chunk as Chunk
+from jaxdr.boundary.shared.term import Context as Context
+from jaxdr.boundary.shared.term import Term as Term
 from jaxdr.boundary.warped_area import WarpedArea as WarpedArea
 from jaxdr.compilation import jit as jit
 from jaxdr.geometry import shapes as shapes

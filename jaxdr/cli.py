@@ -34,7 +34,7 @@ from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
-from jaxdr.optimize.processes import ProcessLost, start_processes
+from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
 from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.reconstruction.config import reconstruct_config
 from jaxdr.optimize.reconstruction.loop import reconstruct
@@ -74,8 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "options" in locals() and options.debug:
             raise
         return _complain(problem, ERROR)
-    except (NotFinite, ProcessLost) as problem:
+    except NotFinite as problem:
         return _complain(problem, FAILED)
+    except ProcessLost as problem:
+        leave_at_once(_complain(problem, FAILED))
     except Interrupted as problem:
         print(f"jaxdr: {problem}", file=sys.stderr)
         return INTERRUPTED

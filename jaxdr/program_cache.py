@@ -2,7 +2,7 @@
 
 JAX's key of a program holds all that it is compiled from (operations and their attributes, options, versions, the
 processor), and programs with host callbacks are left out. Warp's callables write no number of this process into a
-program (`warp_launch.Call`).
+program (`geometry.queries.warp.records.Call`).
 """
 
 import os

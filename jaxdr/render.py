@@ -15,7 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr import loops
-from jaxdr.boundary.texture_jumps import check_still_maps
+from jaxdr.boundary.shared.texture_jumps import check_still_maps
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator

@@ -51,6 +51,13 @@ def test_script_is_short_and_in_the_tutorials(name):
     assert f"def test_{name}(" in Path(__file__).read_text()
 
 
+def test_many_devices(printed):
+    """The gradient is that of one device, which a run of the same script with one printed."""
+    text = printed("many_devices").splitlines()[-1]
+    assert text.startswith("2 devices")
+    np.testing.assert_allclose(numbers(text), [0.3533, -0.0039696, 0.0064594, -0.0012360], rtol=0.01)
+
+
 def test_export_to_blender(printed, tmp_path):
     assert "vertices: 2562 faces: 5120 closed: True" in printed("export_to_blender")
     # As the file stands: y up, 4 bytes a number; the header is JSON.

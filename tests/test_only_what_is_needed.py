@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 import jaxdr as jd
 from jaxdr import boundary, cli
-from jaxdr.boundary.film_chains import FilmChains
-from jaxdr.boundary.hard_shadows import HardShadows
-from jaxdr.boundary.pixel_borders import PixelBorders
+from jaxdr.boundary.film.film_chains import FilmChains
+from jaxdr.boundary.film.hard_shadows import HardShadows
+from jaxdr.boundary.film.pixel_borders import PixelBorders
 from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.formats.mitsuba.bsdfs import BSDFS

@@ -158,7 +158,7 @@ BROKEN = {
     "no_file.py:Class": "can't import no_file.py (FileNotFoundError",
     "no.module:Class": "can't import no.module (ModuleNotFoundError",
     f"{NAME}s": "there is no class UniformEdgess in examples/uniform_edges.py",
-    "jaxdr.boundary.term:Chunk": "Chunk is no jaxdr.Term: it has no prepare, draw",
+    "jaxdr.boundary.shared.term:Chunk": "Chunk is no jaxdr.Term: it has no prepare, draw",
     "UniformEdges": "got 'UniformEdges' (or FILE.py:CLASS or MODULE:CLASS)",
 }
 

@@ -16,9 +16,9 @@ import numpy as np
 
 import jaxdr as jd
 from experiments import common, reference_scenes
-from jaxdr.boundary.divergence import hidden_velocities
-from jaxdr.boundary.occluders import connect_faces
-from jaxdr.boundary.silhouettes import SegmentEnds
+from jaxdr.boundary.shared.face_neighbours import connect_faces
+from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.boundary.warped_area.divergence import hidden_velocities
 from jaxdr.geometry import queries
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point

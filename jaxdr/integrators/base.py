@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.term import Chunk, Context, Term, detached, named_key
+from jaxdr.boundary.shared.term import Chunk, Context, Term, detached, named_key
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import nested, spreads_through
 from jaxdr.scene.packed import PackedScene

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.film_edges import FilmEdges
-from jaxdr.boundary.term import Chunk, Context, Term
+from jaxdr.boundary.film.film_edges import FilmEdges
+from jaxdr.boundary.shared.term import Chunk, Context, Term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     ConnectedEstimator,

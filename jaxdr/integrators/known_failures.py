@@ -6,9 +6,9 @@ arrays, so that they hold under `jit` and cost nothing.
 
 from typing import Any, NamedTuple
 
+from jaxdr.boundary.baselines.redner_was import RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
-from jaxdr.boundary.redner_was import RednerWAS
 from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.callers_line import warn
 from jaxdr.scene.emitter_clusters import FEW_FACES

@@ -8,15 +8,15 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from jaxdr.boundary.film_chains import FilmChains
-from jaxdr.boundary.film_edges import FilmEdges
-from jaxdr.boundary.hard_shadows import HardShadows
+from jaxdr.boundary.film.film_chains import FilmChains
+from jaxdr.boundary.film.film_edges import FilmEdges
+from jaxdr.boundary.film.hard_shadows import HardShadows
+from jaxdr.boundary.film.pixel_borders import PixelBorders
 from jaxdr.boundary.kernel_density import KernelDensity
-from jaxdr.boundary.pixel_borders import PixelBorders
-from jaxdr.boundary.term import Chunk, Context, Term, pixel_sums
-from jaxdr.boundary.texture_jumps import check_still_jumps
+from jaxdr.boundary.shared.term import Chunk, Context, Term, pixel_sums
+from jaxdr.boundary.shared.texture_jumps import check_still_jumps
 from jaxdr.boundary.warped_area import WarpedArea
-from jaxdr.boundary.warped_camera import WarpedCamera
+from jaxdr.boundary.warped_area.warped_camera import WarpedCamera
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     check_rough_glass,

@@ -2,11 +2,14 @@
 
 import contextlib
 import io
+import os
+import re
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import jax
 import numpy as np
@@ -15,6 +18,8 @@ from jax.experimental import multihost_utils
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.progress import deferred_interrupt
 
+# How errors of collective operations begin. JAX raises them as one class or another.
+STATUS = re.compile("(ABORTED|CANCELLED|DEADLINE_EXCEEDED|FAILED_PRECONDITION|INTERNAL|UNAVAILABLE|UNKNOWN): ")
 HEARTBEAT = 30  # seconds without a sign of life after which a process counts as lost
 
 
@@ -133,14 +138,21 @@ def told_of_lost_processes(checkpoint: Path) -> Iterator[None]:
     """Inside the block, what JAX reports of a lost process becomes a `ProcessLost` that says how to go on."""
     try:
         yield
-    except jax.errors.JaxRuntimeError as problem:
-        if jax.process_count() == 1:
+    except Exception as problem:
+        if jax.process_count() == 1 or not STATUS.match(str(problem)):
             raise
         raise ProcessLost(
-            f"process {jax.process_index()} of {jax.process_count()} lost another one "
+            f"process {jax.process_index()} of {jax.process_count()} has lost another one "
             f"({str(problem).splitlines()[0]}); the last checkpoint is {checkpoint}; start all processes again "
             "with --resume"
-        ) from None
+        ) from problem
+
+
+def leave_at_once(code: int) -> NoReturn:
+    """End this process after it has lost another: JAX's own end would wait for that one, and abort."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 @contextlib.contextmanager

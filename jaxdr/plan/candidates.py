@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from jaxdr.boundary.baselines.redner_was import RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
-from jaxdr.boundary.redner_was import RednerWAS
 from jaxdr.integrators import PathTracer
 from jaxdr.integrators.base import edge_points_per_sample
 from jaxdr.integrators.known_failures import known_failure

@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR, edge_shares
-from jaxdr.geometry.query_records import Geometry
+from jaxdr.geometry.queries.records import Geometry
 from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, normalize, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through

@@ -8,7 +8,8 @@ filter, which is noisy for all light: one over the filter's width s at the first
 split: a share s^2 / (s^2 + (d cosine)^2) is taken in material form, the rest with the ray fixed. The shares add up to
 one, each is a smooth function of the scene (but for a jump with the normal from face to face, which creases count), and
 both forms estimate the same derivative, so the sum is unbiased; its terms are bounded by 1 / s. Filters allow it that
-have a smooth derivative or are constant on their pixel (`boundary.pixel_borders`), and only indirect light is worth it.
+have a smooth derivative or are constant on their pixel (`boundary.film.pixel_borders`), and only indirect light is
+worth it.
 """
 
 from typing import NamedTuple

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxdr as jd
-from jaxdr.geometry import queries
+from jaxdr.geometry.queries import api
 from tests.gradients.floor_point import CLOSED, HALF_PLANE, SHEET, arrowhead, check_derivatives, sheet
 
 # As in the paper: a path counts on the visible side of a silhouette, and nobody asks whether the silhouette is hidden.
@@ -38,7 +38,7 @@ def test_concave_edges_counted():
 
 def test_stale_geometry(monkeypatch):
     """Queries that still see the blocker where it was a step ago."""
-    fresh = queries._discrete
+    fresh = api._discrete
 
     def stale(records):
         (geometry, *fixed), rows = records
@@ -48,6 +48,6 @@ def test_stale_geometry(monkeypatch):
         moved = geometry.vertices + jnp.where(blocker[:, None], jnp.asarray([0.08, 0.0, 0.0]), 0.0)
         return fresh(((geometry._replace(vertices=moved), *fixed), rows))
 
-    monkeypatch.setattr(queries, "_discrete", stale)
+    monkeypatch.setattr(api, "_discrete", stale)
     with pytest.raises(AssertionError, match="is off"):
         check_derivatives(sheet(HALF_PLANE, 0.1), SHEET, spp=127)  # a number of its own: traced afresh

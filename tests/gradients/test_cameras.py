@@ -10,7 +10,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import displaced_sphere, rectangle
-from tests.boundary.test_film_edges_cameras import lens_points
+from tests.boundary.film.test_film_edges_cameras import lens_points
 from tests.gradients import floor_point
 from tests.gradients.floor_point import CAMERA, FILM, POINT, QUADRANGLE, UP, estimates, exact, mean_and_error, sheet
 

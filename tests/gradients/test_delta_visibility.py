@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary import film_chains
+from jaxdr.boundary.film import film_chains
 from jaxdr.geometry.shapes import sphere
 
 SIZE = 16

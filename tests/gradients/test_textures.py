@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.texture_jumps import seam_jumps
+from jaxdr.boundary.shared.texture_jumps import seam_jumps
 from jaxdr.scene.packed import pack
 
 SIZE = 12

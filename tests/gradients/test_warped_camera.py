@@ -9,7 +9,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import box, rectangle, sphere
-from tests.boundary import test_film_edges as film
+from tests.boundary.film import test_film_edges as film
 from tests.references.central_differences import central
 
 WARP = jd.WarpedArea(sigma0=0.02)

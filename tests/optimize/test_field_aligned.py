@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import jaxdr as jd
-from jaxdr.boundary.edge_chains import chain_edges
+from jaxdr.boundary.guided_edges.edge_chains import chain_edges
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize import field_aligned
 from jaxdr.optimize.chamfer import chamfer

@@ -47,16 +47,16 @@ ELSEWHERE = (
     (
         "stale geometry under jit",
         "every geometry gets its own hits",
-        "tests/geometry/test_purity.py::test_every_geometry_gets_its_own_hits",
+        "tests/geometry/queries/test_purity.py::test_every_geometry_gets_its_own_hits",
     ),
     (
         "rays along shared edges",
         "none slips through",
-        "tests/geometry/test_queries.py::test_watertight",
+        "tests/geometry/queries/test_queries.py::test_watertight",
     ),
     (
         "more crossings than there is room for",
         "thinned without bias, said once",
-        "tests/geometry/test_sector.py::test_thinning_is_unbiased",
+        "tests/geometry/queries/test_sector.py::test_thinning_is_unbiased",
     ),
 )

@@ -1,0 +1,198 @@
+"""How edges in the image are drawn: by projected length times an estimate of the jump of radiance."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.shared.folds import SMOOTH
+from jaxdr.boundary.shared.texture_jumps import glow_jumps, seam_jumps
+from jaxdr.geometry.vector import (
+    between,
+    components,
+    corners,
+    dot,
+    from_components,
+    norm,
+    normalize,
+    scale,
+    triangle_normals,
+    z_of,
+)
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
+from jaxdr.transport.sampler import lattice, uniform
+
+PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
+
+
+class EdgeDistribution(NamedTuple):
+    """What edge points are drawn from; detached. Its rows are the edges of the moving shapes, numbered by `edge`.
+
+    `start`, `end` are the film points of the visible part of each edge, `clip` the fractions of the 3D edge at the ends
+    between near and far plane, `homogeneous` the denominators of the projection there, `range` the part of the
+    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance. Seen
+    through an aperture, an edge's `extent` bounds its length from all of it.
+    """
+
+    edge: Int[Array, " E"]
+    start: Float[Array, "E 2"]
+    end: Float[Array, "E 2"]
+    clip: Float[Array, "E 2"]
+    homogeneous: Float[Array, "E 2"]
+    range: Float[Array, "E 2"]
+    importance: Float[Array, " E"]
+    silhouettes: Float[Array, " E"]
+    creases: Float[Array, " E"]
+    extent: Float[Array, " E"] | None = None
+
+
+def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
+    """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
+    packed = jax.tree.map(stop_gradient, packed)
+    camera, number = packed.camera, packed.edges_of(moving)
+    view = camera.view()
+    p0, p1 = (view.local(end) for end in corners(packed.vertices[packed.edges.vertices[number]]))
+    z0, z1 = z_of(p0), z_of(p1)
+    (near0, near1), (far0, far1) = (
+        _clip(sign * (limit - z0), sign * (limit - z1))
+        for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
+    )
+    t0, t1 = jnp.maximum(near0, far0), jnp.minimum(near1, far1)
+    in_front = t1 > t0
+    q0, q1 = between(p0, p1, t0), between(p0, p1, t1)
+    behind = ~in_front[:, None]
+    ahead = jnp.asarray([0.0, 0.0, 1.0], q0.dtype)
+    q0, q1 = jnp.where(behind, ahead, q0), jnp.where(behind, ahead, q1)
+    start, end = view.project_local(q0), view.project_local(q1)
+    extent, margin = norm(end - start), None
+    if camera.aperture:
+        blur0, blur1 = camera.blur(q0), camera.blur(q1)
+        extent, margin = extent + jnp.abs(blur0 - blur1), jnp.maximum(jnp.abs(blur0), jnp.abs(blur1))
+    s0, s1 = _inside_window(camera.film, start, end, margin)
+    length = jnp.where(in_front, extent * jnp.maximum(s1 - s0, 0.0), 0.0)
+    silhouette, importance = _importance(packed, moving, number, key)
+    mass = length * importance
+    return EdgeDistribution(
+        edge=number,
+        start=start,
+        end=end,
+        clip=from_components(t0, t1),
+        homogeneous=from_components(view.homogeneous(q0), view.homogeneous(q1)),
+        range=from_components(s0, s1),
+        importance=importance,
+        silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
+        creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
+        extent=extent if camera.aperture else None,
+    )
+
+
+def _clip(outside0, outside1):
+    """Parameter range of a line on which a linear function, positive outside, is not positive; empty as (1, 0)."""
+    change = outside1 - outside0
+    root = -outside0 / jnp.where(change == 0, 1.0, change)
+    low = jnp.where(outside0 > 0, jnp.where(outside1 > 0, 1.0, root), 0.0)
+    high = jnp.where(outside1 > 0, jnp.where(outside0 > 0, 0.0, root), 1.0)
+    return low, high
+
+
+def _inside_window(film, start, end, margin=None):
+    """Parameter range of projected edges within reach of the window's filters, and `margin` pixels more."""
+    x0, y0, width, height = film.window
+    reach = film.filter.radius if margin is None else film.filter.radius + margin
+    reach = jnp.broadcast_to(reach, start.shape[:1])[:, None]
+    first, last = jnp.asarray((x0, y0), start.dtype), jnp.asarray((x0 + width, y0 + height), start.dtype)
+    # Outside of the four sides, [E, 4].
+    outside = (jnp.concatenate([first - reach - p, p - last - reach], -1) for p in (start, end))
+    low, high = _clip(*outside)
+    return low.max(-1), high.min(-1)
+
+
+def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
+    """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
+
+    Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, a share of
+    their fold that stands for all other light, and how much their textures differ. Silhouettes: what the visible face
+    receives, and a typical value for the background. Only the noise depends on these estimates.
+    """
+    faces, row_of = packed.faces_of(moving)
+    triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
+    corner, normal = corners(triangles)[0], normalize(triangle_normals(triangles))
+    front = dot(normal, packed.camera.view().towards(corner)) > 0
+    # Normals turned towards the camera: two faces that continue each other have no crease.
+    normal = jnp.where(front[:, None], normal, -normal)
+    smooth = jnp.asarray(packed.smooth)[shape]
+    lit = front | packed.two_sided[shape]  # one-sided faces seen from behind are black
+    if (through := packed.spreads_through) is not None:
+        lit |= through[shape]
+    received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
+
+    pair, interior = packed.edges.faces[number], packed.edges.interior[number]
+    first, second = components(pair)
+    face0 = row_of(first)
+    face1 = jnp.where(second >= 0, row_of(second), face0)
+    # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
+    silhouette = ~interior | (front[face0] != front[face1])
+    if packed.camera.aperture:  # and those that are silhouettes from a part of it
+        turns = packed.camera.turns(corner, normal)
+        silhouette = silhouette | turns[face0] | turns[face1]
+    fold = norm(normal[face0] - normal[face1])
+    jump = jnp.abs(received[face0] - received[face1])
+    mean = received.mean()
+    typical = jnp.where(mean > 0, mean, 1.0)
+    crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
+    if packed.has_seams:
+        light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
+        crease = crease + light * seam_jumps(packed, number)
+    if packed.glow:  # as irradiance that a white surface would send on
+        crease = crease + jnp.pi * glow_jumps(packed, number)
+    bright = jnp.maximum(received[face0], received[face1])
+    return silhouette, jnp.where(silhouette, 0.5 * (typical + bright), crease)
+
+
+def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
+    """Irradiance (luminance) of faces from a few emitter samples, without visibility.
+
+    Interpolated normals agree at an edge: what can differ for smooth faces is which of them the light reaches at all.
+    """
+    if not has_emitters(packed):
+        return jnp.zeros(corner.shape[0], corner.dtype)
+
+    def arriving(sample):
+        """From one emitter sample."""
+        offset = sample.point.position - corner
+        squared = jnp.maximum(dot(offset, offset), 1e-30)
+        direction = jnp.where(sample.infinite, sample.direction, scale(offset, 1.0 / jnp.sqrt(squared)))
+        facing = jnp.maximum(-dot(direction, sample.point.normal), 0.0) / squared
+        if sample.light is None:
+            power = luminance(sample.radiance) / sample.pdf
+        else:
+            one = jax.tree.map(lambda x: jnp.broadcast_to(x, (corner.shape[0], *x.shape)), sample)
+            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf
+            facing = jnp.where(one.is_delta, 1.0 / squared, facing)
+        cosine = dot(direction, normal)
+        cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
+        return cosine * jnp.where(sample.infinite, 1.0, facing) * power
+
+    samples = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
+    return jax.vmap(arriving)(samples).mean(0)
+
+
+def sample_edges(
+    distribution: EdgeDistribution, cdf: Float[Array, " E"], count: int, key
+) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """Rows, fractions of the projected edges, and 1 / (count x density per pixel of length)."""
+    total = cdf[-1]
+    strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
+    target = strata / count * total
+    edge = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
+    mass = cdf[edge] - before
+    along = jnp.clip((target - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0)
+    low, high = components(distribution.range[edge])
+    importance = distribution.importance[edge]
+    weight = jnp.where(mass > 0, total / (count * jnp.where(importance > 0, importance, 1.0)), 0.0)
+    return edge, low + along * (high - low), weight

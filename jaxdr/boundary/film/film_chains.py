@@ -1,0 +1,372 @@
+"""Edges seen in mirrors and through smooth glass: lines on the film, by line sampling (docs/delta_visibility.md).
+
+A film point and the random numbers that choose lobes fix a chain of rays. Where one of its segments touches the edge
+(a, b), the image jumps; with (o, d) the segment as a function of the film point x and the scene θ, that is the curve
+
+    g(x, θ) = d × (b - a) · (a - o) = 0,    of normal velocity  -∂g/∂θ / |∂g/∂x|.
+
+Chords on the film cross the curve where Newton's method finds it. A crossing x* on the chord of half-length r weighs
+(π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. The
+number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, "Specular manifold
+sampling"), makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions and no convergence
+are failures.
+"""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from jaxdr import loops
+from jaxdr.boundary.shared.allocation import allocate, capacity, pixel_importance, shares
+from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.shared.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
+from jaxdr.boundary.shared.term import Chunk, Context, streams
+from jaxdr.geometry.vector import corners, from_components, norm, scale
+from jaxdr.scene.camera import Camera, View
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.splat import splat
+from jaxdr.transport.delta_chain import ChainSegments, delta_chain
+from jaxdr.transport.interaction import SurfacePoint, on_fixed_ray
+from jaxdr.transport.radiance import Answers, Requests, joined, request
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, path_numbers, uniform
+
+REACH = 2.0  # half-length of the chords, pixels
+PILOTS = 0.25  # chords that tell where the others should go, for each of them
+FLOOR = 0.2  # importance that every pixel keeps, relative to the mean
+STEPS = 5  # of Newton's method
+CONVERGED = 1e-3  # pixels: last step of Newton's method, and how far apart two solutions are
+TRIALS = 256  # at most; what is lost beyond is reported
+NEAR = 1e-3  # share of the distance by which what is beside an edge may be nearer than the edge
+CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mirror's own
+BESIDE_ON_FILM = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
+
+
+class FilmChords(NamedTuple):
+    """C chords from `centre` along the unit `towards`; detached.
+
+    `u` are the random numbers of the paths, those of `stream`, `lens` those of the camera's aperture; `inverse` is one
+    over the density of centres (per square pixel).
+    """
+
+    centre: Float[Array, "C 2"]
+    towards: Float[Array, "C 2"]
+    stream: UInt32[Array, " C"]
+    u: Float[Array, "C B 4"]
+    lens: Float[Array, "C 2"] | None
+    inverse: Float[Array, " C"]
+
+
+class ChainCrossings(NamedTuple):
+    """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
+
+    chords: FilmChords
+    number: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    weight: Float[Array, " C"]
+
+
+class Found(NamedTuple):
+    """What Newton's method came to: film points, and whether they count."""
+
+    film_point: Float[Array, "C 2"]
+    valid: Bool[Array, " C"]
+
+
+def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
+    """The edges that may jump in the image as it is seen over delta lobes; `moving` shapes, relative to the camera."""
+    flags, turns = jnp.asarray(moving), jnp.asarray(False)
+    for group in packed.bsdfs:
+        if group.bsdf.delta:
+            turns = turns | (group.member & flags).any()
+    return edge_table(packed, flags[packed.edges.shape] | turns, rays)
+
+
+class Jumps(NamedTuple):
+    """Points of the film at which the image jumps; detached.
+
+    `weight` of what jumps there, over the steepness of g; `faces` of the chain.
+    """
+
+    crossings: ChainCrossings
+    film_point: Float[Array, "C 2"]
+    weight: Float[Array, " C"]
+    faces: Int[Array, "C B"]
+
+
+class FilmChains:
+    """Term of the edges seen over delta lobes, from a chord for every path sample.
+
+    Pilots, a share of them more, are spread evenly over the film and tell where they go.
+    """
+
+    name = "chains"
+
+    def prepare(self, context: Context, key) -> EdgeTable | None:
+        """The edges that may jump in the image as it is seen over delta lobes."""
+        del key
+        packed, seen = context.packed, context.moving.seen
+        if not (any(seen) and packed.has_delta_lobes and context.settings.max_depth > 1):
+            return None
+        return edges_of_chains(packed, seen, context.settings.rays)
+
+    def draw(self, context: Context, state: EdgeTable, chunk: Chunk, key):
+        """Where chords cross edges, and requests for the radiance on both sides."""
+        packed, settings, count = context.packed, context.settings, chunk.paths
+        key_pilot, key_cells, key_chords, key_trials = jax.random.split(key, 4)
+        _, _, width, height = packed.camera.film.window
+        margin = _margin(packed)
+        shape = (height + 2 * margin, width + 2 * margin)
+        cells = shape[0] * shape[1]
+        pilots = max(1, round(PILOTS * count / cells))
+        cell = jnp.repeat(jnp.arange(cells), pilots)
+        even = jnp.full(cells * pilots, 1.0 / pilots, packed.vertices.dtype)
+        pilot = _chords(packed, cell, even, key_pilot, chunk.key, settings)
+        _, score = _candidates(packed, state, pilot, key_pilot, settings)
+        importance = pixel_importance(score, cell, score >= 0, shape, FLOOR)
+        expected = shares(importance[None, :, None], float(count))
+        cell, inverse = allocate(expected, capacity(count, cells), key_cells)
+        chords = _chords(packed, jnp.maximum(cell, 0), inverse, key_chords, chunk.key, settings)
+        crossings, score = _candidates(packed, state, chords, key_chords, settings)
+        valid = (score > 0) & (cell >= 0)
+        order, used = jnp.argsort(~valid, stable=True), valid.sum()
+        slots = jax.tree.map(lambda x: x[order], (crossings, valid))
+
+        def find(slots, number):
+            crossings, valid = slots
+            key = jax.random.fold_in(key_trials, number[0])
+            return _jumps(packed, state, crossings, valid & (number < used), key, settings)
+
+        jumps, one, two = map_over_blocks(find, slots, used)
+        return joined([one, two]), (jumps, used)
+
+    def image(self, context: Context, state, chunk: Chunk, held, answers: Answers | None) -> Float[Array, "H W 3"]:
+        """Jumps x normal velocities."""
+        assert answers is not None  # `draw` always asks
+        packed, settings = context.packed, context.settings
+        jumps, used = held
+        one, two = answers.total.reshape(2, -1, 3)
+
+        def image(block, number):
+            jumps, jump = block
+            moved = _volume(packed, jumps.crossings, jumps.film_point, jumps.faces.T, settings)
+            displacement = jnp.where(number < used, jumps.weight, 0.0) * (stop_gradient(moved) - moved)
+            return splat(packed.camera.film, jumps.film_point, scale(jump, displacement))
+
+        return chunk.share * sum_over_blocks(image, (jumps, one - two), used)
+
+
+def _margin(packed: PackedScene) -> int:
+    """How many pixels around the film's window chords begin."""
+    return math.ceil(packed.camera.film.filter.radius + REACH)
+
+
+def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths, settings) -> FilmChords:
+    """Chords from random points of cells, the pixels of the window with a margin around it.
+
+    Their paths have the numbers that the wavefront draws for their streams from `key_paths`.
+    """
+    x0, y0, width, _ = packed.camera.film.window
+    margin, dtype = _margin(packed), inverse.dtype
+    aperture = LENS_DIMENSIONS if packed.camera.aperture else 0
+    drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)[0]
+    row, column = jnp.divmod(cell, width + 2 * margin)
+    corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
+    angle, stream = math.pi * drawn[:, 2], streams(FilmChains.name, cell.shape[0])
+    return FilmChords(
+        centre=corner + drawn[:, :2],
+        towards=from_components(jnp.cos(angle), jnp.sin(angle)),
+        stream=stream,
+        u=jnp.stack([path_numbers(key_paths, stream, b, dtype) for b in range(settings.max_depth)], 1),
+        lens=drawn[:, 3:] if aperture else None,
+        inverse=inverse,
+    )
+
+
+def _candidates(
+    detached: PackedScene, table: EdgeTable, chords: FilmChords, key, settings
+) -> tuple[ChainCrossings, Float[Array, " C"]]:
+    """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
+    count, dtype = chords.inverse.shape[0], chords.inverse.dtype
+    key_seed, key_choice = jax.random.split(jax.random.fold_in(key, 2))
+    chain, rate = _moved(detached, chords, jnp.zeros(count, dtype), settings)
+    bundles = _bundles(detached, chain, rate)
+    segments = settings.max_depth - 1
+    seeds = jax.random.bits(key_seed, (segments, count), jnp.uint32)
+    rows = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
+    found = draw_edges(table, rows[0], rows[1], seeds.reshape(-1), REACH)
+    found = jax.tree.map(lambda x: x.reshape(segments, count), found)
+    # One of the segments, in proportion to what was found there.
+    cumulative = jnp.cumsum(found.total, 0)
+    total = cumulative[-1]
+    target = uniform(key_choice, (count,), dtype) * total
+    number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
+    edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
+    weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
+    return ChainCrossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
+
+
+def _view(camera: Camera, chords: FilmChords) -> View:
+    return camera.view(chords.lens)
+
+
+class _Rate(NamedTuple):
+    """Derivatives of the segments of a chain."""
+
+    origin: Float[Array, "*B C 3"]
+    direction: Float[Array, "*B C 3"]
+
+
+def _moved(detached, chords: FilmChords, t, settings) -> tuple[ChainSegments, _Rate]:
+    """Chains from the points at t of chords, and their derivatives along the chords."""
+    view, u = _view(detached.camera, chords), chords.u.swapaxes(0, 1)
+
+    def rays(t):
+        chain = delta_chain(detached, view, chords.centre + scale(chords.towards, t), u, settings.rays)
+        return (chain.origin, chain.direction), chain
+
+    _, rates, chain = jax.jvp(rays, (t,), (jnp.ones_like(t),), has_aux=True)
+    return chain, _Rate(*rates)
+
+
+def _segment(crossings: ChainCrossings, *tables):
+    """Rows of tables [B, C, ...] for the segments that cross."""
+    return jax.tree.map(lambda x: x[crossings.number, jnp.arange(x.shape[1])], tables)
+
+
+def _bundles(detached, chain: ChainSegments, rate: _Rate) -> Bundles:
+    end = jnp.where(jnp.isinf(chain.distance), 4.0 * detached.size, chain.distance)
+    return Bundles(chain.origin, chain.direction, rate.origin, rate.direction, end)
+
+
+def _find(detached, table: EdgeTable, crossings: ChainCrossings, settings) -> Found:
+    """Where the chords cross the edges, by Newton's method from their centres.
+
+    A function of the arguments alone, and false unless the edge is among the centre's candidates: trials rely on it.
+    """
+    chords = crossings.chords
+    start = table.ends[crossings.edge, 0]
+    side = table.ends[crossings.edge, 1] - start
+
+    def step(state, number):
+        t, _, valid = state
+        chain, rate = _segment(crossings, *_moved(detached, chords, t, settings))
+        bundles = _bundles(detached, chain, rate)
+        change, candidate = may_cross(bundles, start, side, REACH)
+        valid = valid & chain.reached & ((number > 0) | candidate)
+        change = jnp.where(valid, jnp.clip(change, -2.0 * REACH, 2.0 * REACH), 0.0)
+        return (t + change, jnp.abs(change), valid), None
+
+    nothing = jnp.zeros_like(crossings.weight)
+    state = (nothing, nothing, jnp.ones_like(nothing, bool))
+    (t, change, valid), _ = loops.scan(step, state, jnp.arange(STEPS))
+    valid = valid & (change < CONVERGED) & (jnp.abs(t) <= REACH)
+    return Found(chords.centre + scale(chords.towards, t), valid)
+
+
+def _trials(detached, table, crossings: ChainCrossings, target: Found, key, settings) -> Float[Array, " C"]:
+    """Numbers of centres on the chords until one finds `target`: 1 / P on average."""
+    chords = crossings.chords
+
+    def unfinished(state):
+        number, done, _ = state
+        return (number < TRIALS) & ~done.all()
+
+    def trial(state):
+        number, done, count = state
+        u = uniform(jax.random.fold_in(key, number), done.shape, target.film_point.dtype)
+        centre = target.film_point + scale(chords.towards, REACH * (2 * u - 1))
+        again = _find(detached, table, crossings._replace(chords=chords._replace(centre=centre)), settings)
+        same = again.valid & (norm(again.film_point - target.film_point) < CONVERGED)
+        return number + 1, done | same, count + ~done
+
+    nothing = jnp.zeros_like(crossings.weight)
+    _, done, count = loops.while_loop(unfinished, trial, (jnp.int32(0), ~target.valid, nothing))
+    lost = (~done).sum()
+    loops.cond(lost > 0, lambda: jax.debug.callback(_report, lost, target.valid.sum()), lambda: None)
+    return count
+
+
+def _report(lost, total):
+    if not lost:  # under `vmap` the report is called for in any case
+        return
+    # A power of ten: Python shows a warning once a place and text, and the number differs from call to call.
+    share = 10.0 ** math.ceil(math.log10(lost / total))
+    warnings.warn(
+        f"jaxdr: up to {100 * share:g} % of the edges seen in mirrors or through glass were not found again in "
+        f"{TRIALS} trials; their share of the derivative is too small. Mirrors of faces larger than a pixel avoid it.",
+        stacklevel=2,
+    )
+
+
+def _volume(packed, crossings: ChainCrossings, film_point, faces, settings) -> Float[Array, " C"]:
+    """g for a scene and film points, along the faces of chains."""
+    chords = crossings.chords
+    chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
+    (origin, direction) = _segment(crossings, chain.origin, chain.direction)
+    start, end = corners(packed.vertices[packed.edges.vertices[crossings.edge]])
+    return volume(origin, direction, start, end - start)
+
+
+def _jumps(
+    packed, table: EdgeTable, crossings: ChainCrossings, valid, key, settings
+) -> tuple[Jumps, Requests, Requests]:
+    """(where chords cross edges, requests for the radiance on both sides)."""
+    chords = crossings.chords
+    found = _find(packed, table, crossings, settings)
+    valid = valid & found.valid
+    x, view = found.film_point, _view(packed.camera, chords)
+    faces = delta_chain(packed, view, x, chords.u.swapaxes(0, 1), settings.rays).face
+
+    def slope(axis):
+        along = jnp.broadcast_to(axis, x.shape)
+        return jax.jvp(lambda x: _volume(packed, crossings, x, faces, settings), (x,), (along,))[1]
+
+    gradient = jax.vmap(slope)(jnp.eye(2, dtype=x.dtype)).T
+    steepness = norm(gradient)
+    valid = valid & (steepness > 0)
+    steepness = jnp.where(valid, steepness, 1.0)
+    step = scale(gradient, BESIDE_ON_FILM * max(packed.camera.film.width, packed.camera.film.height) / steepness)
+    sides = jax.vmap(lambda x: _side(packed, table, crossings, view, x, settings))(jnp.stack([x - step, x + step]))
+    valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
+    trials = _trials(packed, table, crossings, Found(x, valid), key, settings)
+    # (pi / 2) k / p, with k = 1 / (2 r P).
+    weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight * trials
+    jumps = Jumps(crossings, x, jnp.where(valid, weight / steepness, 0.0), faces.T)
+    one, two = (
+        request(
+            point._replace(valid=point.valid & valid), -direction, chords.u[:, 0], settings.max_depth - 1, chords.stream
+        )
+        for point, direction in (jax.tree.map(lambda x, k=k: x[k], (sides.first, sides.direction)) for k in (0, 1))
+    )
+    return jumps, one, two
+
+
+class _Side(NamedTuple):
+    """What rays beside a crossing hit, on which side of the edge the chain passes, and whether in clear sight."""
+
+    first: SurfacePoint
+    direction: Float[Array, "C 3"]
+    volume: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+
+
+def _side(packed, table: EdgeTable, crossings: ChainCrossings, view, film_points, settings) -> _Side:
+    """What chains from film points beside crossings find."""
+    start = table.ends[crossings.edge, 0]
+    side = table.ends[crossings.edge, 1] - start
+    whole = delta_chain(packed, view, film_points, crossings.chords.u.swapaxes(0, 1), settings.rays)
+    (chain,) = _segment(crossings, whole)
+    at = passes(chain.origin, chain.direction, start, side)
+    neighbours = packed.edges.faces[crossings.edge]
+    own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
+    # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
+    clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
+    ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
+    meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached
+    first = on_fixed_ray(packed, whole.origin[0], whole.direction[0], whole.face[0])
+    return _Side(first, whole.direction[0], volume(chain.origin, chain.direction, start, side), meets)

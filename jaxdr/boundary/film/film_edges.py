@@ -1,0 +1,248 @@
+"""Discontinuities in the image plane: silhouettes and creases seen directly, with both sides.
+
+With the camera ray fixed, the image is an integral over the film whose integrand jumps across projected edges. Its
+derivative is the line integral of (L on one side - L on the other) times the normal velocity of the edge. The two sides
+share their random numbers, and at creases the directions of their first bounce: the noise is that of the difference.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.film.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
+from jaxdr.boundary.shared.path_segments import on_face
+from jaxdr.boundary.shared.term import Chunk, Context, named_key, streams
+from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
+from jaxdr.scene.camera import View
+from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.splat import splat
+from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
+from jaxdr.transport.near_field import footprint
+from jaxdr.transport.path import Lobe, PathSettings
+from jaxdr.transport.radiance import Answers, request
+from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
+from jaxdr.transport.shading import Scatterer
+
+KINDS = ("silhouettes", "creases")
+
+
+class EdgePoints(NamedTuple):
+    """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
+
+    The point is at the share `along` of its `edge`, seen through the point `lens` of the aperture (None without) at
+    `film_point`. `weight` = 1 / (count x density per pixel of length). `normal` on the film, towards the first side.
+    `at_edge`: the ray on that side ends at the edge, which nothing hides there. `outline`: all faces at the edge are on
+    one side, and nothing hides it.
+    """
+
+    edge: Int[Array, " n"]
+    along: Float[Array, " n"]
+    lens: Float[Array, "n 2"] | None
+    film_point: Float[Array, "n 2"]
+    normal: Float[Array, "n 2"]
+    weight: Float[Array, " n"]
+    direction: Float[Array, "2 n 3"]
+    first: SurfacePoint
+    distance: Float[Array, "2 n"]
+    at_edge: Bool[Array, "2 n"]
+    outline: Bool[Array, " n"]
+
+
+class _Held(NamedTuple):
+    """Edge points; what is behind them: on which side, and which material point; and which count. `crease`: or not."""
+
+    points: EdgePoints
+    behind: Int[Array, " n"]
+    face: Int[Array, " n"]
+    barycentric: Float[Array, "n 3"]
+    hit: Bool[Array, " n"]
+    seen: Bool[Array, " n"]
+    crease: Bool[Array, " n"]
+
+
+class FilmEdges:
+    """Term of the edges in the image, from as many points on silhouettes as on creases, stratified along the edges.
+
+    Where first hits are material points there are no creases. Of light in material form only what the surface behind a
+    silhouette sends has a boundary there, and the edge's velocity counts relative to that surface.
+    """
+
+    def __init__(self, *kinds: str):
+        self.kinds: tuple[str, ...] = kinds or KINDS
+        first, *others = self.kinds
+        self.name = "edges" if others else first
+
+    def prepare(self, context: Context, key) -> EdgeDistribution | None:
+        """Distributions over the edges of what moves relative to the camera."""
+        if not any(context.moving.seen) or not self._kinds(context.form):
+            return None
+        del key  # a key of its own: apart or not, the same edges are drawn
+        return edge_distribution(context.packed, context.moving.seen, jax.random.key(0))
+
+    def _kinds(self, form: str) -> tuple[str, ...]:
+        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != "material")
+
+    def draw(self, context: Context, state: EdgeDistribution, chunk: Chunk, key):
+        """Points on edges, and requests for the radiance on both sides."""
+        packed, settings, form = context.packed, context.settings, context.form
+        del key  # those of the kinds come from the chunk's: apart or not, the same points are drawn
+        count, kinds = max(1, round(chunk.paths * context.edge_samples)), self._kinds(form)
+        drawn, lenses, numbers, stream = [], [], [], []
+        for kind in kinds:
+            key_edges, key_first, key_lens = jax.random.split(named_key(chunk.key, kind), 3)
+            drawn.append(sample_edges(state, getattr(state, kind), count, key_edges))
+            numbers.append(lattice(key_first, 1, jnp.arange(count), 4, chunk.weight.dtype)[0])
+            if packed.camera.aperture:
+                lenses.append(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, chunk.weight.dtype)[0])
+            stream.append(streams(kind, count))
+        drawn = jax.tree.map(lambda *x: jnp.concatenate(x), *drawn)
+        lens = jnp.concatenate(lenses) if lenses else None
+        u, stream = jnp.concatenate(numbers), jnp.concatenate(stream)
+        points = _edge_points(packed, state, drawn, lens, settings)
+        crease = jnp.repeat(jnp.asarray([kind == "creases" for kind in kinds]), count)
+        seen = jnp.where(crease, points.at_edge.all(0), points.outline)
+        first = points.first._replace(valid=points.first.valid & seen)
+        given = None
+        if kinds[-1] == "creases" and not packed.has_delta_lobes and packed.spreads_through is None:
+            # Else: what two mirrors show is not to be found in one direction; one that leaves a face may enter another.
+            given = _common_directions(packed, points, crease, u)
+        size = None
+        if form == "near":
+            size = jax.vmap(partial(footprint, _view(packed, points)))(first.position, first.normal)
+        sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([stream, stream]))
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
+        first, wi, u, stream, size, given = flat
+        emission = jnp.tile(seen, 2).astype(wi.dtype)
+        asked = request(first, wi, u, settings.max_depth - 1, stream, emission, size, given)
+        behind = points.distance.argmax(0)
+        far = jax.tree.map(lambda x: _of_side(x, behind), points.first)
+        return asked, _Held(points, behind, far.face, far.barycentric, far.valid, seen, crease)
+
+    def image(
+        self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
+        """Jumps x normal velocities."""
+        packed, form, points = context.packed, context.form, held.points
+        assert answers is not None  # `draw` always asks
+        total, near = (x.reshape(2, -1, 3) for x in answers)
+        view = _view(packed, points)
+        ends = corners(packed.vertices[packed.edges.vertices[points.edge]])
+        film_point = view.project(between(*ends, points.along))
+        value = 0.0
+        if form != "material":
+            far = total - near
+            value = scale(far[1] - far[0], _moved(points, film_point))
+        if form != "fixed":
+            near = total if form == "material" else near
+            material = on_face(packed, held.face, held.barycentric)
+            ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
+            local = jnp.where(held.hit[:, None], view.local(material), ahead)
+            position = film_point - jnp.where(held.hit[:, None], view.project_local(local), 0.0)
+            jump = jnp.where((held.behind == 1)[:, None], near[1], -near[0])
+            value += scale(jnp.where(held.crease[:, None], 0.0, jump), _moved(points, position))
+        value = scale(value, jnp.where(held.seen, points.weight, 0.0))
+        return chunk.share * splat(packed.camera.film, points.film_point, value)
+
+
+def _moved(points: EdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    """Displacement of a film point along the normal, zero in value."""
+    along = dot(points.normal, position)
+    return along - jax.lax.stop_gradient(along)
+
+
+def _view(packed: PackedScene, points: EdgePoints) -> View:
+    return packed.camera.view(points.lens)
+
+
+def _of_side(x, side: Int[Array, " n"]):
+    """Rows of the first or second side."""
+    return jnp.where(side.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0])
+
+
+def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lobe:
+    """At creases: directions from the BSDF of either side, and their mean density, for both sides; elsewhere none."""
+    second = u[:, 2:3] >= 0.5
+    rest = jnp.concatenate([2.0 * u[:, 2:3] - second, u[:, 3:]], -1)
+    scatterers = [
+        Scatterer(packed, jax.tree.map(lambda x, side=side: x[side], points.first), -points.direction[side])
+        for side in (0, 1)
+    ]
+    direction = jnp.where(second, scatterers[1].sample(rest), scatterers[0].sample(rest))
+    pdf = 0.5 * (scatterers[0].pdf(direction) + scatterers[1].pdf(direction))
+    pdf = jnp.where(crease, pdf, 0.0)
+    return Lobe(jnp.stack([direction, direction]), jnp.stack([pdf, pdf]))
+
+
+def _edge_points(
+    packed: PackedScene, distribution: EdgeDistribution, drawn, lens, settings: PathSettings
+) -> EdgePoints:
+    """`lens`: a point of the aperture each, None without."""
+    camera, film = packed.camera, packed.camera.film
+    row, fraction, weight = drawn
+    count = row.shape[0]
+    d = jax.tree.map(lambda table: table[row], distribution)
+    edge = d.edge
+    weight = packed.edges.shared(edge, weight)
+    # The point of the 3D edge seen at this fraction of the projected edge.
+    (h0, h1), (t0, t1) = components(d.homogeneous), components(d.clip)
+    along = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)
+    along = t0 + along * (t1 - t0)
+    ends = packed.vertices[packed.edges.vertices[edge]]
+    p0, p1 = corners(ends)
+    point = between(p0, p1, along)
+    view, start, end = camera.view(lens), d.start, d.end
+    if camera.aperture:
+        # From a point of the lens an equal step of the fraction is an equal step on the film, too.
+        start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
+        weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
+    film_point = view.project(point)
+
+    x, y = components(normalize(end - start))
+    normal = from_components(y, -x)
+    sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
+    pixel = view.pixel_size(point)
+    # Far from the origin points are known to rounding only.
+    rounding = 4 * jnp.finfo(point.dtype).eps * jnp.abs(ends).max((-1, -2))
+    step = jnp.maximum(1e-5 * max(film.width, film.height), rounding / pixel)
+    origin, direction = view.rays(film_point + sides * scale(normal, step))
+    origin = jnp.broadcast_to(origin, direction.shape)
+    begin, reach = view.clipped(origin, direction)
+    rays = direction.reshape(-1, 3)
+    hit = intersect(packed, begin.reshape(-1, 3), rays, jnp.ones(2 * count, bool), settings.rays, reach.reshape(-1))
+    first = on_fixed_ray(packed, origin.reshape(-1, 3), rays, hit.face, hit.barycentric)
+    first = jax.tree.map(lambda x: x.reshape(2, count, *x.shape[1:]), first)
+    distance = jnp.where(first.valid, norm(first.position - origin), jnp.inf)
+    edge_distance = norm(point - origin)
+    tolerance = 1e-5 * edge_distance + 50 * step * pixel
+    near = jnp.abs(distance - edge_distance) <= tolerance
+    neighbours = packed.edges.faces[edge]
+    at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
+    at_edge = near | at_neighbour
+
+    # Which sides the faces are on.
+    across = cross(p1 - p0, view.towards(point))
+    beside = origin + scale(direction, edge_distance)
+    across = scale(across, jnp.sign(dot(across, beside[0] - beside[1])))
+    opposite = packed.edges.opposite[edge]
+    height = dot(packed.vertices[opposite] - point[:, None], across[:, None])
+    length = norm(across)
+    # Faces without area are on neither side.
+    flat = jnp.abs(height) <= (rounding * length)[:, None]
+    height = jnp.where((neighbours >= 0) & ~flat, height, 0.0)
+    on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
+    # Where a face is thinner than the step, both rays of both of its edges end beyond it, and each would count all that
+    # jumps there.
+    thin = (jnp.abs(height) <= 2 * (step * pixel * length)[:, None]) & (neighbours >= 0)
+    once = jnp.maximum(1.0 - 0.5 * thin.sum(-1), 0.0)
+    weight = jnp.where(at_edge.all(0), once * weight, weight)
+    # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
+    # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
+    around = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
+    surface = at_edge | ((packed.faces[first.face][..., None] == around[:, None]).any((-1, -2)) & first.valid)
+    clear = distance >= edge_distance - tolerance
+    outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
+    outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
+    return EdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)

@@ -1,0 +1,364 @@
+"""Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.guided_edges.beam import Detected, detect, image, moves
+from jaxdr.boundary.guided_edges.boundary_segments import (
+    BoundaryEnds,
+    BoundarySegments,
+    DirectionSampling,
+    EmitterSampling,
+    Strategy,
+    segment_ends,
+)
+from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
+from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
+from jaxdr.boundary.guided_edges.flux_maps import flux_maps
+from jaxdr.boundary.guided_edges.guide_target import segment_target
+from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
+from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
+from jaxdr.boundary.guided_edges.projected_paths import project_paths
+from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
+from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.shared.term import Chunk, Context, stream_of
+from jaxdr.geometry.vector import scale
+from jaxdr.scene.bsdf.base import spreads_through
+from jaxdr.scene.camera import Perspective
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
+from jaxdr.transport.emission import emitted, has_emitters
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Answers, Requests, joined, request
+from jaxdr.transport.sampler import lattice, path_numbers
+
+
+class Plan(NamedTuple):
+    """How segments are drawn by one strategy, and which of the light they carry counts.
+
+    `emission` of what they end on, `gathered`: light that it scatters. Static.
+    """
+
+    strategy: Strategy
+    emission: bool
+    gathered: bool
+
+
+class GuidedEdgesState(NamedTuple):
+    """What all chunks of an image share: the edges, which shapes move, a guide for every plan, `order` where sorted."""
+
+    lunes: EdgeLunes
+    moving: Bool[Array, " S"]
+    guides: tuple[Defended, ...]
+    order: EdgeOrder | None = None
+
+
+class _Row(NamedTuple):
+    """Segments in slots as the camera sees them, see `Detected`, the slots first; detached.
+
+    `sent`: emission of the source over its density; `inverse`: one over the density for what the source scatters.
+    """
+
+    segments: BoundarySegments
+    ends: BoundaryEnds
+    value: Float[Array, "n B 3"]
+    film_point: Float[Array, "n B 2"]
+    lens: Float[Array, "n 2"] | None
+    sent: Float[Array, "n 3"]
+    inverse: Float[Array, " n"]
+
+
+class _Drawn(NamedTuple):
+    """What one strategy drew; the first `used` slots are filled."""
+
+    rows: _Row
+    used: Int[Array, ""]
+
+
+class GuidedEdges(eqx.Module):
+    """Boundary term from segments that are drawn on edges. All fields are static.
+
+    It is unbiased, whatever the guide. Contributions are splatted onto the film.
+
+    - `guide`: where segments are drawn. "none"; "grid", a regular one over edges and directions (Zhang et al. 2020);
+      "kdtree", trees with trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected
+      to silhouettes (Zhang et al. 2023), for small emitters. It is built once for every image. A tenth of the segments
+      or more is drawn without it.
+    - `sampling`: "emitter" draws segments for what emitters send towards them, and the rest by direction. "direction"
+      draws all by direction. "mis" finds the emitters' light by both (Yan et al. 2022, 4.2).
+    - `samples`: segments per path sample and strategy.
+    - `cells`: of a grid, along the edges and along both numbers of the direction.
+    - `leaves`: of all kd-trees of a strategy, about. A projective guide has a quarter, as a power of two.
+    - `guide_samples`: evaluations in every cell of a grid, node of a kd-tree, or leaf of a projective guide.
+    - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
+    - `sort`: put the edges into long chains (Yan et al. 2022, 4.3), so that a guide meets fewer jumps along them.
+
+    Raises ValueError for options out of range.
+    """
+
+    guide: Literal["none", "grid", "kdtree", "projective"] = eqx.field(static=True, default="none")
+    sampling: Literal["emitter", "direction", "mis"] = eqx.field(static=True, default="mis")
+    samples: float = eqx.field(static=True, default=1.0)
+    cells: tuple[int, int, int] = eqx.field(static=True, default=(1024, 8, 8))
+    leaves: int = eqx.field(static=True, default=4096)
+    guide_samples: int | None = eqx.field(static=True, default=None)
+    threshold: float = eqx.field(static=True, default=0.1)
+    sort: bool = eqx.field(static=True, default=False)
+
+    name = "boundary"
+
+    def __check_init__(self):
+        guides = "none", "grid", "kdtree", "projective"
+        for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", guides)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"GuidedEdges: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
+        if not (self.samples > 0 and self.threshold > 0):
+            raise ValueError("GuidedEdges: samples and threshold must be positive")
+        if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
+            raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
+
+    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[Plan, ...]:
+        """The strategies that this scene needs at this depth."""
+        indirect = settings.max_depth > 2
+        glows = packed.has_area_emitters or packed.environment is not None
+        plans = []
+        if glows and self.sampling != "direction":
+            plans.append(Plan(EmitterSampling, True, False))
+        by_direction = glows and self.sampling != "emitter"
+        if by_direction or indirect:
+            plans.append(Plan(DirectionSampling, by_direction, indirect))
+        return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
+
+    def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
+        """Edges and guides. Raises ValueError for what no segment covers, and for what has not been verified yet."""
+        del key  # all images of the same scene have the same guide
+        return self.build(context.packed, context.moving.seen, context.settings)
+
+    def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
+        """The same for shapes that can move. Raises ValueError as `prepare`."""
+        _check(packed)
+        detached = jax.tree.map(stop_gradient, packed)
+        lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
+        if self.sort:
+            order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
+            lunes = edge_lunes(packed, moving, order)
+        # A key of its own, whatever the image's.
+        key_maps, *keys = jax.random.split(jax.random.key(0), 3)
+        lines = None
+        if self.guide == "projective":
+            key_paths = jax.random.fold_in(key_maps, 1)
+            lines = project_paths(detached, lunes, SEEDS * self._powers, key_paths, settings.rays)
+        target = self._targets(detached, lunes, flags, key_maps, settings)
+
+        def guide(plan: Plan, key) -> Defended:
+            seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
+            return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
+
+        guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
+        return GuidedEdgesState(lunes, flags, guides, order)
+
+    def _targets(
+        self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
+    ) -> Callable[[Plan, PRNGKeyArray], Target]:
+        """What guides of every plan are made for."""
+        maps = flux_maps(detached, key, settings) if self.guide != "none" and settings.max_depth > 2 else None
+
+        def target(plan: Plan, key: PRNGKeyArray) -> Target:
+            options = plan.strategy, plan.emission, plan.gathered
+            return lambda primary: segment_target(detached, lunes, moving, maps, *options, primary, key, settings)
+
+        return target
+
+    def refit(
+        self,
+        packed: PackedScene,
+        moving: tuple[bool, ...],
+        settings: PathSettings,
+        guides: tuple[Defended, ...],
+        order: EdgeOrder | None,
+        key: PRNGKeyArray,
+    ) -> tuple[Defended, ...]:
+        """Guides with the boxes that they have and densities after the scene as it is. Raises as `prepare_with`."""
+        plans = self._plans_of(packed, settings, guides)
+        detached = jax.tree.map(stop_gradient, packed)
+        key_maps, *keys = jax.random.split(key, 3)
+        target = self._targets(detached, edge_lunes(packed, moving, order), jnp.asarray(moving), key_maps, settings)
+
+        def refitted(plan: Plan, old: Defended, key) -> Defended:
+            new = old.guide.refitted(target(plan, key), self._evaluations, key)
+            return self._defended(new, target(plan, key), packed, key)
+
+        return tuple(refitted(*row) for row in zip(plans, guides, keys, strict=False))
+
+    def prepare_with(
+        self,
+        packed: PackedScene,
+        moving: tuple[bool, ...],
+        settings: PathSettings,
+        guides: tuple[Defended, ...],
+        order: EdgeOrder | None,
+    ) -> GuidedEdgesState:
+        """`build` with guides that were built for another position of the same meshes.
+
+        Raises ValueError as `build` does, and for another number of strategies than there are guides.
+        """
+        self._plans_of(packed, settings, guides)
+        return GuidedEdgesState(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
+
+    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[Plan, ...]:
+        """The plans that guides were built for; raises ValueError where they weren't."""
+        _check(packed)
+        plans = self.plans(packed, settings)
+        if len(plans) != len(guides):
+            raise ValueError(
+                f"render: guides were built for {len(guides)} strategies, and this scene at max_depth="
+                f"{settings.max_depth} needs {len(plans)}; build them for it with build_guides"
+            )
+        return plans
+
+    @property
+    def _evaluations(self) -> int:
+        """Of the target, for every box."""
+        return self.guide_samples or {"none": 0, "grid": 4, "kdtree": 32, "projective": 16}[self.guide]
+
+    @property
+    def _powers(self) -> int:
+        """Leaves of a projective guide."""
+        return 1 << max(1, self.leaves.bit_length() - 3)
+
+    def _defended(self, guide: Guide, target: Target, packed: PackedScene, key) -> Defended:
+        dtype = packed.vertices.dtype
+        if self.guide == "none":
+            return Defended(guide, jnp.asarray(1.0, dtype))
+        return defended(guide, target, jax.random.fold_in(key, 1), dtype)
+
+    def _guide(
+        self,
+        target: Target,
+        lunes: EdgeLunes,
+        seeds: tuple[Float[Array, "n 3"], Bool[Array, " n"]] | None,
+        key: PRNGKeyArray,
+    ) -> Guide:
+        """The guide of one strategy; `seeds` are primary numbers of projected paths, and which of them are usable."""
+        if self.guide == "grid":
+            return build_grid(target, self.cells, self._evaluations, key)
+        if self.guide == "kdtree":
+            borders = root_borders(lunes.cdf, max(1, self.leaves // 4))
+            return build_kdtree(target, borders, self.leaves, self._evaluations, self.threshold)
+        if seeds is not None:
+            edges = lunes.edge.shape[0]
+            return build_seeded_tree(target, *seeds, edges, self._powers, self._evaluations, key)
+        return Unguided()
+
+    def draw(
+        self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray
+    ) -> tuple[Requests | None, list["_Drawn"]]:
+        """Segments of all strategies, and requests for what their sources scatter."""
+        count, drawn, asked = max(1, round(chunk.paths * self.samples)), [], []
+        for number in range(len(self.plans(context.packed, context.settings))):
+            requests, found = self._draw(context, state, number, count, jax.random.fold_in(key, number))
+            asked += requests
+            drawn.append(found)
+        return joined(asked) if asked else None, drawn
+
+    def image(
+        self, context: Context, state: GuidedEdgesState, chunk: Chunk, held: list["_Drawn"], answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
+        """Boundary term, an estimate of the whole film by itself: zero in value, right in derivative."""
+        packed, settings = context.packed, context.settings
+        _, _, width, height = packed.camera.film.window
+        total, bounces = jnp.zeros((height, width, 3), packed.vertices.dtype), settings.max_depth - 1
+        plans = self.plans(packed, settings)
+        for plan, drawn in zip(plans, held, strict=True):
+            gathered = None
+            if plan.gathered and answers is not None:
+                gathered = answers.total.reshape(bounces - 1, -1, 3).swapaxes(0, 1)
+
+            def values(block, number, drawn=drawn):
+                block, gathered = block
+                radiance = jnp.broadcast_to(block.sent[:, None], block.value.shape)
+                if gathered is not None:
+                    radiance = radiance.at[:, :-1].add(gathered * block.inverse[:, None, None])
+                radiance = jnp.where((number < drawn.used)[:, None, None], radiance, 0.0)
+                seen = Detected(block.value.swapaxes(0, 1), block.film_point.swapaxes(0, 1), block.lens)
+                parts = block.segments, block.ends, seen, radiance.swapaxes(0, 1)
+                return image(packed, state.lunes, *parts, context.form)
+
+            total += sum_over_blocks(values, (drawn.rows, gathered), drawn.used)
+        return chunk.share * total
+
+    def _draw(
+        self, context: Context, prepared: GuidedEdgesState, number: int, count: int, key
+    ) -> tuple[list[Requests], "_Drawn"]:
+        """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
+        packed, settings, lunes = context.packed, context.settings, prepared.lunes
+        plans = self.plans(packed, settings)
+        plan, guide = plans[number], prepared.guides[number]
+        key_segments, key_detector, key_source = jax.random.split(key, 3)
+        # Of a lattice in four dimensions: the one in three leaves gaps that shadows fit in.
+        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[0, :, :3]
+        primary = guide.sample(u)
+        # Most lines towards emitters pass no edge as a silhouette: the others are gathered in front.
+        drawn = plan.strategy.segments(packed, lunes, primary)
+        used = drawn.silhouette.sum()
+        slots = rows_where(drawn.silhouette, count)
+
+        def rows(slot, place):
+            active = place < used
+            segments = plan.strategy.segments(packed, lunes, primary[slot])
+            ends = segment_ends(packed, segments, active, settings.rays)
+            ends = ends._replace(valid=ends.valid & moves(packed, prepared.moving, lunes, segments, ends))
+            pdf = []
+            for p, g in zip(plans, prepared.guides, strict=True):
+                own = p.strategy is plan.strategy
+                u = primary[slot] if own else p.strategy.numbers(packed, lunes, segments, ends)
+                pdf.append(p.strategy.density(packed, lunes, segments, ends) * g.pdf(u, count))
+            seen = detect(packed, segments, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
+            value, share = seen.value.swapaxes(0, 1), lunes.share[segments.point.row]
+            lit = (value != 0).any(-1)
+            sent, asked = jnp.zeros_like(segments.towards), []
+            if plan.emission:
+                density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
+                sent = emitted(packed, ends.source, -segments.towards)
+                sent = jnp.where(lit.any(-1)[:, None], scale(sent, share / _nonzero(density)), 0.0)
+            if plan.gathered:
+                # Not of the lattice that segments come from: its rows would differ from theirs by a shift alone.
+                numbers = path_numbers(key_source, slot, 0, value.dtype)
+                stream = stream_of(self.name) + slot.astype(jnp.uint32)
+                for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
+                    bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
+                    asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
+            inverse = share / _nonzero(pdf[number])
+            row = _Row(segments, ends, value, seen.film_point.swapaxes(0, 1), seen.lens, sent, inverse)
+            return asked, row
+
+        asked, found = map_over_blocks(rows, slots, used)
+        return asked, _Drawn(found, used)
+
+
+def _nonzero(x) -> Any:
+    return jnp.where(x > 0, x, 1.0)
+
+
+def _check(packed: PackedScene) -> None:
+    """Raises ValueError for what no segment covers, and for what has not been verified yet."""
+    what = None
+    if packed.has_delta_lobes:
+        what = "no visibility changes over mirrors and smooth glass"
+    elif packed.normals is not None:
+        what = "no horizons of surfaces with interpolated normals"
+    elif any(spreads_through(group.bsdf) for group in packed.bsdfs):
+        what = "nothing that is seen through rough glass"
+    elif not isinstance(packed.camera, Perspective):
+        what = f"no {type(packed.camera).__name__} camera, only Perspective"
+    if what is not None:
+        raise ValueError(
+            f"render: GuidedEdges covers {what}; take KernelDensity or LineSampling, or boundary=None for the interior "
+            "term alone"
+        )

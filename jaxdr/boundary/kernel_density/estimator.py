@@ -1,0 +1,418 @@
+"""Kernel-density estimation of boundary path integrals (Xu et al. 2026).
+
+A path segment that passes close to a silhouette, seen from its camera-side end, stands for the boundary segments
+there: its contribution is spread over a strip (or disc) of radius r around the projected silhouette.
+"""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.kernel_density.lobe_kernel import lobe_edges
+from jaxdr.boundary.kernel_density.moving_edges import MovingEdges, apart_candidates, moving_edges
+from jaxdr.boundary.kernel_density.plain_kernel import near_points, share_of_disc, shrinking_radii
+from jaxdr.boundary.shared.background import BehindEdges, sum_behind
+from jaxdr.boundary.shared.blocks import sum_over_blocks
+from jaxdr.boundary.shared.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
+from jaxdr.boundary.shared.on_planes import OnPlanes, sum_on_planes
+from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
+from jaxdr.boundary.shared.projection import (
+    Projection,
+    affine_coordinates,
+    affine_rates,
+    displacement,
+    never_silhouettes,
+    past_edge,
+    project_edges,
+)
+from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.geometry import queries
+from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.bidirectional import Drawn
+from jaxdr.transport.compaction import rows_where
+from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
+from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.radiance import Answers, Requests
+from jaxdr.transport.sampler import seed_of
+
+
+class KernelDensityState(NamedTuple):
+    """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges.
+
+    `group` numbers the emitters' planes; None where the radiance of no emitter varies. `moving`: the edges that move,
+    for segments that stand still; None where all edges do.
+    """
+
+    radius: Float[Array, " E"]
+    tree: EdgeTree
+    group: Int[Array, " F"] | None = None
+    moving: MovingEdges | None = None
+
+
+class BoundaryPoints(NamedTuple):
+    """Points of boundaries near targets, by `segment`; only `valid` ones count.
+
+    `goal` is where the contribution is evaluated, `share` the density of the kernel there (per area of the plane at the
+    target, times length of boundary). `ends` and `projection` are differentiable as they say, `apex` is detached.
+    """
+
+    segment: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    apex: SurfacePoint
+    ends: SegmentEnds
+    projection: Projection
+    goal: Float[Array, "C 3"]
+    share: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+    used: Int[Array, ""]
+
+
+class _Held(NamedTuple):
+    """Boundary points near segments of both kinds, with how many slots are filled, and those with a background."""
+
+    direct: tuple[OnPlanes, Int[Array, ""]] | None
+    scattered: tuple[OnPlanes, Int[Array, ""]] | None
+    behind: BehindEdges | None
+
+
+class KernelDensity(eqx.Module):
+    """Boundary term by kernel density (Xu et al. 2026, Eq. 15-20). All fields are static.
+
+    Path segments that pass close to a silhouette are samples of the boundary integral.
+
+    - `radius`: kernel radius, relative to the bounding-box diagonal of the shape whose edge it is.
+    - `kernel`: "edge" integrates the kernel along the projected edge exactly. "point" is the paper's: `points` points
+      drawn uniformly on all edges, with a disc around each projection (Eq. 16, 19).
+    - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21. Their average
+      is Eq. 22.
+    - `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
+      random without bias, with a warning.
+
+    Where this differs from the paper, each difference has a switch. Values in brackets are the paper's; all of them
+    together are `jaxdr.boundary.kernel_density.plain_kernel.PLAIN`.
+
+    - `widest` (0): the radius is measured at the edge, and magnified by the projection to the far end, up to this share
+      of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely
+      met: ten times the variance on a mesh that shadows itself.
+    - `concave_edges` (True): count concave edges of closed one-sided shapes, which never bound what is visible.
+    - `visibility_ray` (False): drop silhouettes that are hidden, by one ray that passes just beside the edge.
+    - `at_boundary` (False): evaluate BSDF, geometric term and radiance on the boundary, not at the path's own vertex.
+      That vertex is off to one side by r/2 on average: a bias of first order in r.
+    - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides. Corners
+      of the boundary then cause no bias, and half the variance is gone.
+    - `clip_to_face` (False): the strip ends at the outline of an emitter of few faces, and of any face larger than the
+      kernel. It is normalised by the width that is left.
+    - `trace_background` (False): a ray past the edge finds what lies behind silhouettes near BSDF-sampled directions,
+      and a path from there finds its radiance. The kernel is then one over directions, of radius `radius` at the edge
+      and at most 45 degrees.
+    - `iterations` (4): with `kernel="edge"` and all of the above only light from emitters of many small faces is
+      biased, so nothing has to shrink.
+
+    Direct light is weighted by emitter sampling alone, without MIS. With a `BidirectionalPathTracer` every strategy
+    counts with its weight. Kernels then lie on the visible side, whatever `both_sides` and `trace_background` say:
+    corners below 180 degrees, and curved targets, cause a bias of first order in r.
+
+    Raises ValueError for options out of range.
+    """
+
+    radius: float = eqx.field(static=True, default=0.02)
+    kernel: Literal["edge", "point"] = eqx.field(static=True, default="edge")
+    alpha: float = eqx.field(static=True, default=0.3)
+    iterations: int = eqx.field(static=True, default=1)
+    widest: float = eqx.field(static=True, default=0.1)
+    concave_edges: bool = eqx.field(static=True, default=False)
+    visibility_ray: bool = eqx.field(static=True, default=True)
+    at_boundary: bool = eqx.field(static=True, default=True)
+    both_sides: bool = eqx.field(static=True, default=True)
+    clip_to_face: bool = eqx.field(static=True, default=True)
+    trace_background: bool = eqx.field(static=True, default=True)
+    points: int = eqx.field(static=True, default=1 << 16)
+    capacity: float = eqx.field(static=True, default=0.25)
+
+    name = "boundary"
+
+    def __check_init__(self):
+        if not self.radius > 0:
+            raise ValueError(f"KernelDensity: radius must be positive (share of the shape's size), got {self.radius}")
+        if self.kernel not in ("edge", "point"):
+            raise ValueError(f"KernelDensity: kernel must be 'edge' or 'point', got {self.kernel!r}")
+        if not 0 < self.alpha < 1:
+            raise ValueError(f"KernelDensity: alpha must lie between 0 and 1 (Eq. 21), got {self.alpha}")
+        if not self.widest >= 0:
+            raise ValueError(f"KernelDensity: widest must not be negative, got {self.widest}")
+        for name in ("iterations", "points"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"KernelDensity: {name} must be at least 1, got {getattr(self, name)}")
+        if not self.capacity > 0:
+            raise ValueError(f"KernelDensity: capacity must be positive, got {self.capacity}")
+
+    def radius_schedule(self) -> list[float]:
+        """Radius of every iteration relative to the first (Eq. 21)."""
+        return shrinking_radii(self.alpha, self.iterations)
+
+    def prepare(self, context: Context, key: PRNGKeyArray) -> KernelDensityState:
+        """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges."""
+        del key
+        packed, moving, settings = context.packed, context.moving.seen, context.settings
+        radius = self.radius * packed.shape_sizes()[packed.edges.shape]
+        if not self.concave_edges:
+            radius = jnp.where(never_silhouettes(packed), 0.0, radius)
+        edges = queries.EdgeSet.of(packed.edges, radius)
+        tree = queries.edge_tree(packed.geometry, edges, packed.edge_counts, settings.rays)
+        group = emitter_groups(packed) if packed.glow else None
+        # Every edge may bound what moving surfaces see, only moving ones what still surfaces see of still ones.
+        apart = self.kernel == "edge" and any(moving) and not all(moving)
+        return KernelDensityState(
+            radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None
+        )
+
+    def draw(
+        self, context: Context, state: KernelDensityState, chunk: Chunk, key: PRNGKeyArray
+    ) -> tuple[Requests | None, "_Held"]:
+        """Boundary points near segments, and requests for the radiance behind those near BSDF-sampled directions."""
+        packed, settings, record, shrunk = context.packed, context.settings, chunk.record, self._scale(chunk)
+        key_direct, key_scattered = jax.random.split(key)
+        asked = direct = scattered = behind = None
+        if record.direct is not None:
+            paths = path_segments(packed, chunk, "direct", differentiated=False)
+            direct = self._near(packed, state, paths, shrunk, self.both_sides, key_direct, settings)
+        if record.scattered is not None:
+            paths = path_segments(packed, chunk, "scattered", differentiated=False)
+            if self.trace_background:
+                capacity = self._capacity(paths.count)
+                tables = state.tree, state.radius, paths, shrunk, capacity
+                asked, behind = lobe_edges(packed, *tables, key_scattered, settings)
+            else:
+                scattered = self._near(packed, state, paths, shrunk, False, key_scattered, settings)
+        return asked, _Held(direct, scattered, behind)
+
+    def image(
+        self, context: Context, state: KernelDensityState, chunk: Chunk, held: "_Held", answers: Answers | None
+    ) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        packed, total = context.packed, jnp.zeros_like(chunk.record.radiance)
+        if held.direct is not None:
+            total += sum_on_planes(packed, path_segments(packed, chunk, "direct"), *held.direct)
+        if held.scattered is not None:
+            total += sum_on_planes(packed, path_segments(packed, chunk, "scattered"), *held.scattered)
+        if held.behind is not None and answers is not None:
+            total += sum_behind(packed, path_segments(packed, chunk, "scattered"), held.behind, answers.total)
+        return chunk.image(packed, total)
+
+    def _scale(self, chunk: Chunk) -> Float[Array, " N"]:
+        """Radii of the samples' iterations, relative to the first."""
+        schedule = jnp.asarray(self.radius_schedule(), chunk.weight.dtype)
+        return jnp.tile(schedule[chunk.samples % self.iterations], chunk.paths // chunk.samples.shape[0])
+
+    def _near(self, packed, prepared, paths: PathSegments, shrunk, both_sides, key, settings):
+        """(boundary points near one kind of segments, how many slots are filled); detached."""
+        lit = (paths.table.weight != 0).any(-1)
+        # Black where a path meets them, a map or a textured emitter may glow at the boundary.
+        sky = paths.table.unlit is not None and packed.has_varying_sky
+        glow = prepared.group if paths.table.unlit is not None and self.at_boundary else None
+        if paths.table.unlit is not None:
+            may_glow = (paths.table.unlit != 0).any(-1)
+            if sky:
+                lit = jnp.where(paths.table.infinite, may_glow, lit)
+            if glow is not None:
+                lit = jnp.where(paths.table.infinite, lit, may_glow)
+        lit = lit & (both_sides | paths.table.visible)
+        shrunk = jnp.where(lit, jnp.tile(shrunk, paths.count // paths.paths), 0.0)
+        found = self._boundary_points(packed, prepared, paths, shrunk, both_sides, sky, key, settings.rays)
+        segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
+        radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
+        transfer = paths.transfer(segment, ends, goal, paths.scatterer(segment, found.apex))
+        weight = paths.weight(segment, goal, radiance) * transfer
+        weight = jnp.where(found.valid[:, None], scale(weight, found.share), 0.0)
+        table = paths.table
+        target = table.target_face[segment], table.target_barycentric[segment]
+        far = table.infinite[segment], table.direction[segment]
+        return OnPlanes(segment, found.edge, projection, *target, *far, weight), found.used
+
+    def _boundary_points(
+        self, packed, prepared, paths: PathSegments, shrunk, both_sides: bool, sky: bool, key, rays, there=False
+    ) -> BoundaryPoints:
+        """Boundary points within the kernel's radius of the segments' targets; those of no radius (`shrunk`) have none.
+
+        The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
+        """
+        ends = paths.fixed.ends(jnp.arange(paths.count))
+        span = norm(ends.target - ends.apex)
+        widest = self.widest * span
+        if there:  # longer by a radius at most
+            widest = widest / max(1.0 - self.widest, 0.5)
+        still = None if prepared.moving is None else paths.stand_still(prepared.moving.shapes)
+        pairs, edge, along, density = self._pairs(packed, prepared, ends, shrunk, widest, still, both_sides, key, rays)
+
+        valid = pairs.segment >= 0
+        used, segment = valid.sum(), jnp.where(valid, pairs.segment, 0)
+        ends = paths.ends(segment)
+        apex, projection = paths.fixed.apex(segment), project_edges(packed, edge, ends, along)
+        r = prepared.radius[edge] * shrunk[segment]
+        magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+        limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
+        r = jnp.maximum(r, jnp.minimum(magnified, limit))
+        r = jnp.where(valid, r, 1.0)
+        if there:
+            valid = valid & (norm(projection.point - stop_gradient(ends.target)) < r)
+
+        goal = projection.point if self.at_boundary else stop_gradient(ends.target)
+        if sky and self.at_boundary:
+            # No wider than details of the map: its radiance at the boundary over the density at the sample is bounded.
+            extent = packed.environment_sampler.extent(paths.direction(segment, goal)) * paths.distance_to_infinity
+            r = jnp.where(ends.infinite, jnp.minimum(r, extent), r)
+            valid = valid & (~ends.infinite | (norm(goal - stop_gradient(ends.target)) < r))
+        whole_face = jnp.zeros_like(valid)
+        if self.kernel == "edge":
+            width = 2 * r if both_sides else r
+            if self.clip_to_face:
+                width, whole_face, on_face = _strip_in_face(packed, ends, projection, r, both_sides)
+                valid = valid & on_face
+            share = 1.0 / jnp.where(valid, width, 1.0)
+        else:
+            assert density is not None  # there where the kernel is one of points
+            share = share_of_disc(density, projection.stretch, r, both_sides)
+        if self.visibility_ray:
+            valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
+        share = packed.edges.shared(edge, share * pairs.weight)
+        return BoundaryPoints(segment, edge, apex, ends, projection, goal, share, valid, used)
+
+    def estimate_connected(
+        self,
+        packed: PackedScene,
+        prepared: KernelDensityState,
+        primary: PrimarySamples,
+        drawn: Drawn,
+        weight: Float[Array, "C N"],
+        sample_index: Int[Array, " N"],
+        key: PRNGKeyArray,
+        rays: str,
+    ) -> Float[Array, "C N 3"]:
+        """Boundary terms of the paths of all strategies: zero in value, right in derivative.
+
+        `weight` is that of the strategies, zero where a path carries nothing. A path with a target close to a boundary
+        stands for the one with that vertex on the boundary and all else as it is. Kernels lie on the visible side.
+        """
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
+        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        lit = (used[:, :, None] & (weight > 0)).any(1)
+        shrunk = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
+        shrunk = jnp.where(lit, shrunk, 0.0).reshape(-1)
+        found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
+        slots, count = rows_where(found.valid), found.valid.sum()
+        moved = displacement(packed, found.edge, found.ends, found.projection)
+        moved = moved - stop_gradient(moved)
+        counts = jnp.asarray(used, weight.dtype)
+
+        def values(slot, number):
+            ends, goal = jax.tree.map(lambda a: a[slot], (found.ends, found.goal))
+            segment = found.segment[slot]
+            path, layer = paths.path(segment), segment // paths.paths
+            filled = number < count
+            offset = jnp.where(filled[:, None], stop_gradient(goal - ends.target), 0.0)
+            shift = jnp.zeros((used.shape[0], *offset.shape), offset.dtype)
+            shift = shift.at[layer, jnp.arange(slot.shape[0])].set(offset)
+            value = moved_contributions(fixed, rows_of(drawn, path), shift)
+            # Per area of the plane at the target: of the environment, drawn per solid angle, by its cosine's cube.
+            cosine = dot(stop_gradient(ends.normal), normalize(stop_gradient(goal - ends.apex)))
+            share = found.share[slot] * jnp.where(ends.infinite, cosine**3, 1.0)
+            value = jnp.where(filled[:, None], value * (counts[layer].T * weight[:, path] * share)[..., None], 0.0)
+            value = scale(stop_gradient(value), moved[slot])
+            return jnp.zeros((*weight.shape, 3), value.dtype).at[:, path].add(value)
+
+        return sum_over_blocks(values, slots, count)
+
+    def _capacity(self, segments: int) -> int:
+        return min(max(4096, round(self.capacity * segments)), 1 << 24)
+
+    def _pairs(self, packed, prepared, ends: SegmentEnds, shrunk, widest, still, both_sides, key, rays: str):
+        """(candidates, edge, fraction along the edge or None, length of edges per point or None).
+
+        Segments that stand `still` only have moving edges near them.
+        """
+        capacity = self._capacity(shrunk.shape[0])
+        key_points, key_seed = jax.random.split(key)
+        seed = seed_of(key_seed)
+        radius = prepared.radius
+        every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
+        strips = queries.StripQuery(ends.apex, ends.target, ends.normal, shrunk, widest)
+        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
+        if self.kernel == "edge":
+            if still is None:
+                pairs = queries.edge_candidates(packed.geometry, every, strips, seed, **options)
+            else:
+                pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
+            return pairs, pairs.element, None, None
+        return near_points(packed, every, radius, self.points, strips, key_points, seed, options)
+
+
+def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:
+    """Radiance of the emitters at boundary points; beyond the small faces of a large emitter that of their borders."""
+    detached = jax.tree.map(stop_gradient, packed)
+    face, barycentric, _ = emitter_face_at(detached, group, ends.face, projection.point)
+    barycentric = jnp.maximum(barycentric, 0.0)
+    barycentric = barycentric / barycentric.sum(-1, keepdims=True)
+    return detached.surface_radiance(face, barycentric)
+
+
+def _inradius(triangles) -> Float[Array, " C"]:
+    """Radius of the circle inscribed in triangles."""
+    a, b, c = corners(triangles)
+    return norm(triangle_normals(triangles)) / (norm(b - a) + norm(c - b) + norm(a - c))
+
+
+def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection, r, both_sides: bool):
+    """(width of the kernel's strip across a boundary point, whether it was cut to the face, whether the point counts).
+
+    Strips are cut to the emitter where that has few faces, else to the target's face where that is larger than the
+    kernel; smaller faces are parts of one surface, and the strip goes on over their plane.
+    """
+    low, high = -r, r if both_sides else jnp.zeros_like(r)
+    target, normal = stop_gradient((ends.corners, ends.normal))
+    width, inside = _overlap(projection.barycentric, affine_rates(target, projection.normal), low, high)
+    large = _inradius(target) > r
+    if few_emitter_faces(packed):
+        on_emitter = (ends.face[:, None] == packed.emitter_faces).any(-1)
+        triangles = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
+        same_shape = packed.face_shape[packed.emitter_faces] == packed.face_shape[ends.face][:, None]
+        height = jnp.abs(dot(triangles[None] - projection.point[:, None, None], normal[:, None, None]))
+        first, second, _ = corners(triangles)
+        coplanar = same_shape & (height.max(-1) <= 1e-4 * norm(second - first))
+        barycentric = affine_coordinates(triangles, projection.point[:, None])
+        rate = affine_rates(triangles, projection.normal[:, None])
+        widths, insides = _overlap(barycentric, rate, low[:, None], high[:, None])
+        width = jnp.where(on_emitter, jnp.where(coplanar, widths, 0.0).sum(-1), width)
+        inside = jnp.where(on_emitter, (coplanar & insides).any(-1), inside)
+        large = large | on_emitter
+    large = large & ~ends.infinite
+    return jnp.where(large, width, high - low), large, (inside & (width > 0)) | ~large
+
+
+def _overlap(barycentric, rate, low, high):
+    """(length of the line's parameter range [low, high] inside triangles, whether its origin is)."""
+    start, end = part_inside(barycentric, rate, low, high)
+    return end - start, (barycentric > 0).all(-1)
+
+
+def _sees_past_edge(
+    packed, apex: SurfacePoint, projection: Projection, r, whole_face, valid, rays: str
+) -> Bool[Array, " C"]:
+    """Whether the (detached) apex sees past the edge to the target's plane, along a ray just beside the edge."""
+    fraction = projection.fraction
+    past = past_edge(projection.edge_point, apex.position, projection.normal)
+    start = leave(apex, past - apex.position)
+    # Through `past` whatever the offset of the start.
+    reach = scale(past - start, 1.0 / jnp.where(fraction > 0, fraction, 1.0))
+    # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
+    # that the target, less than a radius away, can be seen.
+    short = r / jnp.maximum(norm(reach), r)
+    stop = jnp.where(whole_face, 1.0 - 1e-4, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
+    stop = jnp.where(valid, stop, 0.0)
+    return ~queries.occluded(packed.geometry, queries.Rays(start, reach, stop), rays)

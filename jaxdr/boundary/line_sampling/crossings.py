@@ -1,0 +1,150 @@
+"""Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.line_sampling.chords import Chords, LobeChords, lobe_chords
+from jaxdr.boundary.shared.path_segments import PathSegments
+from jaxdr.geometry import queries
+from jaxdr.geometry.edge_tree import EdgeTree
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import lattice, seed_of
+from jaxdr.transport.shading import Scatterer
+
+# Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
+HIDES, BOUNDS, MOVES = 1, 2, 3
+WIDEST = 1.4  # half-length of geodesic chords, radians
+
+
+class RankedEdges(NamedTuple):
+    """Ranks of the edges, 0 for those that are left out, and the tree over them."""
+
+    rank: Float[Array, " E"]
+    tree: EdgeTree
+
+
+class LineSamplingState(NamedTuple):
+    """What all chunks of an image share.
+
+    `edges` for silhouettes. `group` numbers the emitters' planes, `moving` tells which shapes move; `count_layers`
+    (static in effect) says whether all edges are looked at for segments that only moving ones can bound.
+    """
+
+    edges: RankedEdges
+    group: Int[Array, " F"]
+    moving: Bool[Array, " S"]
+    count_layers: Bool[Array, ""]
+
+
+class Chosen(NamedTuple):
+    """M chords: the path vertices they start from (-1 for unused ones), and 1 / the expected number of chords there."""
+
+    vertex: Int[Array, " M"]
+    inverse: Float[Array, " M"]
+
+
+class Crossings(NamedTuple):
+    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used.
+
+    `share` is what counts of them where edges lie on one another, None for all.
+    """
+
+    vertex: Int[Array, " C"]
+    chord: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    valid: Bool[Array, " C"]
+    share: Float[Array, " C"] | None = None
+
+
+@runtime_checkable
+class Lines(Protocol):
+    """One kind of chords. What `search` draws, `score` gets back.
+
+    `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
+    """
+
+    traces_paths: bool
+    packed: PackedScene
+    prepared: LineSamplingState
+    paths: PathSegments
+    settings: PathSettings
+
+    def search(
+        self, chosen: Chosen, key: Any, room: int
+    ) -> tuple[Any, Crossings, Float[Array, ""], Int[Array, ""]]: ...
+
+    def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]: ...
+
+
+def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:
+    """(chords around BSDF-sampled directions, the apexes they are seen from); `reach` relative to the lobe's width."""
+    u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, lines.packed.vertices.dtype)[0]
+    scatterer = lines.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+    lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
+    return lobes, scatterer.leave_scattering(lobes.centre)
+
+
+def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
+    """Half-length of geodesic chords (radians), `reach` of the lobes' widths."""
+    return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
+
+
+def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
+    """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
+    paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
+    if paths.vertices is None:
+        return moving[shape[paths.table.apex_face[vertex]]]
+    moves = moving[shape[paths.table.apex_face]].reshape(-1, paths.paths)
+    return jax.lax.cummax(moves.astype(jnp.int32)).reshape(-1)[vertex] > 0
+
+
+def silhouette_crossings(
+    lines: Lines,
+    chosen: Chosen,
+    apex: Float[Array, "M 3"],
+    chords: Chords,
+    key,
+    room: int,
+    far_moves: bool | Bool[Array, ""] = True,
+) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
+    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number).
+
+    `far_moves`: whether what unbounded chords look for may move.
+    """
+    packed, prepared = lines.packed, lines.prepared
+    vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
+    bounded = chords.group != queries.UNBOUNDED
+    # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
+    moves = jnp.zeros(packed.faces.shape[0], jnp.int32)
+    moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
+        prepared.moving[shape].astype(jnp.int32), mode="drop"
+    )
+    end_moves = apex_moves(lines, vertex)
+    end_moves = end_moves | jnp.where(bounded, moves[jnp.maximum(chords.group, 0)] > 0, far_moves)
+    needed = jnp.where(end_moves, jnp.where(bounded, HIDES, BOUNDS), MOVES)
+    needed = jnp.where(bounded & prepared.count_layers, HIDES, needed)
+    needed = jnp.where((chosen.vertex >= 0) & chords.useful, needed, 0)
+    edges, table = prepared.edges, packed.edges
+    found = queries.sector_crossings(
+        packed.geometry,
+        queries.EdgeSet.of(table, edges.rank, edges.tree),
+        prepared.group,
+        queries.SectorQuery(apex, chords.first, chords.last, chords.centre, needed.astype(apex.dtype), chords.group),
+        seed_of(key),
+        HIDES,
+        room,
+        lines.settings.rays,
+    )
+    valid = found.chord >= 0
+    chord = jnp.where(valid, found.chord, 0)
+    crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
+    if table.share is not None:
+        # Layers change between none and some at one of the edges that lie on one another. Rays see past each of them.
+        by_rays = ~bounded | (needed > HIDES) | (lines.settings.rays == "jax")
+        crossings = crossings._replace(share=jnp.where(by_rays[chord], table.share[found.edge], 1.0))
+    return crossings, found.weight.astype(apex.dtype), valid.sum()

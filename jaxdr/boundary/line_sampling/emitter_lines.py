@@ -1,0 +1,161 @@
+"""Chords on area emitters, and their share where geodesic chords find the same light."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.line_sampling.chords import (
+    EmitterChords,
+    angle_ratio,
+    balance,
+    emitter_chords,
+    emitter_rate,
+    lobe_rate,
+)
+from jaxdr.boundary.line_sampling.crossings import (
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    lobe_reach,
+    silhouette_crossings,
+)
+from jaxdr.boundary.shared.emitter_planes import chord_inside, emitter_face_at
+from jaxdr.boundary.shared.on_planes import OnPlanes
+from jaxdr.boundary.shared.path_segments import PathSegments
+from jaxdr.boundary.shared.projection import project_edges
+from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import emitted, emitting_surface_pdf
+from jaxdr.transport.interaction import SurfacePoint, material_point
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
+
+
+class Centres(NamedTuple):
+    """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
+
+    `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n].
+
+    A crossing is a boundary point and a chord's angle there. Shares depend on both, so both kinds must mean the same by
+    the integral over the angle: each has |sin(phi - phi_l)| dphi / 2 of its own measure, and what is integrated here is
+    their mean, with weights that depend on the boundary point alone.
+    """
+
+    packed: PackedScene
+    prepared: LineSamplingState
+    paths: PathSegments
+    reach: float
+    emitters: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def weight_of_emitters(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
+    ) -> Float[Array, " C"]:
+        """What crossings of chords on emitters, in planes with the normals `plane`, weigh beside the other kind.
+
+        `scatterer` at the apexes, `pdf` of their centres, per area, and their `length`; `point` on the emitter.
+        """
+        share, both, ratio = self._shares(found, scatterer, plane, point, pdf, length)
+        return share * both / ratio
+
+    def weight_of_lobes(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint
+    ) -> Float[Array, " C"]:
+        """The same for geodesic chords; zero where `point` is on no surface."""
+        normal = stop_gradient(point.normal)
+        along = cross(plane, normal)
+        meets = (dot(along, along) > 0) & point.valid
+        along = normalize(jnp.where(meets[:, None], along, 1.0))
+        _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
+        share, both, _ = self._shares(found, scatterer, plane, point, emitting_surface_pdf(self.packed, point), length)
+        return jnp.where(meets, (1.0 - share) * both, 0.0)
+
+    def _shares(self, found: Crossings, scatterer: Scatterer, plane, point: SurfacePoint, pdf, length):
+        """(share of emitters' chords, their mean measure of angles and that of emitters', over the sphere's)."""
+        vertex, expected = found.vertex, (self.emitters.reshape(-1), self.lobes.reshape(-1))
+        emitters, lobes = (table[vertex] for table in expected)
+        position, normal = stop_gradient(point.position), stop_gradient(point.normal)
+        apex = scatterer.point.position
+        towards = normalize(position - apex)
+        rate = emitter_rate(pdf, length, apex, position, normal, plane) * emitters
+        other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
+
+        start, end = corners(stop_gradient(self.packed.vertices)[self.packed.edges.vertices[found.edge]])
+        ratio = angle_ratio(apex, position, normal, plane, end - start)
+        cosine, offset = dot(normal, towards), position - apex
+        density = pdf * dot(offset, offset) / jnp.where(cosine == 0, 1.0, jnp.abs(cosine)) * emitters
+        mixed = balance(density, scatterer.pdf(towards) * lobes)
+        return balance(rate, other), mixed * ratio + 1.0 - mixed, ratio
+
+
+class EmitterLines:
+    """Chords on area emitters, for their light."""
+
+    traces_paths = False
+
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
+        self.both: Centres | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        through, horizon = scatterer.spreads_through(), None
+        if through is not None:
+            horizon = jnp.where(through[:, None], scatterer.normal, 0.0)
+        drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u, horizon)
+        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon. It ends
+        # there where both sides do.
+        apex = scatterer.leave_scattering(stop_gradient(drawn.centre.position) - scatterer.point.position)
+        return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
+
+    def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot: luminance per motion of the edge."""
+        projection, weight, _, _ = self._boundary(drawn, found)
+        return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+
+    def on_planes(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> OnPlanes:
+        """The crossings as points on the emitters' planes, with their contributions times `weight`."""
+        projection, value, point, scatterer = self._boundary(drawn, found)
+        if self.both is not None:
+            chords = jax.tree.map(lambda table: table[found.chord], drawn.chords)
+            plane = chords.plane(scatterer.point.position)
+            pdf, length = drawn.pdf[found.chord], drawn.length[found.chord]
+            weight = weight * self.both.weight_of_emitters(found, scatterer, plane, point, pdf, length)
+        here = point.face, point.barycentric, jnp.zeros_like(found.valid), jnp.zeros_like(point.position)
+        return OnPlanes(found.vertex, found.edge, projection, *here, scale(value, weight))
+
+    def _boundary(self, drawn: EmitterChords, found: Crossings):
+        """(the crossed edges projected onto the emitter, contributions without normal velocity, the points, BSDFs)."""
+        packed, paths, group = self.packed, self.paths, self.prepared.group
+        face = drawn.centre.face[found.chord]
+        scatterer = paths.scatterer(found.vertex)
+        on_plane = _projected(self, found, scatterer.point.position, drawn.centre)
+        # The chord may have left the triangle its centre is in, whose vertices move otherwise.
+        face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
+        ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
+        projection = project_edges(packed, found.edge, ends, found.along)
+        point = material_point(paths.fixed.packed, face, barycentric, inside)
+        # The radiance there and not at the centre; none from behind.
+        radiance = emitted(paths.fixed.packed, point, stop_gradient(ends.apex) - projection.point)
+        value = paths.table.throughput[found.vertex] * radiance
+        value = scale(value, drawn.weight()[found.chord])
+        value = value * paths.transfer(found.vertex, ends, projection.point, scatterer)
+        counts = found.valid & inside & scatterer.above_horizon(projection.edge_point)
+        return projection, jnp.where(counts[:, None], value, 0.0), point, scatterer
+
+
+def _projected(lines: EmitterLines, found: Crossings, apex, centre: SurfacePoint) -> Float[Array, "C 3"]:
+    """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
+    target, normal = stop_gradient(centre.position)[found.chord], stop_gradient(centre.normal)[found.chord]
+    fixed = lines.paths.fixed.packed
+    offset = between(*corners(fixed.vertices[fixed.edges.vertices[found.edge]]), found.along) - apex
+    slope = dot(normal, offset)
+    return apex + scale(offset, dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))

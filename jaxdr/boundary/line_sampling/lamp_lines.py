@@ -1,0 +1,241 @@
+"""Geodesic chords towards emitters of many faces, for their light alone.
+
+A chord on a face of such an emitter is as short as the face, and the noise grows as chords get short. Here a cluster of
+faces is chosen first (`EmitterClusters.cut`). All directions within the cone of its bounding sphere are equally likely
+as centres, and the chord is the whole great circle inside the cone: (pi / 2) k / p of `chords` with k = 1 / length, so
+that nothing depends on where the centre is, nor on how many faces there are. A crossing counts where what is behind it
+is a face of the cluster.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float, Int
+
+from jaxdr.boundary.line_sampling.chords import Chords, balance, lobe_rate, random_across
+from jaxdr.boundary.line_sampling.crossings import (
+    WIDEST,
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    lobe_reach,
+    silhouette_crossings,
+)
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.path_segments import PathSegments
+from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
+from jaxdr.geometry.queries import UNBOUNDED
+from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale, z_of
+from jaxdr.scene.color import luminance
+from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Requests
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
+
+
+class Cone(NamedTuple):
+    """Directions from apexes to clusters' bounding spheres: unit `axis`, `sine` of the half-angle; detached.
+
+    Around apexes that are in the sphere or close to it, `wide`, it is all directions; chords have the half-length
+    `WIDEST` there.
+    """
+
+    axis: Float[Array, "M 3"]
+    sine: Float[Array, " M"]
+
+    @property
+    def wide(self):
+        return self.sine > math.sin(WIDEST)
+
+    @property
+    def height(self) -> Float[Array, " M"]:
+        """1 - the cosine of the half-angle; the solid angle is 2 pi times that."""
+        inside = jnp.minimum(self.sine, 1.0)
+        return jnp.where(self.wide, 2.0, inside**2 / (1.0 + jnp.sqrt(1.0 - inside**2)))
+
+    def half_chord(self, plane: Float[Array, "M 3"]) -> Float[Array, " M"]:
+        """Half the angle of the great circle in planes of unit normals `plane` that is inside; 0 where it misses."""
+        off2 = dot(plane, self.axis) ** 2
+        inside = jnp.minimum(self.sine, 1.0) ** 2
+        half = jnp.arctan2(jnp.sqrt(jnp.maximum(inside - off2, 0.0)), jnp.sqrt(1.0 - inside))
+        return jnp.where(self.wide, WIDEST, half)
+
+
+def cone_to(clusters: EmitterClusters, node: Int[Array, " M"], apex: Float[Array, "M 3"]) -> Cone:
+    """The cone around a cluster that an apex sees."""
+    offset = clusters.centre[node] - apex
+    distance = norm(offset)
+    away = distance > 0
+    sine = jnp.where(away, clusters.radius[node] / jnp.where(away, distance, 1.0), 2.0)
+    return Cone(normalize(jnp.where(away[:, None], offset, 1.0)), sine)
+
+
+class LampChords(NamedTuple):
+    """Chords in cones towards clusters `node`: `centre` directions with density `pdf` (solid angle), choice included.
+
+    In planes with the unit normals `plane`, from `low` <= 0 to `high` (radians) along cross(plane, centre).
+    """
+
+    node: Int[Array, " M"]
+    centre: Float[Array, "M 3"]
+    pdf: Float[Array, " M"]
+    plane: Float[Array, "M 3"]
+    low: Float[Array, " M"]
+    high: Float[Array, " M"]
+    ends: Float[Array, " M"]  # 1 where chords end with the cone, 0 where they are windows around their centre
+
+    def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
+        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
+        along = cross(self.plane, self.centre)
+
+        def at(angle):
+            return apex + scale(self.centre, far * jnp.cos(angle)) + scale(along, far * jnp.sin(angle))
+
+        before, after = -jnp.sin(self.low), jnp.sin(self.high)
+        both = before + after
+        return Chords(
+            first=at(self.low),
+            last=at(self.high),
+            centre=before / jnp.where(both > 0, both, 1.0),
+            group=jnp.full(self.pdf.shape, UNBOUNDED),
+            useful=(self.pdf > 0) & (both > 0),
+        )
+
+
+def lamp_chords(clusters: EmitterClusters, apex: Float[Array, "M 3"], u: Float[Array, "M 4"]) -> LampChords:
+    """Chords towards clusters that are chosen by what they may send to the apexes."""
+    cut = clusters.cut(apex)
+    node, _ = chosen(cut.probability, u[:, 0])
+    cone = cone_to(clusters, node, apex)
+    height = cone.height
+    low = u[:, 1] * height
+    sine, angle = jnp.sqrt(low * (2.0 - low)), 2.0 * math.pi * u[:, 2]
+    s, t = orthonormal_basis(cone.axis)
+    centre = scale(cone.axis, 1.0 - low) + scale(s, sine * jnp.cos(angle)) + scale(t, sine * jnp.sin(angle))
+    centre = normalize(centre)
+    plane = random_across(centre, u[:, 3])
+    half = cone.half_chord(plane)
+    along = cross(plane, centre)
+    middle = jnp.where(cone.wide, 0.0, jnp.arctan2(dot(cone.axis, along), dot(cone.axis, centre)))
+    pdf = picked(cut.probability, node) / (2.0 * math.pi * height)
+    start, end = jnp.minimum(middle - half, 0.0), jnp.maximum(middle + half, 0.0)
+    return LampChords(node, centre, pdf, plane, start, end, jnp.where(cone.wide, 0.0, 1.0))
+
+
+class LampShare(NamedTuple):
+    """Chords towards clusters and around BSDF samples as two ways to find the light of emitters past silhouettes.
+
+    `lamps` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both are geodesic, with
+    planes at even angles, so that their shares (balance heuristic, in the space of crossings) need nothing else.
+    """
+
+    packed: PackedScene
+    reach: float
+    lamps: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def of_lamps(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], towards, face: Int[Array, " C"]
+    ) -> Float[Array, " C"]:
+        """Share of the former at boundary points in unit directions `towards`, past which emitting faces are seen.
+
+        They are crossed in planes of normals `plane`; `scatterer` at the apexes.
+        """
+        clusters, apex = self.packed.clusters, stop_gradient(scatterer.point.position)
+        assert clusters is not None  # there is a share only where there are
+        cut = clusters.cut(apex)
+        node = clusters.node_at(cut, face)
+        cone = cone_to(clusters, node, apex)
+        lamps, lobes = (table.reshape(-1)[found.vertex] for table in (self.lamps, self.lobes))
+        pdf = picked(cut.probability, node) / (2.0 * math.pi * cone.height)
+        rate = pdf * 2.0 * cone.half_chord(plane) / math.pi * lamps
+        return balance(rate, lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes)
+
+    def weight_of_lobes(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint
+    ) -> Float[Array, " C"]:
+        """What crossings of chords around BSDF samples weigh; zero where `point` is on no surface."""
+        towards = normalize(stop_gradient(point.position - scatterer.point.position))
+        share = self.of_lamps(found, scatterer, plane, towards, point.face)
+        return jnp.where(point.valid, 1.0 - share, 0.0)
+
+
+class LampLines:
+    """Chords towards clusters of emitting faces."""
+
+    traces_paths = True
+
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths = packed, prepared, paths
+        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
+        self.both: LampShare | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        packed = self.packed
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 4, packed.vertices.dtype)[0]
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        assert packed.clusters is not None  # else `EmitterLines` finds their light
+        drawn = lamp_chords(packed.clusters, stop_gradient(scatterer.point.position), u)
+        apex = scatterer.leave_scattering(drawn.centre)
+        chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity)
+        reach = jnp.maximum(-drawn.low, drawn.high)
+        rises = scatterer.cosine(drawn.centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
+        through = scatterer.spreads_through()
+        rises = rises if through is None else rises | through
+        chords = chords._replace(useful=chords.useful & rises)
+        moves = self.prepared.moving[packed.face_shape[packed.emitter_faces]].any()
+        return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room, moves)
+
+    def score(self, drawn: LampChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings, if the cluster is behind them: luminance per motion of the edge."""
+        seen, scatterer, weight = self._boundary(drawn, found)
+        weight = luminance(weight * scatterer.eval(seen.towards))
+        return weight * self.packed.clusters.radiance[drawn.node[found.chord]] / seen.distance
+
+    def look(self, drawn: LampChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
+        """Requests for the emission behind crossings, and what it is multiplied with, times `weight`."""
+        packed, paths = self.packed, self.paths
+        seen, scatterer, value = self._boundary(drawn, found)
+        behind, background = look_behind(
+            packed, scatterer, seen, found.edge, found.along, scale(value, weight), found.valid, self.settings
+        )
+        clusters, face = packed.clusters, background.face
+        cut = clusters.cut(stop_gradient(scatterer.point.position))
+        aimed_at = packed.emitter_density[face] > 0
+        aimed_at = aimed_at & (clusters.node_at(cut, face) == drawn.node[found.chord])
+        share = jnp.ones_like(weight)
+        if self.both is not None:
+            share = self.both.of_lamps(found, scatterer, drawn.plane[found.chord], seen.towards, face)
+        emission = jnp.where(background.valid & aimed_at, share, 0.0)
+        # Where nothing was aimed at nothing is asked for: not the sky either.
+        behind = behind._replace(weight=jnp.where((emission > 0)[:, None], behind.weight, 0.0))
+        return ask_behind(paths, seen, background, number, emission, key, "lamp_lines", self.settings), behind
+
+    def _boundary(self, drawn: LampChords, found: Crossings):
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).
+
+        The weight is (pi / 2) k / p; k is even over the chord, on the side that it is seen from.
+        """
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        low, high, ends, pdf = (table[found.chord] for table in (drawn.low, drawn.high, drawn.ends, drawn.pdf))
+        counts = found.valid & scatterer.above_horizon(seen.edge_point)
+        if scatterer.spreads_through() is not None:
+            centre, plane = drawn.centre[found.chord], drawn.plane[found.chord]
+            along = normalize(cross(plane, seen.towards))
+            t = place(seen.towards, along, centre)
+            shift = t * ends
+            low, high = on_same_side(scatterer, seen.towards, along, centre, low + shift, high + shift)
+            counts = counts & (t > low) & (t < high)
+        length = high - low
+        counts = counts & (pdf > 0) & (length > 0)
+        weight = jnp.where(counts, 0.5 * math.pi / jnp.where(counts, length * pdf, 1.0), 0.0)
+        return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)

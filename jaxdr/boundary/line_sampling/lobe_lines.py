@@ -1,0 +1,75 @@
+"""Geodesic chords around BSDF-sampled directions."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_weight
+from jaxdr.boundary.line_sampling.crossings import (
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    draw_lobe_chords,
+    silhouette_crossings,
+)
+from jaxdr.boundary.line_sampling.emitter_lines import Centres
+from jaxdr.boundary.line_sampling.lamp_lines import LampShare
+from jaxdr.boundary.line_sampling.sky_lines import SkyShare
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.path_segments import PathSegments
+from jaxdr.geometry.vector import scale
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.radiance import Requests
+
+
+class LobeLines:
+    """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
+
+    With `both`, for their share of the light from area emitters as well, and with `skies` for no more than theirs of an
+    environment map's.
+    """
+
+    traces_paths = True
+
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings, reach: float):
+        self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
+        self.both: Centres | LampShare | None = None
+        self.skies: SkyShare | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        key_chord, key_seed = jax.random.split(key)
+        lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
+        chords = lobes.chords(apex, 2.0 * self.paths.distance_to_infinity)
+        return lobes, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
+
+    def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
+        seen, scatterer, weight = self._boundary(drawn, found)
+        return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
+
+    def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
+        """Requests for the radiance behind crossings, and what it is multiplied with, times `weight`."""
+        packed, paths = self.packed, self.paths
+        seen, scatterer, value = self._boundary(drawn, found)
+        value, plane = scale(value, weight), drawn.plane[found.chord]
+        behind, background = look_behind(
+            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
+        )
+        # Emission of what is no surface, and that of surfaces as it counts beside chords on them.
+        emission = jnp.zeros_like(weight)
+        if packed.environment is not None or self.both is not None:
+            surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)
+            sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, scatterer, plane, seen.towards)
+            emission = jnp.where(background.valid, surfaces, sky)
+        return ask_behind(paths, seen, background, number, emission, key, "lobe_lines", self.settings), behind
+
+    def _boundary(self, drawn: LobeChords, found: Crossings):
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        lobes = LobeChords(*(table[found.chord] for table in drawn))
+        counts = found.valid & scatterer.above_horizon(seen.edge_point)
+        weight = jnp.where(counts, lobe_weight(scatterer, lobes, seen.towards), 0.0)
+        return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)

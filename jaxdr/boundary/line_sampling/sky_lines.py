@@ -1,0 +1,142 @@
+"""Geodesic chords around directions from an environment map, for its light alone."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.line_sampling.chords import LobeChords, balance, lobe_rate, random_across
+from jaxdr.boundary.line_sampling.crossings import (
+    WIDEST,
+    Chosen,
+    Crossings,
+    LineSamplingState,
+    lobe_reach,
+    silhouette_crossings,
+)
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.path_segments import PathSegments
+from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
+from jaxdr.geometry.vector import cross, dot, normalize, scale, z_of
+from jaxdr.scene.color import luminance
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.emission import environment_radiance
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Requests
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
+
+
+class SkyShare(NamedTuple):
+    """Chords around the environment's and around the BSDF's samples as two ways to find its light past silhouettes.
+
+    `skies` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both are geodesic, with
+    planes at even angles, so that their shares (balance heuristic, in the space of crossings) need nothing else.
+    """
+
+    packed: PackedScene
+    paths: PathSegments
+    reach: float
+    skies: Float[Array, "B P n"]
+    lobes: Float[Array, "B P n"]
+
+    def of_skies(
+        self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], towards: Float[Array, "C 3"]
+    ) -> Float[Array, " C"]:
+        """Share of the former at boundary points in unit directions `towards`, crossed in planes of normals `plane`.
+
+        `scatterer` at the apexes.
+        """
+        skies, lobes = (table.reshape(-1)[found.vertex] for table in (self.skies, self.lobes))
+        other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
+        sampler = self.packed.environment_sampler
+        rate = sampler.pdf(towards) * 2.0 * _extent(self.packed, towards) / math.pi * skies
+        return balance(rate, other)
+
+
+class SkyLines:
+    """Chords around directions from an environment map, for the light that comes from it past silhouettes.
+
+    What a crossing can come from is all within the map's `extent` of it, where the density of centres differs little.
+    """
+
+    traces_paths = True
+
+    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
+        self.packed, self.prepared, self.paths = packed, prepared, paths
+        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
+        self.both: SkyShare | None = None
+
+    def search(self, chosen: Chosen, key, room: int):
+        """(chords, crossings, weight of the thinning, number of crossings)."""
+        packed = self.packed
+        key_chord, key_seed = jax.random.split(key)
+        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
+        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        centre = packed.environment_sampler.sample(u[:, :2])
+        plane = random_across(centre, u[:, 2])
+        reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
+        pdf = jnp.asarray(packed.environment_sampler.pdf(centre))
+        drawn = LobeChords(centre, pdf, plane, reach)
+
+        apex = scatterer.leave_scattering(centre)
+        chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity)
+        rises = scatterer.cosine(centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
+        through = scatterer.spreads_through()
+        rises = rises if through is None else rises | through
+        chords = chords._replace(useful=chords.useful & rises)
+        return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
+
+    def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""
+        seen, scatterer, weight = self._boundary(drawn, found)
+        radiance = scale(self._radiance(seen.towards), self._share(drawn, found, scatterer, seen.towards))
+        weight = weight * scatterer.eval(seen.towards) * radiance
+        return luminance(weight) / seen.distance
+
+    def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
+        """Requests for the environment's radiance behind crossings, and what it is multiplied with, times `weight`."""
+        packed, paths = self.packed, self.paths
+        seen, scatterer, value = self._boundary(drawn, found)
+        value = scale(value, weight * self._share(drawn, found, scatterer, seen.towards))
+        behind, background = look_behind(
+            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
+        )
+        emission = jnp.where(background.valid, 0.0, jnp.ones_like(weight))
+        return ask_behind(paths, seen, background, number, emission, key, "sky_lines", self.settings), behind
+
+    def _radiance(self, towards: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+        return environment_radiance(self.packed, towards)
+
+    def _share(self, drawn: LobeChords, found: Crossings, scatterer: Scatterer, towards) -> Float[Array, " C"]:
+        if self.both is None:
+            return jnp.ones(found.chord.shape, towards.dtype)
+        return self.both.of_skies(found, scatterer, drawn.plane[found.chord], towards)
+
+    def _boundary(self, drawn: LobeChords, found: Crossings):
+        """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).
+
+        The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary, and
+        on the side that it is seen from.
+        """
+        seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
+        scatterer = self.paths.scatterer(found.vertex)
+        centre, pdf = drawn.centre[found.chord], drawn.pdf[found.chord]
+        extent = _extent(self.packed, seen.towards)
+        near = dot(seen.towards, centre) > jnp.cos(extent)
+        counts = found.valid & near & scatterer.above_horizon(seen.edge_point)
+        half = extent
+        if scatterer.spreads_through() is not None:
+            along = normalize(cross(drawn.plane[found.chord], seen.towards))
+            low, high = on_same_side(scatterer, seen.towards, along, centre, -extent, extent)
+            t = place(seen.towards, along, centre)
+            half, counts = 0.5 * (high - low), counts & (t > low) & (t < high)
+        weight = jnp.where(counts, 0.25 * math.pi / (half * jnp.where(pdf > 0, pdf, 1.0)), 0.0)
+        return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)
+
+
+def _extent(packed: PackedScene, towards: Float[Array, "C 3"]) -> Float[Array, " C"]:
+    """Half-length of the arcs of centres from which boundary points are found (radians)."""
+    return jnp.minimum(packed.environment_sampler.extent(towards), WIDEST) * jnp.ones_like(towards[:, 0])

@@ -1,0 +1,189 @@
+"""Silhouettes in a direction from path vertices, and the radiance of what lies behind them.
+
+The integral of f V dl over directions, for lights that emitter sampling does not reach: f is what the lobe makes of the
+radiance past the edge, which a ray and a path from where it ends estimate. Paths share the far end's radiance with no
+neighbour, so nothing is evaluated away from the boundary.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.shared.blocks import sum_over_blocks
+from jaxdr.boundary.shared.path_segments import PathSegments, on_face
+from jaxdr.boundary.shared.projection import horizon_normal, occluded_side, past_edge
+from jaxdr.boundary.shared.term import stream_of
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import between, corners, dot, norm, scale
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
+from jaxdr.transport.path import PathSettings
+from jaxdr.transport.radiance import Requests, request
+from jaxdr.transport.sampler import lattice
+from jaxdr.transport.shading import Scatterer
+
+
+class SeenEdges(NamedTuple):
+    """Points on edges as seen from the apexes of segments; differentiable are `edge_point`, `moving_apex`, and the
+    corners of the faces of the apexes, `apex_triangle`.
+
+    `pole` is the unit normal of the plane through apex and edge, towards the occluded side; `own` marks edges of the
+    face that the apex lies in (horizons).
+    """
+
+    segment: Int[Array, " C"]
+    apex: Float[Array, "C 3"]
+    moving_apex: Float[Array, "C 3"]
+    apex_triangle: Float[Array, "C 3 3"]
+    edge_point: Float[Array, "C 3"]
+    distance: Float[Array, " C"]
+    towards: Float[Array, "C 3"]
+    pole: Float[Array, "C 3"]
+    own: Bool[Array, " C"]
+
+
+def seen_edges(
+    packed: PackedScene,
+    paths: PathSegments,
+    segment: Int[Array, " C"],
+    edge: Int[Array, " C"],
+    along: Float[Array, " C"],
+    valid: Bool[Array, " C"],
+) -> SeenEdges:
+    """The points at the fractions `along` of edges."""
+    start, end = corners(packed.vertices[packed.edges.vertices[edge]])
+    apex_face = paths.table.apex_face[segment]
+    triangle = packed.vertices[packed.faces[apex_face]]
+    edge_point, moving_apex = between(start, end, along), paths.position(segment, triangle)
+    fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient(((start, end), edge_point, moving_apex, triangle))
+    to_edge = fixed_point - apex
+    distance = jnp.where(valid, norm(to_edge), 1.0)
+    towards = scale(to_edge, 1.0 / distance)
+    pole, own = occluded_side(packed, edge, fixed_ends, apex, apex_face, fixed_triangle)
+    return SeenEdges(segment, apex, moving_apex, triangle, edge_point, distance, towards, pole, own)
+
+
+class Behind(NamedTuple):
+    """Boundary points of C slots with the surface that is seen past the edge; detached.
+
+    `weight`: all that the radiance from there is multiplied with but the velocity, zero where nothing counts. The
+    background is a material point, or the environment where nothing is `hit`.
+    """
+
+    segment: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    weight: Float[Array, "C 3"]
+    face: Int[Array, " C"]
+    barycentric: Float[Array, "C 3"]
+    hit: Bool[Array, " C"]
+
+
+class BehindEdges(NamedTuple):
+    """Boundary points in slots, of which the first `used` are filled."""
+
+    behind: Behind
+    used: Int[Array, ""]
+
+
+def look_behind(
+    packed: PackedScene,
+    scatterer: Scatterer,
+    seen: SeenEdges,
+    edge: Int[Array, " C"],
+    along: Float[Array, " C"],
+    weight: Float[Array, "C 3"],
+    valid: Bool[Array, " C"],
+    settings: PathSettings,
+) -> tuple[Behind, SurfacePoint]:
+    """(boundary points with what is behind them, that as surface points). One ray each; in value alone.
+
+    `scatterer`: the BSDFs at the apexes.
+    `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
+    """
+    background, clear = background_point(packed, scatterer.point, seen, valid, settings)
+    counts = valid & clear
+    weight = jnp.where(counts[:, None], weight * scatterer.eval(seen.towards), 0.0)
+    behind = Behind(seen.segment, edge, along, weight, background.face, background.barycentric, background.valid)
+    return behind, background._replace(valid=background.valid & counts)
+
+
+def ask_behind(
+    paths: PathSegments,
+    seen: SeenEdges,
+    background: SurfacePoint,
+    number: Int[Array, " C"],
+    emission: Float[Array, " C"] | float,
+    key: PRNGKeyArray,
+    name: str,
+    settings: PathSettings,
+) -> Requests:
+    """Requests for the radiance of what is seen past edges; `emission` is the share of the emitted one that counts.
+
+    `number`, `key` and `name` choose the random numbers.
+    """
+    u = lattice(key, 1, number, 4, seen.distance.dtype)[0]
+    bounces = settings.max_depth - 2 - seen.segment // paths.paths
+    stream = number.astype(jnp.uint32) + stream_of(name)
+    return request(background, -seen.towards, u, bounces, stream, emission)
+
+
+def background_values(
+    packed: PackedScene, paths: PathSegments, behind: Behind, radiance: Float[Array, "C 3"]
+) -> Float[Array, "C 3"]:
+    """Weight x radiance x normal velocity: zero in value, right in derivative.
+
+    The velocity is that of the silhouette relative to the material point behind it, as an angle seen from the apex.
+    """
+    valid = (behind.weight != 0).any(-1)
+    seen = seen_edges(packed, paths, behind.segment, behind.edge, behind.along, valid)
+    edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
+    # The environment is seen in one direction, whatever the apex does, and is never near.
+    there = behind.hit[:, None]
+    far = jnp.where(there, on_face(packed, behind.face, behind.barycentric), apex)
+    fixed_far = stop_gradient(far)
+    moving_apex = seen.moving_apex
+    if paths.near is not None:
+        moving_apex = jnp.where(there, paths.apex_towards(seen.segment, moving_apex, fixed_far), moving_apex)
+    far_distance = jnp.where(valid & behind.hit, norm(fixed_far - apex), 1.0)
+    # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
+    horizon = -dot(horizon_normal(seen.apex_triangle, pole), seen.towards)
+    edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex) / distance)
+    sky = dot(pole, packed.turned(seen.towards)) if packed.environment_turns else 0.0
+    far_moved = jnp.where(behind.hit, dot(pole, far - moving_apex) / far_distance, sky)
+    displacement = edge_moved - far_moved
+    displacement = displacement - stop_gradient(displacement)
+    return scale(behind.weight * radiance, displacement)
+
+
+def sum_behind(
+    packed: PackedScene, paths: PathSegments, edges: BehindEdges, radiance: Float[Array, "C 3"]
+) -> Float[Array, "N 3"]:
+    """The same, summed over the boundary points of each of N paths."""
+
+    def values(block, number):
+        behind, radiance = block
+        radiance = jnp.where((number < edges.used)[:, None], radiance, 0.0)
+        value = background_values(packed, paths, behind, radiance)
+        return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(behind.segment)].add(value)
+
+    return sum_over_blocks(values, (edges.behind, radiance), edges.used)
+
+
+def background_point(
+    packed: PackedScene, point: SurfacePoint, seen: SeenEdges, valid: Bool[Array, " C"], settings: PathSettings
+) -> tuple[SurfacePoint, Bool[Array, " C"]]:
+    """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
+    past = past_edge(seen.edge_point, seen.apex, seen.pole)
+    # Where the surface scatters to both sides, its own edges are seen from the side that `past` is on.
+    through = packed.spreads_through is not None
+    start = leave(point, past - point.position if through else seen.towards)
+    offset = past - start
+    length = jnp.where(valid, norm(offset), 1.0)
+    direction = scale(offset, 1.0 / length)
+    reach = jnp.where(valid, 1e30, 0.0).astype(length.dtype)
+    hit = queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), settings.rays)
+    found = material_hit(packed, hit)
+    return found, ~found.valid | (hit.t > length)

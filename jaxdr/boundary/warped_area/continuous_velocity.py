@@ -1,0 +1,225 @@
+"""Continuous velocity of a warped area: a convolution of discontinuous velocities, and its divergence.
+
+Xu et al. 2023, "Warped-Area Reparameterization of Differential Path Integrals", Eq. 14-18 and 41-47, 58-62. For a fixed
+apex y and a target p, auxiliary points q around p have velocities v_i: zero where y sees q, else that of the occluder
+projected to q. The continuous velocity is their mean v(p) = sum_i share_i(p) v_i. Shares and their gradients are
+detached and do not know the v_i, so everything here is done before anything is differentiated by the scene.
+"""
+
+import math
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import components, dot, interpolate, norm, normalize, orthonormal_basis, scale
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import detached_barycentric
+from jaxdr.transport.sampler import uniform
+
+TAIL = 3.0  # the density of auxiliary points falls as |q - p|^(-2 TAIL), as the kernel does for a power of 3
+DEPTH = 10.0  # how far from the tangent plane projections count, in widths of the kernel: there it is 1e-6
+
+
+class Kernel(NamedTuple):
+    """The kernel w(q; p) = 1 / (D(q; p) + B(q)^boundary_power) (Eq. 15); all static.
+
+    `sigma` is relative to the length of the segment (Eq. 17 with lengths of the segment for units). `spread` is that of
+    the auxiliary points relative to the kernel's width.
+    """
+
+    distance: Literal["path_space", "exponential"]
+    sigma: float
+    power: float
+    boundary_power: float
+    spread: float
+
+    @property
+    def width(self) -> float:
+        """Where auxiliary points are drawn, relative to the length of the segment: `exponential` has no small scale."""
+        return self.spread * (self.sigma if self.distance == "path_space" else 1.0)
+
+    @property
+    def depth(self) -> float:
+        """Largest distance of projections from the tangent plane, relative to the length of the segment."""
+        return DEPTH * self.sigma if self.distance == "path_space" else DEPTH
+
+    def value(self, apex, point, position, boundary) -> Float[Array, "N Q C"]:
+        """log w(q; p) at positions q [N, Q, C, 3] for points p [N, 3] (Eq. 16, or Eq. 57)."""
+        apex, point = apex[:, None, None], point[:, None, None]
+        if self.distance == "path_space":
+            offset, length = position - point, point - apex
+            share = dot(offset, offset) / dot(length, length)
+            distance = (-jnp.expm1(-share / self.sigma) / self.sigma) ** self.power
+        else:
+            apart = normalize(position - apex) - normalize(point - apex)
+            distance = jnp.expm1(0.5 * dot(apart, apart))  # 1 - cosine, without cancellation
+        return -jnp.log(jnp.maximum(distance + boundary**self.boundary_power, 1e-30))
+
+
+class Auxiliary(NamedTuple):
+    """Q points drawn around each of N targets, and up to C projections of each onto the target's shape.
+
+    `drawn` lie in the tangent plane (at infinity on the sphere of directions); `slant` is |cos| between the normals of
+    tangent plane and projection: the density of a projection is that of its point times the slant (Eq. 46).
+    """
+
+    drawn: Float[Array, "N Q 3"]
+    position: Float[Array, "N Q C 3"]
+    face: Int[Array, "N Q C"]
+    barycentric: Float[Array, "N Q C 3"]
+    slant: Float[Array, "N Q C"]
+    there: Bool[Array, "N Q C"]
+
+
+class Field(NamedTuple):
+    """v(p) = sum_i share_i v_i and its divergence sum_i divergence_i . v_i, for vectors v_i at auxiliary points."""
+
+    share: Float[Array, "N Q C"]
+    divergence: Float[Array, "N Q C 3"]
+
+
+def draw_auxiliary(
+    packed: PackedScene,
+    normals: Float[Array, "F 3"],
+    ends: SegmentEnds,
+    active: Bool[Array, " N"],
+    kernel: Kernel,
+    samples: int,
+    capacity: int,
+    key: PRNGKeyArray,
+    rays: str,
+    finite: bool,
+    infinite: bool,
+) -> Auxiliary:
+    """Auxiliary points of detached targets, all projections along the normal; none where not `active`.
+
+    `finite` and `infinite` say which kinds of targets there may be (static), `normals` are the faces' unit ones.
+    """
+    n, dtype = ends.apex.shape[0], ends.apex.dtype
+    length = norm(ends.target - ends.apex)
+    u = uniform(key, (n, samples, 2), dtype)
+    first, second = components(u)
+    radius = jnp.sqrt((1.0 - first) ** (-1.0 / (TAIL - 1.0)) - 1.0) * (kernel.width * length)[:, None]
+    angle = 2.0 * math.pi * second
+    s, t = orthonormal_basis(ends.normal)
+    offset = scale(s[:, None], jnp.cos(angle)) + scale(t[:, None], jnp.sin(angle))
+    drawn = ends.target[:, None] + scale(offset, radius)
+    far = ends.infinite[:, None, None]
+    if infinite:
+        on_sphere = ends.apex[:, None] + scale(normalize(drawn - ends.apex[:, None]), length[:, None])
+        drawn = jnp.where(far, on_sphere, drawn)
+    if not finite:
+        one = jnp.ones((n, samples, 1), dtype)
+        there = jnp.broadcast_to(active[:, None, None], one.shape)
+        nowhere, third = jnp.zeros(one.shape, jnp.int32), jnp.full((*one.shape, 3), 1 / 3, dtype)
+        return Auxiliary(drawn, drawn[:, :, None], nowhere, third, one, there)
+
+    flat = drawn.reshape(-1, 3)
+    along = jnp.repeat(ends.normal, samples, axis=0)
+    depth = jnp.where(active & ~ends.infinite, kernel.depth * length, 0.0)
+    depth = jnp.minimum(depth, packed.size)
+    depth, shape = (jnp.repeat(a, samples) for a in (depth, packed.face_shape[ends.face]))
+    lines = queries.Lines(flat, along, depth, shape)
+    found = queries.projections(packed.geometry, packed.face_shape, lines, capacity, rays)
+    there = found.face >= 0
+    face = jnp.where(there, found.face, 0).reshape(-1)
+    origin, direction = jnp.repeat(flat, capacity, axis=0), jnp.repeat(along, capacity, axis=0)
+    barycentric = detached_barycentric(packed, origin, direction, face)
+    position = interpolate(packed.vertices[packed.faces[face]], barycentric)
+    slant = jnp.abs(dot(normals[face], direction))
+    full = (n, samples, capacity)
+    there = there.reshape(full) & (slant.reshape(full) > 0)
+    position, slant = position.reshape(*full, 3), slant.reshape(full)
+    if infinite:
+        position = jnp.where(far[..., None], drawn[:, :, None], position)
+        slant = jnp.where(far, 1.0, slant)
+        there = jnp.where(far, active[:, None, None] & (jnp.arange(capacity) == 0), there)
+    return Auxiliary(drawn, position, face.reshape(full), barycentric.reshape(*full, 3), slant, there)
+
+
+def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool) -> Float[Array, "N Q"]:
+    """Log of the density of drawn points around `point`: per area of the tangent plane, at infinity of the sphere."""
+    away = point - ends.apex
+    length = norm(away)
+    normal, offset = ends.normal, drawn - point[:, None]
+    if infinite:
+        normal = jnp.where(ends.infinite[:, None], scale(away, 1.0 / length), normal)
+    in_plane = offset - scale(normal[:, None], dot(offset, normal[:, None]))
+    radius2, width = dot(in_plane, in_plane), (kernel.width * length)[:, None]
+    bent = jnp.zeros_like(radius2)
+    if infinite:  # area of the tangent plane per area of the sphere: one over the cosine's cube
+        cosine = dot(normalize(drawn - ends.apex[:, None]), normal[:, None])
+        cosine = jnp.where(ends.infinite[:, None], cosine, 1.0)
+        radius2, bent = radius2 / cosine**2, -3.0 * jnp.log(cosine)
+    inside = -2.0 * jnp.log(width) - TAIL * jnp.log1p(radius2 / width**2)
+    return math.log((TAIL - 1.0) / math.pi) + inside + bent
+
+
+def log_weights(
+    kernel: Kernel, ends: SegmentEnds, points: Auxiliary, boundary: Float[Array, "N Q C"], point, infinite: bool
+) -> Float[Array, "N Q C"]:
+    """Log of w(q; p) over the density of q, which stays that around the targets: shares are their softmax."""
+    density = log_density(kernel, ends, points.drawn, ends.target, infinite)[..., None]
+    weight = kernel.value(ends.apex, point, points.position, boundary) - density
+    slant = jnp.where(points.there, points.slant, 1.0)
+    return jnp.where(points.there, weight - jnp.log(slant), -jnp.inf)
+
+
+def shares_of(weights: Float[Array, "N Q C"]) -> Float[Array, "N Q C"]:
+    """Weights normalised by their sum (Eq. 47), from their logs; zeros where there are none."""
+    largest = weights.max((1, 2), keepdims=True)
+    # -inf where there are no points at all: exp(-inf - 0) is zero, exp(-inf + inf) is not a number.
+    raised = jnp.exp(weights - jnp.where(largest == -jnp.inf, 0.0, largest))
+    total = raised.sum((1, 2), keepdims=True)
+    return raised / jnp.where(total > 0, total, 1.0)
+
+
+def velocity_field(
+    kernel: Kernel,
+    ends: SegmentEnds,
+    points: Auxiliary,
+    boundary: Float[Array, "N Q C"],
+    debias: bool,
+    infinite: bool,
+) -> Field:
+    """Shares of the auxiliary points, and what the divergence makes of their velocities.
+
+    The gradient of a share follows from those of log w in two tangent directions, by forward mode (Eq. 58-62), the q
+    held fixed. With `debias` the change of their density with p is counted as well: then the divergence is, in
+    expectation, exactly that of the mean field E[v(p)], for any number of points, and not only in the limit of many.
+    """
+
+    def logs(point):
+        drawn = log_density(kernel, ends, points.drawn, point, infinite)
+        return kernel.value(ends.apex, point, points.position, boundary), drawn
+
+    share = shares_of(log_weights(kernel, ends, points, boundary, ends.target, infinite))
+    of_point = share.sum(2)
+    divergence = jnp.zeros((*share.shape, 3), share.dtype)
+    for tangent in orthonormal_basis(ends.normal):
+        _, (slope, score) = jax.jvp(logs, (ends.target,), (tangent,))
+        slope = jnp.where(points.there, slope, 0.0)
+        rate = slope - (share * slope).sum((1, 2), keepdims=True)
+        if debias:
+            rate = rate + _score_terms(of_point, score)[..., None]
+        divergence += scale(tangent[:, None, None], share * rate)
+    if infinite:  # of a sphere: without the normal component of the mean
+        curvature = jnp.where(ends.infinite, 2.0 / norm(ends.target - ends.apex), 0.0)
+        divergence -= scale(scale(ends.normal, curvature)[:, None, None], share)
+    return Field(share, divergence)
+
+
+def _score_terms(share: Float[Array, "N Q"], score: Float[Array, "N Q"]) -> Float[Array, "N Q"]:
+    """A_k s_k - sum_{i != k} A_i^2 s_i / (1 - A_i), with A the shares of the drawn points and s their scores.
+
+    The divergence of E[v] has the terms s_i (v - v_without_i), since E[s_i v_without_i] = 0; 1 / density, which the
+    weights contain, moves as well. Together they are s_i A_i^2 (v_i - v_without_i).
+    """
+    others = 1.0 - jnp.eye(share.shape[1], dtype=share.dtype)
+    rest = (share[:, None] * others).sum(-1)  # 1 - A_i, without cancellation
+    part = jnp.where(rest > 0, share**2 * score / jnp.where(rest > 0, rest, 1.0), 0.0)
+    return share * score - (part[:, None] * others).sum(-1)

@@ -1,0 +1,204 @@
+"""div (f v) over what is seen, v the continuous velocity of warped areas (Xu et al. 2023): what its users share."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.shared.blocks import sum_over_blocks
+from jaxdr.boundary.shared.face_neighbours import Faces
+from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.boundary.warped_area.continuous_velocity import Kernel, draw_auxiliary, velocity_field
+from jaxdr.boundary.warped_area.occluders import find_occluders
+from jaxdr.boundary.warped_area.outlines import keep_inside
+from jaxdr.geometry.vector import (
+    corners,
+    dot,
+    interpolate,
+    norm,
+    normalize,
+    orthonormal_basis,
+    scale,
+    triangle_normals,
+)
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.compaction import rows_where
+from jaxdr.transport.interaction import SurfacePoint
+
+# f / pdf of the paths through N segments (RGB), as a function of where the targets are.
+Measure = Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
+
+
+class Hidden(NamedTuple):
+    """Auxiliary points (material points of their surface) and the material points that hide them; detached.
+
+    `own`: hidden by the plane of the apex's own face, `occluder`; None where there are none.
+    """
+
+    position: Float[Array, "*n 3"]
+    face: Int[Array, "*n"]
+    barycentric: Float[Array, "*n 3"]
+    occluder: Int[Array, "*n"]
+    on_occluder: Float[Array, "*n 3"]
+    own: Bool[Array, "*n"] | None = None
+
+
+class Convolution(NamedTuple):
+    """How velocities are convolved; static. `samples` auxiliary points a target, `projections` of each at most.
+
+    `debias` as of `WarpedArea`. Targets may be on surfaces (`finite`), infinitely far away, or both. `normal_edges`:
+    see `find_occluders`. `horizon`: whether the plane of the apex's own face may hide something.
+    """
+
+    kernel: Kernel
+    samples: int
+    projections: int
+    debias: bool
+    finite: bool
+    infinite: bool
+    normal_edges: bool = True
+    horizon: bool = True
+
+
+def check_options(estimator, counts: tuple[str, ...]) -> None:
+    """Raises ValueError where options of the kernel, or the numbers of points `counts`, are out of range."""
+    name = type(estimator).__name__
+    if estimator.distance not in ("path_space", "exponential"):
+        raise ValueError(f"{name}: distance must be 'path_space' or 'exponential', got {estimator.distance!r}")
+    for option in ("sigma0", "power", "boundary_power", "spread"):
+        if not getattr(estimator, option) > 0:
+            raise ValueError(f"{name}: {option} must be positive, got {getattr(estimator, option)}")
+    for option in counts:
+        value = getattr(estimator, option)
+        if int(value) != value or value < 1:
+            raise ValueError(f"{name}: {option} must be a whole number of at least 1, got {value}")
+
+
+class Velocities(NamedTuple):
+    """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
+
+    v(p) = along x sum of share x velocity, div v = sum of rate . velocity. All others are still. `along` is None where
+    all targets are infinitely far away.
+    """
+
+    slots: Int[Array, " S"]
+    used: Int[Array, ""]
+    share: Float[Array, " S"]
+    rate: Float[Array, "S 3"]
+    along: Float[Array, "N 3 3"] | None
+    table: Hidden
+
+    def inside(self, slot: Int[Array, " M"], motion: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
+        """`along` x the displacements of occluders in slots."""
+        return motion if self.along is None else jnp.einsum("njk,nk->nj", self.along[self.row(slot)], motion)
+
+    def row(self, slot: Int[Array, " M"]) -> Int[Array, " M"]:
+        """Which of the N targets slots belong to."""
+        return slot // (self.table.face.shape[1] * self.table.face.shape[2])
+
+    def seen(self, slot: Int[Array, " M"]) -> Hidden:
+        """The points in slots."""
+        return jax.tree.map(lambda t: t.reshape(-1, *t.shape[3:])[slot], self.table)
+
+
+def hidden_velocities(
+    packed: PackedScene,
+    faces: Faces,
+    apex: SurfacePoint,
+    ends: SegmentEnds,
+    lit: Bool[Array, " N"],
+    around: Convolution,
+    key,
+    rays: str,
+) -> Velocities:
+    """Auxiliary points around the targets of N segments, and what they count for them; all arguments detached."""
+    options = around.samples, around.projections, key, rays, around.finite, around.infinite
+    points = draw_auxiliary(packed, faces.normal, ends, lit, around.kernel, *options)
+    occluders = find_occluders(packed, faces, apex, ends, points, rays, around.normal_edges)
+    field = velocity_field(around.kernel, ends, points, occluders.boundary, around.debias, around.infinite)
+    points, occluders, field = stop_gradient((points, occluders, field))
+
+    rate, along = field.divergence, None
+    if around.finite:
+        width = around.kernel.sigma * norm(ends.target - ends.apex)
+        along, spread = stop_gradient(keep_inside(packed, faces, ends, width))
+        rate = jnp.einsum("njk,nqcj->nqck", along, rate) + field.share[..., None] * spread[:, None, None]
+
+    hidden, own = occluders.hidden, occluders.own
+    if own is not None and not around.horizon:
+        hidden, own = hidden & ~own, None
+    # Slots that hold nothing repeat the first one: its numbers must be finite.
+    hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
+    shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
+    rates = jnp.where(hidden[:, None], rate.reshape(-1, 3), 0.0)
+    slots = rows_where(hidden)
+    table = Hidden(points.position, points.face, points.barycentric, occluders.face, occluders.barycentric, own)
+    return Velocities(slots, hidden.sum(), shares, rates, along, table)
+
+
+def divergence_term(
+    f: Measure,
+    value: Float[Array, "N 3"],
+    ends: SegmentEnds,
+    lit: Bool[Array, " N"],
+    velocities: Velocities,
+    moved: Callable[[Int[Array, " M"]], Float[Array, "M 3"]],
+) -> Float[Array, "N 3"]:
+    """f div v + grad f . v at the targets of N segments: zero in value, right in derivative.
+
+    `value` is f there, `moved` gives the displacements of the occluders in slots: zero, with the derivative v.
+    """
+    value = jnp.where(lit[:, None], value, 0.0)
+    slopes = []
+    for tangent in orthonormal_basis(ends.normal):
+        slope = jax.jvp(f, (ends.target,), (tangent,))[1]
+        if velocities.along is not None:
+            tangent = jnp.einsum("nj,njk->nk", tangent, velocities.along)
+        slopes.append((tangent, jnp.where(lit[:, None], slope, 0.0)))
+    value, slopes = stop_gradient((value, slopes))
+
+    def terms(slot, number):
+        row, motion = velocities.row(slot), moved(slot)
+        result = scale(value[row], dot(velocities.rate[slot], motion))
+        for tangent, slope in slopes:
+            result += scale(slope[row], velocities.share[slot] * dot(tangent[row], motion))
+        result = jnp.where((number < velocities.used)[:, None], result, 0.0)
+        return jnp.zeros_like(value).at[row].add(result)
+
+    return sum_over_blocks(terms, velocities.slots, velocities.used)
+
+
+def displacement(
+    packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden
+) -> Float[Array, "C 3"]:
+    """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8)."""
+    triangle = packed.vertices[packed.faces[seen.face]]
+    material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)
+    before = packed.vertices[packed.faces[seen.occluder]]
+    towards = interpolate(before, seen.on_occluder) - apex
+    slope = dot(normal, towards)
+    reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
+    offset, far = seen.position - stop_gradient(apex), infinite[:, None]
+    projected = jnp.where(far, scale(normalize(towards), norm(offset)), apex + scale(towards, reach))
+    material = jnp.where(far, packed.turned(offset), material)
+    moved = projected - material
+    if seen.own is not None:
+        moved = jnp.where(seen.own[:, None], _horizon(before, stop_gradient(normal), material, offset, far), moved)
+    return moved - stop_gradient(moved)
+
+
+def _horizon(triangle, normal, material, offset, far):
+    """How the plane of the apex's face moves over the material points, across its trace in their plane (or sphere).
+
+    The apex stays in that plane, so its own motion does not count.
+    """
+    plane = normalize(triangle_normals(triangle))
+    across = stop_gradient(plane)
+    normal = normalize(jnp.where(far, offset, normal))
+    across = across - scale(normal, dot(across, normal))
+    squared = dot(across, across)
+    height = dot(plane, material - jnp.where(far, 0.0, corners(triangle)[0]))
+    return scale(across, -height / jnp.where(squared > 0, squared, 1.0))

@@ -1,0 +1,110 @@
+"""What hides auxiliary points from an apex, and how near they are to the boundary of what it sees (Xu et al. 2023)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxdr.boundary.shared.face_neighbours import Faces
+from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.boundary.warped_area.continuous_velocity import Auxiliary
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import OFFSET, SurfacePoint, leave
+
+
+class Occluders(NamedTuple):
+    """Where auxiliary points are hidden, by which point of which face, and the boundary-test function B.
+
+    `own`: by the face that the apex lies in, behind its horizon; None where that hides no light.
+    """
+
+    hidden: Bool[Array, "N Q C"]
+    face: Int[Array, "N Q C"]
+    barycentric: Float[Array, "N Q C 3"]
+    boundary: Float[Array, "N Q C"]
+    own: Bool[Array, "N Q C"] | None
+
+
+def find_occluders(
+    packed: PackedScene,
+    faces: Faces,
+    apex: SurfacePoint,
+    ends: SegmentEnds,
+    points: Auxiliary,
+    rays: str,
+    normal_edges: bool = True,
+) -> Occluders:
+    """One ray from each apex to each auxiliary point on the side of the surface that the target shows; all detached.
+
+    - Seen points have no velocity, and B = 1.
+    - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
+      vanishes: distances to silhouette edges of the face that is hit count as those to open edges do, unless
+      `normal_edges` is off.
+    - Points on the other side of their surface (back-facing) have no velocity and their own B^dist. Nor have those
+      below the horizon of the apex: f vanishes where they begin. Where normals are interpolated it does not, and the
+      plane of the apex's own face hides them.
+    """
+    full = points.there.shape
+    row = jnp.broadcast_to(jnp.arange(full[0])[:, None, None], full).reshape(-1)
+    face = points.face.reshape(-1)
+    position, there = points.position.reshape(-1, 3), points.there.reshape(-1)
+    origin = jax.tree.map(lambda a: a[row], apex)
+    infinite, target_normal = ends.infinite[row], ends.normal[row]
+    offset = position - origin.position
+    length = norm(offset)
+
+    normal = jnp.where(infinite[:, None], -target_normal, faces.normal[face])
+    facing, to_target = -dot(normal, offset), ends.target - ends.apex
+    shown = -dot(ends.normal, to_target)[row]
+    alike = infinite | (facing * shown > 0)
+    height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, to_target))[row]
+    above = height > 0
+
+    largest = jnp.abs(packed.vertices[packed.faces[face]]).max((1, 2))
+    end = position + scale(normal, OFFSET * largest * jnp.sign(facing))
+    start = leave(origin, offset)
+    end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
+    reach = jnp.where(there & alike & above, 1.0, 0.0).astype(start.dtype)
+    hit, _, at = queries.closest_hit(packed.geometry, queries.Rays(start, end - start, reach), rays)
+    hidden = hit >= 0
+    hit = jnp.where(hidden, hit, 0)
+
+    back = (facing / jnp.where(length > 0, length, 1.0)) ** 2
+    boundary = jnp.where(alike, 1.0, back)
+    boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position, normal_edges), boundary)
+    own = None
+    if packed.normals is not None:
+        own = there & alike & ~above
+        boundary = jnp.where(own, -height / jnp.where(length > 0, length, 1.0), boundary)
+        hidden, hit = hidden | own, jnp.where(own, origin.face, hit)
+        own = own.reshape(full)
+    hidden, hit, boundary = (a.reshape(full) for a in (hidden, hit, boundary))
+    return Occluders(hidden, hit, at.reshape(*full, 3), boundary, own)
+
+
+def _to_sides(triangles, barycentric):
+    """Distances of points on triangles to the three sides."""
+    a, b, c = corners(triangles)
+    lengths = norm(jnp.stack([c - b, a - c, b - a], 1))
+    return barycentric * norm(triangle_normals(triangles))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
+
+
+def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
+    """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
+    triangles = packed.vertices[packed.faces[face]]
+    position = interpolate(triangles, barycentric)
+    offset = position - apex
+    length = norm(offset)
+    length = jnp.where(length > 0, length, 1.0)
+    behind = faces.behind[face]
+    slope = dot(faces.normal[face], offset)
+    # A point on side k for each of the sides: the corner after k.
+    on_side = jnp.roll(triangles, -1, axis=1) - apex[:, None]
+    neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
+    ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0) if normal_edges else behind < 0
+    to_side = jnp.where(ends_here, _to_sides(triangles, barycentric), jnp.inf).min(-1)
+    # At a smooth silhouette the cosine falls as the root of the distance.
+    return jnp.minimum((slope / length) ** 2, to_side / length)

@@ -1,0 +1,70 @@
+"""Velocities along the outlines of what a segment ends on, none across (Xu et al. 2023, after Eq. 10)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxdr.boundary.shared.face_neighbours import Faces
+from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.boundary.shared.projection import affine_coordinates
+from jaxdr.geometry.vector import (
+    components,
+    corners,
+    cross,
+    norm,
+    orthonormal_basis,
+    scale,
+    triangle_normals,
+)
+from jaxdr.scene.packed import PackedScene
+
+STRIP = 0.0625  # width of the strip along an outline, in widths of the kernel
+
+
+class Inside(NamedTuple):
+    """`along` v has no flux through outlines; `spread`: div (`along` v) = tr(`along` grad v) + `spread` . v."""
+
+    along: Float[Array, "N 3 3"]
+    spread: Float[Array, "N 3"]
+
+
+def keep_inside(packed: PackedScene, faces: Faces, ends: SegmentEnds, width: Float[Array, " N"]) -> Inside:
+    """What takes the component across open edges and creases from velocities at the targets of N segments.
+
+    It falls linearly to zero in strips along them, `STRIP` times `width` (that of the kernel) wide. f ends or jumps
+    there, so what flows through them would be missing. Weights of auxiliary points could prevent that as well, but only
+    over a whole kernel width, in which boundaries of what is seen lose their velocity too. A crease's strip is the
+    narrower the smaller the jump of the normal: on a mesh that approximates a smooth surface there is none.
+    """
+    behind = faces.behind[ends.face]
+    unit = faces.normal[ends.face]
+    jump = norm(faces.normal[jnp.maximum(behind, 0)] - unit[:, None])
+    jump = jnp.where(behind >= 0, jump, 1.0)
+    strip = STRIP * width[:, None] * jnp.maximum(jump, 1e-6)
+    # Side k is opposite of corner k.
+    start, end = jnp.roll(ends.corners, -1, axis=1), jnp.roll(ends.corners, -2, axis=1)
+    lengths = norm(end - start)
+    inverse = 1.0 / jnp.where(lengths > 0, lengths, 1.0)
+    across = corners(cross(scale(end - start, inverse), unit[:, None]))
+    area = norm(triangle_normals(ends.corners))
+    height = area[:, None] * inverse
+    on_surface = ~ends.infinite & (area > 0)
+    triangles = jnp.where(on_surface[:, None, None], ends.corners, jnp.eye(3, dtype=strip.dtype))
+
+    def along(point):
+        distance = affine_coordinates(triangles, point) * height
+        share = 1.0 - jnp.clip(distance / strip, 0.0, 1.0)
+        share = jnp.where(on_surface[:, None], share, 0.0)
+        result = jnp.broadcast_to(jnp.eye(3, dtype=strip.dtype), (point.shape[0], 3, 3))
+        for normal, part in zip(across, components(share), strict=True):
+            crossing = jnp.einsum("nj,njk->nk", normal, result)
+            result = result - scale(normal, part)[:, :, None] * crossing[:, None]
+        return result
+
+    spread = jnp.zeros_like(ends.target)
+    for tangent in orthonormal_basis(ends.normal):
+        value, change = jax.jvp(along, (ends.target,), (tangent,))
+        spread += jnp.einsum("nj,njk->nk", tangent, change)
+    return Inside(value, spread)

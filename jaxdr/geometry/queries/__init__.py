@@ -1,0 +1,33 @@
+"""Ray and edge queries: which face a ray hits, what is free, which edges lie near a point or cross a chord.
+
+The library calls `api`: it detaches the inputs, chooses an implementation, and batches under `vmap`. Questions and
+answers are the records of `records`; answers have no derivative, and the caller evaluates hits again in JAX. Behind the
+interface are `embree` (nearest hits and occlusion on CPUs), `warp` (all queries, on CPU and GPU) and `jax` (all of
+them, plain: the reference). `bvh_cache` keeps what the first two build, by the content of the geometry.
+"""
+
+from jaxdr.geometry.queries.api import ANSWER as ANSWER
+from jaxdr.geometry.queries.api import CHOICES as CHOICES
+from jaxdr.geometry.queries.api import IMPLEMENTATIONS as IMPLEMENTATIONS
+from jaxdr.geometry.queries.api import closest_hit as closest_hit
+from jaxdr.geometry.queries.api import edge_candidates as edge_candidates
+from jaxdr.geometry.queries.api import edge_tree as edge_tree
+from jaxdr.geometry.queries.api import occluded as occluded
+from jaxdr.geometry.queries.api import point_candidates as point_candidates
+from jaxdr.geometry.queries.api import projections as projections
+from jaxdr.geometry.queries.api import rematerialised as rematerialised
+from jaxdr.geometry.queries.api import sector_crossings as sector_crossings
+from jaxdr.geometry.queries.records import BESIDE as BESIDE
+from jaxdr.geometry.queries.records import NO_GROUP as NO_GROUP
+from jaxdr.geometry.queries.records import UNBOUNDED as UNBOUNDED
+from jaxdr.geometry.queries.records import Candidates as Candidates
+from jaxdr.geometry.queries.records import EdgePoints as EdgePoints
+from jaxdr.geometry.queries.records import EdgeSet as EdgeSet
+from jaxdr.geometry.queries.records import Geometry as Geometry
+from jaxdr.geometry.queries.records import Hit as Hit
+from jaxdr.geometry.queries.records import Lines as Lines
+from jaxdr.geometry.queries.records import Projections as Projections
+from jaxdr.geometry.queries.records import Rays as Rays
+from jaxdr.geometry.queries.records import SectorCrossings as SectorCrossings
+from jaxdr.geometry.queries.records import SectorQuery as SectorQuery
+from jaxdr.geometry.queries.records import StripQuery as StripQuery

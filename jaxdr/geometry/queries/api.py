@@ -1,0 +1,190 @@
+"""Ray queries: one interface, three implementations (`embree`, `warp`, `jax`), and `auto` for the first there is.
+
+`embree` traces nearest hits and occlusion on the CPU, two to three times as fast as Warp, which does everything else.
+
+Queries answer discrete questions in float32 (which face, which edge, occluded or not) and have no derivative: their
+inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vmap` a batch of rays against one geometry
+becomes one larger batch of rays.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Array, Bool, Int
+
+from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
+from jaxdr.geometry.queries.batches import asked
+from jaxdr.geometry.queries.embree import scene as embree_scene
+from jaxdr.geometry.queries.jax import queries as jax_queries
+from jaxdr.geometry.queries.records import (
+    Candidates,
+    EdgePoints,
+    EdgeSet,
+    Geometry,
+    Hit,
+    Lines,
+    Projections,
+    Rays,
+    SectorCrossings,
+    SectorQuery,
+    StripQuery,
+)
+
+IMPLEMENTATIONS = ("embree", "warp", "jax")
+CHOICES = ("auto", *IMPLEMENTATIONS)
+ANSWER = "answer of a query"  # its name among the values that reverse mode may keep
+
+
+def _module(implementation: str) -> Any:
+    if implementation == "auto":
+        implementation = "embree" if embree_scene.available() else "warp"
+    if implementation == "jax":
+        return jax_queries
+    if implementation == "warp":
+        # Imported on use: a GPU that Warp does not know needs only `jax`.
+        from jaxdr.geometry.queries.warp import queries as warp_queries
+
+        return warp_queries
+    if implementation == "embree":
+        embree_scene.library()  # here, where an error reaches the caller
+        from jaxdr.geometry.queries.embree import queries as embree_queries
+
+        return embree_queries
+    raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(CHOICES)}")
+
+
+def _discrete(records):
+    """Detached, float32 (int32) copies of the inputs of a query."""
+
+    def convert(a):
+        a = jax.lax.stop_gradient(jnp.asarray(a))
+        return a.astype(jnp.float32 if jnp.issubdtype(a.dtype, jnp.floating) else jnp.int32)
+
+    return jax.tree.map(convert, records)
+
+
+def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> Any:
+    """`query(*fixed, *rows, **options)` of detached arrays; see `batches.asked`."""
+    answers = asked(partial(query, **options), _discrete(fixed), _discrete(rows))
+    return jax.tree.map(lambda answer: checkpoint_name(answer, ANSWER), answers)
+
+
+def rematerialised(function: Callable) -> Callable:
+    """The same function; reverse mode keeps its arguments and the answers of its queries, and computes the rest again.
+
+    For the body of a loop: XLA writes what is kept of every turn to memory, and compiles a kernel for each such array.
+    Arithmetic is faster done twice.
+    """
+    return jax.checkpoint(function, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(ANSWER))
+
+
+def closest_hit(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Hit:
+    """The nearest face on each ray; t counts in lengths of `direction`."""
+    face, t, barycentric = _asked(_module(implementation).closest_hit, (geometry,), (rays,))
+    return Hit(face, t.astype(rays.reach.dtype), barycentric.astype(rays.reach.dtype))
+
+
+def occluded(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Bool[Array, " N"]:
+    """Whether any face lies on each ray; a ray of no `reach` is free."""
+    return _asked(_module(implementation).occluded, (geometry,), (rays,))
+
+
+def projections(
+    geometry: Geometry, face_shape: Int[Array, " F"], lines: Lines, capacity: int, implementation: str = "auto"
+) -> Projections:
+    """All projections of points onto the faces of a shape, by its number in `face_shape`.
+
+    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more.
+    """
+    query = _module(implementation).projections
+    return Projections(*_asked(query, (geometry, face_shape), (lines,), capacity=capacity))
+
+
+def edge_tree(
+    geometry: Geometry, edges: EdgeSet, counts: Sequence[int] | None = None, implementation: str = "auto"
+) -> EdgeTree:
+    """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
+    vertices = geometry.vertices
+    if implementation == "jax":
+        return build_edge_tree(vertices, edges.ends, edges.opposite, edges.interior, edges.rank, counts)
+    slots = leaf_edges(counts or [edges.ends.shape[0]])
+    node = _asked(_module(implementation).edge_tree, (geometry, edges), slots=slots)
+    return EdgeTree(jnp.asarray(slots), node.astype(vertices.dtype))
+
+
+def edge_candidates(
+    geometry: Geometry,
+    edges: EdgeSet,
+    strips: StripQuery,
+    seed: Int[Array, ""],
+    capacity: int,
+    both_sides: bool = False,
+    implementation: str = "auto",
+) -> Candidates:
+    """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
+
+    An edge counts for a segment when all its faces lie on one side of the plane through apex and edge and the target on
+    the other (or anywhere, with `both_sides`), it lies between the apex and the target's plane, and the foot of the
+    perpendicular from the target onto its projection is on the projection, less than the kernel radius away, see
+    `StripQuery`. `rank` of an edge is its radius.
+    """
+    query = _module(implementation).edge_candidates
+    options = {"capacity": capacity, "both_sides": both_sides}
+    return Candidates(*_asked(query, (geometry, edges, strips, seed), **options))
+
+
+def point_candidates(
+    geometry: Geometry,
+    edges: EdgeSet,
+    points: EdgePoints,
+    strips: StripQuery,
+    seed: Int[Array, ""],
+    capacity: int,
+    both_sides: bool = False,
+    implementation: str = "auto",
+) -> Candidates:
+    """Points on silhouette edges whose projection from `apex` onto the plane (target, normal) is near `target`.
+
+    As `edge_candidates`, with a disc around the projected point in place of a strip along the projected edge.
+    """
+    query = _module(implementation).point_candidates
+    options = {"capacity": capacity, "both_sides": both_sides}
+    return Candidates(*_asked(query, (geometry, edges, points, strips, seed), **options))
+
+
+def sector_crossings(
+    geometry: Geometry,
+    edges: EdgeSet,
+    face_group: Int[Array, " F"],
+    sectors: SectorQuery,
+    seed: Int[Array, ""],
+    least_layer: int,
+    capacity: int,
+    implementation: str = "auto",
+) -> SectorCrossings:
+    """Where silhouettes, seen from `apex`, cross chords from `first` to `last` and bound what is visible of them.
+
+    All edges that cut the planar sector (apex, chord) are found; with quantitative invisibility (Appel 1967) the layers
+    of surface in front of the chord are counted from its point at the share `centre`, which should be a random one, in
+    both directions; a crossing counts where the number of layers changes between zero and more. For that surfaces may
+    be open or closed, several at an edge, nested or interpenetrating: what they hide of a chord is the union of their
+    shadows. Nothing but the faces of its `group` may pierce the chord itself; if something does, that is no edge and
+    missing, and crossings between it and the centre may be judged wrongly.
+
+    - `rank` of an edge: 0 for edges that are left out, up to `least_layer` for those that only hide others, above
+      for those that count. Where `needed` of a chord is larger than `least_layer` lower edges are not even looked at,
+      and a ray past each edge decides.
+    - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
+      for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
+      ones being told by rays that stop short of the edge.
+
+    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which rounding
+    may cause, are resolved by rays past each edge.
+    """
+    query = _module(implementation).sector_crossings
+    fixed = geometry, edges, face_group, sectors, seed
+    return SectorCrossings(*_asked(query, fixed, least_layer=least_layer, capacity=capacity))

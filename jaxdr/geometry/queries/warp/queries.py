@@ -1,0 +1,192 @@
+"""Ray queries by Warp, on CPU (batches sliced over threads) and CUDA, called from JAX through `warp.jax_callable`.
+
+The functions below receive the geometry with every call and look its BVH up by content (see `bvh_cache`), so a
+query is a pure function of its arguments. They do host work and therefore run outside CUDA graphs.
+"""
+
+import contextlib
+import warnings
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+
+from jaxdr.geometry.edge_tree import LEAF
+from jaxdr.geometry.queries.bvh_cache import HostArrays
+from jaxdr.geometry.queries.warp import kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp.device_arrays import number_above
+from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
+from jaxdr.geometry.queries.warp.records import Call, Numbers
+from jaxdr.geometry.queries.warp.structures import structure_cache
+
+WHOLE, REAL = wp.array(dtype=int), wp.array(dtype=float)
+WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)
+
+
+@contextlib.contextmanager
+def structure(kind: str, device, moving: list, topology: list):
+    """The id of a structure over arrays, nobody else's as long as it is in use."""
+    cache = structure_cache(kind, device)
+    if isinstance(cache.arrays, HostArrays):
+        moving, topology = [on_host(a) for a in moving], [on_host(a) for a in topology]
+    with cache.lock:
+        yield cache.find(moving, topology).id
+
+
+def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
+    """`closest_hit` and `occluded`, by `trace(kernel, geometry, rays, outputs)` for the kernels of those names."""
+
+    def closest_hit_of(geometry, rays, face, t, barycentric):
+        trace("closest_hit", geometry, rays, [face, t, barycentric])
+
+    def occluded_of(geometry, rays, result):
+        trace("occluded", geometry, rays, [result])
+
+    inputs = [records.Geometry, records.Rays]
+    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL, wp.array(dtype=wp.vec3)], module)
+    occluded_call = Call(occluded_of, inputs, [WHOLE], module)
+
+    def closest_hit(geometry, rays):
+        """(face, t, barycentric): the nearest face in front of each ray, -1 and a huge t on a miss."""
+        n = rays.reach.shape[0]
+        return hit_call(geometry, rays, dims=[n, n, n])
+
+    def occluded(geometry, rays):
+        """Whether anything lies on the ray before its reach."""
+        (result,) = occluded_call(geometry, rays, dims=[rays.reach.shape[0]])
+        return result != 0
+
+    return closest_hit, occluded
+
+
+def trace(kernel: str, geometry, rays, outputs: list) -> None:
+    """Run one of the two kernels."""
+    device = geometry.vertices.device
+    with structure("mesh", device, [geometry.vertices], [geometry.faces]) as mesh:
+        launch(getattr(kernels, kernel), rays.reach.shape[0], [mesh], [rays, *outputs], device)
+
+
+closest_hit, occluded = hit_queries(trace, kernels)
+
+
+def _projections(geometry, face_shape, lines, face, height, count):
+    face.fill_(-1)
+    height.fill_(kernels.MISS)
+    device, lines_there = geometry.vertices.device, lines.depth.shape[0]
+    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
+        launch(kernels.projections, lines_there, [bvh], [geometry, face_shape, lines, face, height, count], device)
+    over = number_above(count, face.shape[1])
+    if over:
+        warnings.warn(
+            f"jaxdr: {over} of {lines_there} auxiliary points have more projections onto their shape than the "
+            f"{face.shape[1]} that there is room for; the furthest were left out. More room avoids it.",
+            stacklevel=2,
+        )
+
+
+_projections_call = Call(
+    _projections, [records.Geometry, Numbers, records.Lines], [WHOLE_ROWS, REAL_ROWS, WHOLE], kernels
+)
+
+
+def projections(geometry, face_shape, lines, capacity):
+    """(face [N, C], height [N, C], count [N]): see `queries.projections`."""
+    n = lines.depth.shape[0]
+    return _projections_call(geometry, face_shape, lines, dims=[(n, capacity), (n, capacity), n])
+
+
+def _edge_tree(slots, geometry, edges, table, scratch):
+    device, count = table.device, table.shape[0]
+    nodes = wp.array(ptr=scratch.ptr, dtype=tree_kernels.Node, shape=count, device=device)
+    first = count // 2
+    table.zero_()  # row 0 is no node
+    launch(tree_kernels.tree_leaves, first, [], [slots, geometry, edges, nodes, table], device)
+    while first > 1:
+        first //= 2
+        launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
+
+
+# Memory for the nodes as they are merged is JAX's as well: it stays until kernels on JAX's stream are done with it.
+_edge_tree_call = Call(
+    _edge_tree, [Numbers, records.Geometry, records.EdgeSet], [wp.array2d(dtype=wp.vec4), REAL_ROWS], tree_kernels
+)
+
+
+def edge_tree(geometry, edges, slots):
+    """Nodes of the tree over edges, [n, 3, 4]; see `edge_tree.build_edge_tree`."""
+    count = 2 * len(slots) // LEAF
+    table, _ = _edge_tree_call(jnp.asarray(slots), geometry, edges, dims=[(count, 3), (count, tree_kernels.NODE_WORDS)])
+    return table
+
+
+def _counted(found, inverse, counts, weight) -> None:
+    counts.assign(found.astype(np.int32))
+    weight.assign(np.array([inverse], np.float32))
+
+
+def _edge_candidates(geometry, edges, tree, strips, options, segment, element, count, weight):
+    rest, lists = [geometry, edges, tree, strips, options], [segment, element]
+    device = segment.device
+    found, inverse = compact(kernels.edge_candidates, [], rest, strips.scale.shape[0], lists, 2, device)
+    _counted(found[1:2], inverse, count, weight)
+
+
+def _point_candidates(geometry, edges, points, strips, options, segment, element, count, weight):
+    rest, lists = [geometry, edges, points, strips, options], [segment, element]
+    device = segment.device
+    with structure("points", device, [points.position, points.radius], []) as bvh:
+        found, inverse = compact(kernels.point_candidates, [bvh], rest, strips.scale.shape[0], lists, 2, device)
+    _counted(found[1:2], inverse, count, weight)
+
+
+def _sector_crossings(geometry, edges, tree, face_group, sectors, options, segment, element, along, counts, weight):
+    rest, lists = [geometry, edges, tree, face_group, sectors, options], [segment, element, along]
+    device, total = segment.device, sectors.needed.shape[0]
+    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
+        found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, lists, 6, device)
+    if found[2] > 1e-3 * found[5]:
+        warnings.warn(
+            f"jaxdr: before some of {total} chords surfaces could not be counted (something that pierces an emitter, "
+            "or rounding); rays past each edge decided there",
+            stacklevel=2,
+        )
+    _counted(found[1:], inverse, counts, weight)
+
+
+_over_edges = [records.Geometry, records.EdgeSet]
+_pairs = [WHOLE, WHOLE, WHOLE, REAL]
+_edge_candidates_call = Call(
+    _edge_candidates, [*_over_edges, records.EdgeTree, records.StripQuery, Numbers], _pairs, kernels
+)
+_point_candidates_call = Call(
+    _point_candidates, [*_over_edges, records.EdgePoints, records.StripQuery, Numbers], _pairs, kernels
+)
+_sector_crossings_call = Call(
+    _sector_crossings,
+    [*_over_edges, records.EdgeTree, Numbers, records.SectorQuery, Numbers],
+    [WHOLE, WHOLE, REAL, WHOLE, REAL],
+    sector_kernels,
+)
+
+
+def edge_candidates(geometry, edges, strips, seed, capacity, both_sides):
+    """(segment [C], edge [C], count, weight): silhouette edges near segments; see `queries.edge_candidates`."""
+    options, dims = jnp.stack([seed, jnp.int32(both_sides)]), [capacity, capacity, 1, 1]
+    *lists, count, weight = _edge_candidates_call(geometry, edges, edges.tree, strips, options, dims=dims)
+    return *lists, count[0], weight[0]
+
+
+def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides):
+    """(segment [C], point [C], count, weight): points on silhouette edges near segments."""
+    options, dims = jnp.stack([seed, jnp.int32(both_sides)]), [capacity, capacity, 1, 1]
+    *lists, count, weight = _point_candidates_call(geometry, edges, points, strips, options, dims=dims)
+    return *lists, count[0], weight[0]
+
+
+def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):
+    """(segment [C], edge [C], along [C], counts [5], weight): see `queries.sector_crossings`."""
+    options, dims = jnp.stack([seed, jnp.int32(least_layer)]), [capacity, capacity, capacity, 5, 1]
+    call = _sector_crossings_call
+    *lists, counts, weight = call(geometry, edges, edges.tree, face_group, sectors, options, dims=dims)
+    return *lists, counts, weight[0]
