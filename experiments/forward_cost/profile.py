@@ -17,7 +17,8 @@ from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sam
 from jaxdr.transport.interaction import detached_barycentric, intersect, leave, material_point
 from jaxdr.transport.path import trace_paths
 from jaxdr.transport.primary import primary_samples
-from jaxdr.transport.radiance import BLOCK, arriving_radiance
+from jaxdr.transport.radiance import CPU_BLOCK as BLOCK
+from jaxdr.transport.radiance import arriving_radiance
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 

@@ -29,6 +29,7 @@ from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import only_delta
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
+from jaxdr.sizes import at_once
 from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.primary import primary_samples
@@ -49,7 +50,8 @@ class PathTracer(eqx.Module):
     - `edge_samples`: points on silhouettes, and as many on creases, per path sample. None: 1/8 for direct light, and 1
       with indirect light, whose noise does not cancel between the two sides of a silhouette.
     - `chunk_size`: paths traced at once; four times as many in images that nobody differentiates. Memory is
-      proportional to it, and independent of the samples per pixel.
+      proportional to it, and independent of the samples per pixel. None: 65,536 on CPUs and 524,288 elsewhere. Each
+      chunk has random numbers of its own, so images of one key agree between machines where it is given.
     - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
 
@@ -61,7 +63,7 @@ class PathTracer(eqx.Module):
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     edge_samples: float | None = eqx.field(static=True, default=None)
-    chunk_size: int = eqx.field(static=True, default=1 << 16)
+    chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
 
     def __check_init__(self):
@@ -84,7 +86,7 @@ class PathTracer(eqx.Module):
                 f"PathTracer: boundary must be an estimator such as jaxdr.KernelDensity(), or None, got "
                 f"{type(self.boundary).__name__}; estimators have name, prepare, draw and image (jaxdr.Term)"
             )
-        if (self.edge_samples is not None and not self.edge_samples > 0) or self.chunk_size < 1:
+        if any(size is not None and not size > 0 for size in (self.edge_samples, self.chunk_size)):
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
 
     def paths_at_once(self, differentiated: bool) -> int:
@@ -92,7 +94,8 @@ class PathTracer(eqx.Module):
 
         So those that go on fill blocks for longer.
         """
-        return self.chunk_size if differentiated else 4 * self.chunk_size
+        size = self.chunk_size or at_once(cpu=1 << 16, gpu=1 << 19)
+        return size if differentiated else 4 * size
 
     @property
     def settings(self) -> PathSettings:

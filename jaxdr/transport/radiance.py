@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 from jaxdr import loops
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.packed import PackedScene
+from jaxdr.sizes import at_once
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -24,8 +25,10 @@ from jaxdr.transport.near_field import Footprint
 from jaxdr.transport.path import Lobe, PathSettings, Vertex, ends_early, scatter
 from jaxdr.transport.sampler import path_numbers
 
-# Paths that go on together: enough for all threads of the ray queries, few enough for what they need to stay in caches.
-BLOCK = 8192 * max(2, os.cpu_count() or 1)
+# Paths that go on together. On CPUs enough for all threads of the ray queries, few enough for what they need to stay in
+# caches; on GPUs see `sizes`.
+CPU_BLOCK = 8192 * max(2, os.cpu_count() or 1)
+GPU_BLOCK = 1 << 19
 
 
 class Requests(NamedTuple):
@@ -123,7 +126,7 @@ def radiance(packed: PackedScene, requests: Requests, key: PRNGKeyArray, setting
 def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettings, bounces: int) -> list[Array]:
     """[what paths gather, and, with footprints, what of it is in material form]."""
     count = requests.emission.shape[0]
-    size = min(BLOCK, count)
+    size = min(at_once(CPU_BLOCK, GPU_BLOCK), count)
     room = -(-count // size) * size
     early, forms = ends_early(packed, settings), 1 if requests.seen is None else 2
     start = _Paths(

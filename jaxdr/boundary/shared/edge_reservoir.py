@@ -17,8 +17,10 @@ from jaxdr.boundary.shared.texture_jumps import seam_jumps
 from jaxdr.geometry.edge_tree import LEAF, EdgeTree
 from jaxdr.geometry.vector import corners, cross, dot, norm, normalize, scale
 from jaxdr.scene.packed import PackedScene
+from jaxdr.sizes import at_once
 
-BLOCK = 2048  # bundles that go through the tree together: they wait for each other
+# Bundles that go through the tree together. They wait for each other, which costs less than idle threads of a GPU.
+CPU_BLOCK, GPU_BLOCK = 2048, 1 << 17
 BEYOND = 1.5  # how much further than what the ray hits edges are looked for: it may hit what is beside them
 MARGIN = 1.5  # how much further than allowed the first-order t of a crossing may be
 
@@ -128,15 +130,16 @@ def draw_edges(
     """An edge that each active bundle may cross, drawn in proportion to its importance."""
     count = active.shape[0]
     order = jnp.argsort(~active, stable=True)
-    blocks = -(-count // BLOCK)
-    padded = jnp.pad(order, (0, blocks * BLOCK - count))
-    real = jnp.arange(blocks * BLOCK) < active.sum()
+    size = min(at_once(CPU_BLOCK, GPU_BLOCK), max(count, 1))
+    blocks = -(-count // size)
+    padded = jnp.pad(order, (0, blocks * size - count))
+    real = jnp.arange(blocks * size) < active.sum()
 
     def block(rows):
         index, real = rows
         return _draw(table, jax.tree.map(lambda x: x[index], bundles), real, seed[index], reach)
 
-    found = jax.lax.map(block, (padded.reshape(blocks, BLOCK), real.reshape(blocks, BLOCK)))
+    found = jax.lax.map(block, (padded.reshape(blocks, size), real.reshape(blocks, size)))
     back = jnp.zeros(count, jnp.int32).at[order].set(jnp.arange(count, dtype=jnp.int32))
     return jax.tree.map(lambda x: x.reshape(-1)[back], found)
 

@@ -3,11 +3,15 @@
 A ray query is a pure function of its arrays. Building a BVH for every call would be slow, so built ones are kept and
 reused when every byte of the input agrees (one memory comparison, a few ms at a million triangles). Moved vertices,
 interleaved geometries and several threads therefore get their own hits by construction.
+
+Where the arrays are (on the host, on a GPU) is the matter of `Arrays`.
 """
 
+import contextlib
+import itertools
 import threading
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +19,39 @@ import numpy as np
 def _same(a: np.ndarray, b: np.ndarray) -> bool:
     """Bitwise equality."""
     return a.shape == b.shape and a.dtype == b.dtype and np.array_equal(a.view(np.int32), b.view(np.int32))
+
+
+@runtime_checkable
+class Arrays(Protocol):
+    """How a cache compares and keeps arrays, and when it may change what was built from them."""
+
+    def agree(self, kept: Sequence[Any], given: Sequence[Any]) -> Iterator[bool]:
+        """Whether arrays are equal bit by bit, pair by pair."""
+        ...
+
+    def copies(self, given: Sequence[Any]) -> list[Any]:
+        """Copies that nobody else writes to."""
+        ...
+
+    def changes(self) -> contextlib.AbstractContextManager:
+        """Structures are built, refitted and dropped inside of it: nobody uses them then, and all are ready after."""
+        ...
+
+
+class HostArrays:
+    """NumPy arrays, and structures whose users are done when they let go of the cache's lock."""
+
+    def agree(self, kept: Sequence[np.ndarray], given: Sequence[np.ndarray]) -> Iterator[bool]:
+        """Whether arrays are equal bit by bit; no more pairs are looked at than the caller asks for."""
+        return (_same(a, b) for a, b in zip(kept, given, strict=True))
+
+    def copies(self, given: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Copies that nobody else writes to."""
+        return [np.array(a) for a in given]
+
+    def changes(self) -> contextlib.AbstractContextManager:
+        """Nothing to wait for."""
+        return contextlib.nullcontext()
 
 
 class _Entry:
@@ -30,48 +67,63 @@ class BVHCache:
 
     `build(moving, topology)` makes one; `refit(structure, moving)` adapts one in place when only the `moving` arrays
     changed. A structure is rebuilt after `max_refits`, since refitting keeps the tree of the old shape. Callers hold
-    `lock` from `find` to the end of the launch: a structure in use is never refitted.
+    `lock` from `find` to the end of the launch: with what `Arrays.changes` waits for, no structure in use is refitted.
     """
 
     def __init__(
-        self, build: Callable, refit: Callable, capacity: int = 12, per_topology: int = 3, max_refits: int = 16
+        self,
+        build: Callable,
+        refit: Callable,
+        arrays: Arrays | None = None,
+        capacity: int = 12,
+        per_topology: int = 3,
+        max_refits: int = 16,
     ):
         self.build = build
         self.refit = refit
+        self.arrays = arrays or HostArrays()
         self.capacity = capacity
         self.per_topology = per_topology
         self.max_refits = max_refits
         self.lock = threading.RLock()
         self.entries: list[_Entry] = []  # most recently used last
 
-    def find(self, moving: Sequence[np.ndarray], topology: Sequence[np.ndarray]) -> Any:
+    def find(self, moving: Sequence[Any], topology: Sequence[Any]) -> Any:
         """The structure of exactly these arrays; call with `lock` held."""
-        kin = []
-        for entry in reversed(self.entries):
-            if all(map(_same, entry.topology, topology)):
-                if all(map(_same, entry.moving, moving)):
-                    self._touch(entry)
-                    return entry.structure
-                kin.append(entry)
-        if len(kin) >= self.per_topology:
-            oldest = kin[-1]
-            if oldest.refits < self.max_refits and all(
-                a.shape == b.shape for a, b in zip(oldest.moving, moving, strict=True)
-            ):
-                oldest.moving = [np.array(a) for a in moving]
-                self.refit(oldest.structure, oldest.moving)
-                oldest.refits += 1
-                self._touch(oldest)
-                return oldest.structure
-            self.entries.remove(oldest)
-        elif len(self.entries) >= self.capacity:
-            del self.entries[0]
-        moving = [np.array(a) for a in moving]
-        topology = [np.array(a) for a in topology]
-        entry = _Entry(topology, moving, self.build(moving, topology))
+        entry, kin = self._search(moving, topology)
+        if entry is None:
+            with self.arrays.changes():
+                entry = self._entry(kin, moving, topology)
+        else:
+            self.entries.remove(entry)
         self.entries.append(entry)
         return entry.structure
 
-    def _touch(self, entry: _Entry) -> None:
-        self.entries.remove(entry)
-        self.entries.append(entry)
+    def _search(self, moving, topology) -> tuple[_Entry | None, list[_Entry]]:
+        """(the entry of these arrays if there is one, those of the same topology, the most recently used first)."""
+        kin = []
+        for entry in reversed(self.entries):
+            agree = self.arrays.agree([*entry.topology, *entry.moving], [*topology, *moving])
+            if all(itertools.islice(agree, len(topology))):
+                if all(agree):
+                    return entry, kin
+                kin.append(entry)
+        return None, kin
+
+    def _entry(self, kin: list[_Entry], moving, topology) -> _Entry:
+        """One for new content: the oldest of its `kin` refitted, where there are enough of them, or a new one."""
+        if len(kin) >= self.per_topology:
+            oldest = kin[-1]
+            self.entries.remove(oldest)  # before anything can fail: its structure no longer is that of its arrays
+            if oldest.refits < self.max_refits and all(
+                a.shape == b.shape for a, b in zip(oldest.moving, moving, strict=True)
+            ):
+                oldest.moving = self.arrays.copies(moving)
+                self.refit(oldest.structure, oldest.moving)
+                oldest.refits += 1
+                return oldest
+            del oldest, kin[:]  # the last that knew it: dropped here, where nobody uses it
+        elif len(self.entries) >= self.capacity:
+            del self.entries[0]
+        moving, topology = self.arrays.copies(moving), self.arrays.copies(topology)
+        return _Entry(topology, moving, self.build(moving, topology))

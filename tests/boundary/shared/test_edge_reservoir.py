@@ -3,14 +3,16 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxdr as jd
+from jaxdr import sizes
 from jaxdr.boundary.shared.edge_reservoir import Bundles, draw_edges, edge_table, may_cross
 from jaxdr.geometry.shapes import displaced_sphere
 from jaxdr.scene.packed import pack
 
 REACH = 2.0
-BUNDLES, COPIES = 63, 65  # two blocks of 2048
+BUNDLES, COPIES = 63, 65  # two blocks of 2048 on a CPU
 
 
 def scene_and_bundles():
@@ -41,7 +43,10 @@ def importances(table, bundles):
     return np.asarray(jnp.where(crosses & (table.importance > 0), jnp.where(silhouette, 1.0, table.importance), 0.0))
 
 
-def test_all_candidates_and_each_as_often_as_it_should():
+@pytest.mark.parametrize("platform", ["cpu", "gpu"])
+def test_all_candidates_and_each_as_often_as_it_should(platform, monkeypatch):
+    """In two blocks, and in one as on a GPU."""
+    monkeypatch.setattr(sizes, "platform", lambda: platform)
     packed, bundles = scene_and_bundles()
     table = edge_table(packed, packed.edges.shape >= 0, "jax")
     expected = importances(table, bundles)

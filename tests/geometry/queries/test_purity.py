@@ -11,8 +11,19 @@ import numpy as np
 import pytest
 
 from jaxdr.geometry import queries
-from jaxdr.geometry.queries import IMPLEMENTATIONS, Geometry, Lines, Rays, bvh_cache
+from jaxdr.geometry.edges import INTERIOR
+from jaxdr.geometry.queries import (
+    IMPLEMENTATIONS,
+    EdgePoints,
+    EdgeSet,
+    Geometry,
+    Lines,
+    Rays,
+    StripQuery,
+    bvh_cache,
+)
 from jaxdr.geometry.queries.warp import structures as warp_structures
+from jaxdr.geometry.queries.warp.device_arrays import DeviceArrays
 from jaxdr.geometry.shapes import sphere
 
 SQUARE = jnp.asarray([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -93,6 +104,66 @@ def stale(monkeypatch):
     yield
     for cache in warp_structures._caches.values():
         cache.entries.clear()
+
+
+@pytest.fixture
+def device_arrays(monkeypatch):
+    """Caches that compare and keep arrays as they do on a GPU, here on Warp's CPU device."""
+    monkeypatch.setattr(warp_structures, "_caches", {})
+    monkeypatch.setattr(warp_structures, "arrays_on", DeviceArrays)
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_the_same_with_arrays_of_a_device(situation, device_arrays):
+    assert situation("warp")
+    assert all(isinstance(cache.arrays, DeviceArrays) for cache in warp_structures._caches.values())
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_stale_geometry_of_a_device_is_noticed(situation, device_arrays, monkeypatch):
+    """The test above can fail."""
+    monkeypatch.setattr(DeviceArrays, "agree", lambda self, kept, given: map(_alike, kept, given))
+    assert not situation("warp")
+
+
+def _alike(a, b):
+    return a.shape == b.shape and a.dtype == b.dtype
+
+
+def test_structures_of_a_device_are_those_of_the_host(device_arrays, monkeypatch):
+    """All three kinds, built and refitted: the same answers bit by bit."""
+    mesh, key = sphere(3), jax.random.key(3)
+    edges, count = mesh.edges, len(mesh.edges.vertices)
+    edges = EdgeSet(edges.vertices, edges.faces, edges.opposite, edges.kind == INTERIOR, jnp.ones(count))
+    origin = 3.0 * jax.random.normal(key, (4000, 3))
+    direction = jax.random.normal(jax.random.fold_in(key, 1), (4000, 3))
+    reach, none = jnp.full(4000, 50.0), jnp.zeros(4000, jnp.int32)
+
+    def ask(scale):
+        geometry = Geometry(mesh.vertices * scale, mesh.faces)
+        unit = direction / jnp.linalg.norm(direction, axis=1, keepdims=True)
+        shape = jnp.zeros(len(mesh.faces), jnp.int32)
+        along = jnp.cross(unit, origin)  # segments that graze the sphere
+        along /= jnp.linalg.norm(along, axis=1, keepdims=True)
+        strips = StripQuery(unit - along, unit + along, along, jnp.ones(4000), jnp.full(4000, 0.2))
+        middle = geometry.vertices[edges.ends].mean(1)
+        points = EdgePoints(middle, jnp.arange(count, dtype=jnp.int32), jnp.full(count, 0.1))
+        return (
+            queries.closest_hit(geometry, Rays(origin, direction, reach), "warp"),
+            queries.projections(geometry, shape, Lines(origin, unit, reach, none), 3, "warp"),
+            queries.point_candidates(geometry, edges, points, strips, jnp.int32(5), 40000, implementation="warp"),
+        )
+
+    scales = (1.0, 1.1, 1.2, 1.3, 0.9)  # more than are kept of one topology
+    found = [ask(s) for s in scales]
+    kinds = {kind for kind, _ in warp_structures._caches}
+    assert kinds == {"mesh", "faces", "points"}
+    assert any(e.refits for cache in warp_structures._caches.values() for e in cache.entries)
+    monkeypatch.setattr(warp_structures, "_caches", {})
+    monkeypatch.setattr(warp_structures, "arrays_on", lambda device: bvh_cache.HostArrays())
+    for ours, s in zip(found, scales, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, ours, ask(s))
+    assert int(found[0][2].count) > 100 and (found[0][0].face >= 0).sum() > 100
 
 
 @pytest.mark.parametrize("situation", SITUATIONS)

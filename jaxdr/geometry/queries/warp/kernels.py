@@ -283,8 +283,7 @@ def edge_candidates(
     edges: EdgeSet,
     tree: EdgeTree,
     strips: StripQuery,
-    both_sides: int,
-    seed: int,
+    options: wp.array(dtype=int),
     probability: float,
     segment_out: wp.array(dtype=int),
     edge_out: wp.array(dtype=int),
@@ -293,8 +292,8 @@ def edge_candidates(
     """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
 
     `rank` (radius) of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
-    `found` = [kept, all]. The tree is walked without a stack: from node n (counted from 1, children 2n and 2n + 1)
-    the next subtree is that of n + 1 without its trailing zeros.
+    `options` = [seed, both_sides]; `found` = [kept, all]. The tree is walked without a stack: from node n (counted from
+    1, children 2n and 2n + 1) the next subtree is that of n + 1 without its trailing zeros.
     """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:
@@ -350,10 +349,10 @@ def edge_candidates(
                             height,
                             r,
                             widest,
-                            both_sides,
+                            options[1],
                         ):
                             wp.atomic_add(found, 1, 1)
-                            if keeps(i, e, seed, probability):
+                            if keeps(i, e, options[0], probability):
                                 j = wp.atomic_add(found, 0, 1)
                                 if j < segment_out.shape[0]:
                                     segment_out[j] = i
@@ -373,14 +372,16 @@ def point_candidates(
     edges: EdgeSet,
     points: EdgePoints,
     strips: StripQuery,
-    both_sides: int,
-    seed: int,
+    options: wp.array(dtype=int),
     probability: float,
     segment_out: wp.array(dtype=int),
     point_out: wp.array(dtype=int),
     found: wp.array(dtype=int),
 ):
-    """Points on silhouette edges whose projection onto the target's plane lies in the disc around the target."""
+    """Points on silhouette edges whose projection onto the target's plane lies in the disc around the target.
+
+    `options` and `found` as in `edge_candidates`.
+    """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:
         return
@@ -397,12 +398,12 @@ def point_candidates(
         p1 = geometry.vertices[edges.ends[e][1]]
         plane = wp.cross(p0 - a, p1 - p0)
         side = all_on_one_side(geometry.vertices, edges.opposite, e, p0, p1, plane, a)
-        if r > 0.0 and side != 0.0 and (both_sides != 0 or side * wp.dot(plane, b - a) < 0.0):
+        if r > 0.0 and side != 0.0 and (options[1] != 0 or side * wp.dot(plane, b - a) < 0.0):
             f = wp.dot(n, points.position[j] - a) / height
             if f > 1.0e-6 and f <= 1.0:
                 if wp.length(a + (points.position[j] - a) / f - b) < kernel_reach(r, 1.0 / f, strips.widest[i]):
                     wp.atomic_add(found, 1, 1)
-                    if keeps(i, j, seed, probability):
+                    if keeps(i, j, options[0], probability):
                         k = wp.atomic_add(found, 0, 1)
                         if k < segment_out.shape[0]:
                             segment_out[k] = i

@@ -49,17 +49,18 @@ def launch(kernel, count: int, leading: list, rest: list, device, each: int = SL
         job.result()
 
 
-def compact(kernel, leading: list, rest: list, total: int, seed: int, lists: list, counts: int, device):
+def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: int, device):
     """Run a kernel that appends rows to `lists` and thin the rows without bias if there are more than fit.
 
-    The kernel's arguments are `(*leading, start, *rest, seed, probability, *lists, found)`; it adds to `found`, an
-    array of `counts` whole numbers, how many rows it kept and how many there are, and whatever else it counts. The
-    first list holds row numbers; unused slots of it are -1. The thinning probability depends on the number of rows
+    The kernel's arguments are `(*leading, start, *rest, probability, *lists, found)`; it adds to `found`, an array of
+    `counts` whole numbers, how many rows it kept and how many there are, and whatever else it counts. The first list
+    holds row numbers; unused slots of it are -1. On a GPU the host waits for `found`: whether to thin, and to warn, is
+    decided there. The thinning probability depends on the number of rows
     alone, not on which of them survive, so weighting the survivors by its inverse is unbiased; eight standard
     deviations of slack keep them within the capacity. Returns (found, 1 / probability).
     """
     capacity, probability = lists[0].shape[0], 1.0
-    found = _run(kernel, leading, rest, total, seed, probability, lists, counts, device)
+    found = _run(kernel, leading, rest, total, probability, lists, counts, device)
     if found[0] > capacity:
         every = int(found[1])
         probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
@@ -70,20 +71,20 @@ def compact(kernel, leading: list, rest: list, total: int, seed: int, lists: lis
             f"bias. {enough} times the capacity, or less reach, avoids it.",
             stacklevel=2,
         )
-        kept = _run(kernel, leading, rest, total, seed, probability, lists, counts, device)[0]
+        kept = _run(kernel, leading, rest, total, probability, lists, counts, device)[0]
         if kept > capacity:
             raise RuntimeError(f"jaxdr: thinning {every} pairs left {kept}, more than the capacity of {capacity}")
     return found, 1.0 / probability
 
 
-def _run(kernel, leading, rest, total, seed, probability, lists, counts, device) -> np.ndarray:
+def _run(kernel, leading, rest, total, probability, lists, counts, device) -> np.ndarray:
     capacity = lists[0].shape[0]
     lists[0].fill_(-1)
     for table in lists[1:]:
         table.zero_()
     if not device.is_cpu:
         found = wp.zeros(counts, dtype=int, device=device)
-        inputs = [*leading, 0, *rest, seed, probability, *lists, found]
+        inputs = [*leading, 0, *rest, probability, *lists, found]
         wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
         return found.numpy()
     _load(kernel, device)
@@ -92,7 +93,7 @@ def _run(kernel, leading, rest, total, seed, probability, lists, counts, device)
         size = min(SLICE, total - start)
         out = [wp.empty(capacity, dtype=table.dtype, device=device) for table in lists]
         found = wp.zeros(counts, dtype=int, device=device)
-        inputs = [*leading, start, *rest, seed, probability, *out, found]
+        inputs = [*leading, start, *rest, probability, *out, found]
         wp.launch(kernel, dim=size, inputs=inputs, device=device, record_tape=False)
         kept = min(int(found.numpy()[0]), capacity)
         return [a.numpy()[:kept] for a in out], found.numpy()

@@ -13,7 +13,9 @@ import numpy as np
 import warp as wp
 
 from jaxdr.geometry.edge_tree import LEAF
+from jaxdr.geometry.queries.bvh_cache import HostArrays
 from jaxdr.geometry.queries.warp import kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp.device_arrays import number_above
 from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
 from jaxdr.geometry.queries.warp.records import Call, Numbers
 from jaxdr.geometry.queries.warp.structures import structure_cache
@@ -26,8 +28,10 @@ WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)
 def structure(kind: str, device, moving: list, topology: list):
     """The id of a structure over arrays, nobody else's as long as it is in use."""
     cache = structure_cache(kind, device)
+    if isinstance(cache.arrays, HostArrays):
+        moving, topology = [on_host(a) for a in moving], [on_host(a) for a in topology]
     with cache.lock:
-        yield cache.find([on_host(a) for a in moving], [on_host(a) for a in topology]).id
+        yield cache.find(moving, topology).id
 
 
 def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
@@ -72,7 +76,7 @@ def _projections(geometry, face_shape, lines, face, height, count):
     device, lines_there = geometry.vertices.device, lines.depth.shape[0]
     with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
         launch(kernels.projections, lines_there, [bvh], [geometry, face_shape, lines, face, height, count], device)
-    over = int(np.count_nonzero(on_host(count) > face.shape[1]))
+    over = number_above(count, face.shape[1])
     if over:
         warnings.warn(
             f"jaxdr: {over} of {lines_there} auxiliary points have more projections onto their shape than the "
@@ -92,9 +96,9 @@ def projections(geometry, face_shape, lines, capacity):
     return _projections_call(geometry, face_shape, lines, dims=[(n, capacity), (n, capacity), n])
 
 
-def _edge_tree(slots, geometry, edges, table):
+def _edge_tree(slots, geometry, edges, table, scratch):
     device, count = table.device, table.shape[0]
-    nodes = wp.empty(count, dtype=tree_kernels.Node, device=device)
+    nodes = wp.array(ptr=scratch.ptr, dtype=tree_kernels.Node, shape=count, device=device)
     first = count // 2
     table.zero_()  # row 0 is no node
     launch(tree_kernels.tree_leaves, first, [], [slots, geometry, edges, nodes, table], device)
@@ -103,14 +107,16 @@ def _edge_tree(slots, geometry, edges, table):
         launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
 
 
+# Memory for the nodes as they are merged is JAX's as well: it stays until kernels on JAX's stream are done with it.
 _edge_tree_call = Call(
-    _edge_tree, [Numbers, records.Geometry, records.EdgeSet], [wp.array2d(dtype=wp.vec4)], tree_kernels
+    _edge_tree, [Numbers, records.Geometry, records.EdgeSet], [wp.array2d(dtype=wp.vec4), REAL_ROWS], tree_kernels
 )
 
 
 def edge_tree(geometry, edges, slots):
     """Nodes of the tree over edges, [n, 3, 4]; see `edge_tree.build_edge_tree`."""
-    (table,) = _edge_tree_call(jnp.asarray(slots), geometry, edges, dims=[(2 * len(slots) // LEAF, 3)])
+    count = 2 * len(slots) // LEAF
+    table, _ = _edge_tree_call(jnp.asarray(slots), geometry, edges, dims=[(count, 3), (count, tree_kernels.NODE_WORDS)])
     return table
 
 
@@ -120,28 +126,25 @@ def _counted(found, inverse, counts, weight) -> None:
 
 
 def _edge_candidates(geometry, edges, tree, strips, options, segment, element, count, weight):
-    seed, both_sides = (int(option) for option in on_host(options))
-    rest, lists = [geometry, edges, tree, strips, both_sides], [segment, element]
+    rest, lists = [geometry, edges, tree, strips, options], [segment, element]
     device = segment.device
-    found, inverse = compact(kernels.edge_candidates, [], rest, strips.scale.shape[0], seed, lists, 2, device)
+    found, inverse = compact(kernels.edge_candidates, [], rest, strips.scale.shape[0], lists, 2, device)
     _counted(found[1:2], inverse, count, weight)
 
 
 def _point_candidates(geometry, edges, points, strips, options, segment, element, count, weight):
-    seed, both_sides = (int(option) for option in on_host(options))
-    rest, lists = [geometry, edges, points, strips, both_sides], [segment, element]
+    rest, lists = [geometry, edges, points, strips, options], [segment, element]
     device = segment.device
     with structure("points", device, [points.position, points.radius], []) as bvh:
-        found, inverse = compact(kernels.point_candidates, [bvh], rest, strips.scale.shape[0], seed, lists, 2, device)
+        found, inverse = compact(kernels.point_candidates, [bvh], rest, strips.scale.shape[0], lists, 2, device)
     _counted(found[1:2], inverse, count, weight)
 
 
 def _sector_crossings(geometry, edges, tree, face_group, sectors, options, segment, element, along, counts, weight):
-    seed, least_layer = (int(option) for option in on_host(options))
-    rest, lists = [geometry, edges, tree, face_group, sectors, float(least_layer)], [segment, element, along]
+    rest, lists = [geometry, edges, tree, face_group, sectors, options], [segment, element, along]
     device, total = segment.device, sectors.needed.shape[0]
     with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
-        found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, seed, lists, 6, device)
+        found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, lists, 6, device)
     if found[2] > 1e-3 * found[5]:
         warnings.warn(
             f"jaxdr: before some of {total} chords surfaces could not be counted (something that pierces an emitter, "

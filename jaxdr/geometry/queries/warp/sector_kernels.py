@@ -130,8 +130,7 @@ def sector_crossings(
     tree: EdgeTree,
     face_group: wp.array(dtype=int),
     sectors: SectorQuery,
-    least_layer: float,
-    seed: int,
+    options: wp.array(dtype=int),
     probability: float,
     segment_out: wp.array(dtype=int),
     edge_out: wp.array(dtype=int),
@@ -140,7 +139,8 @@ def sector_crossings(
 ):
     """Visible silhouette crossings of chords (`first`, `last`) seen from apexes; see `queries.sector_crossings`.
 
-    `found` = [kept, all, chords with inconsistent counts, chords of more than `MOST` crossings, nodes visited, rays].
+    `options` = [seed, least layer]; `found` = [kept, all, chords with inconsistent counts, chords of more than `MOST`
+    crossings, nodes visited, rays].
     The tree is walked without a stack, as in `kernels.edge_candidates`.
     """
     i = start + wp.tid()
@@ -182,6 +182,7 @@ def sector_crossings(
     # Crossings are sorted along the chord, as many as there is room for at once, and walked with the number of layers.
     # Where that number comes out wrong, or not all edges are looked at, each crossing is resolved by a ray of its own.
     by_rays = bool(False)
+    least_layer = float(options[1])
     least = least_layer
     if not bounded or sectors.needed[i] > least_layer:
         by_rays = bool(True)
@@ -264,7 +265,7 @@ def sector_crossings(
                                                     )
                                                     if hidden == 0:
                                                         wp.atomic_add(found, 1, 1)
-                                                        if keeps(i, e, seed, probability):
+                                                        if keeps(i, e, options[0], probability):
                                                             j = wp.atomic_add(found, 0, 1)
                                                             if j < segment_out.shape[0]:
                                                                 segment_out[j] = i
@@ -331,7 +332,7 @@ def sector_crossings(
                     e = crossed[k]
                     if (before == 0) != (now == 0) and edges.rank[e] >= sectors.needed[i]:
                         wp.atomic_add(found, 1, 1)
-                        if keeps(i, e, seed, probability):
+                        if keeps(i, e, options[0], probability):
                             j = wp.atomic_add(found, 0, 1)
                             if j < segment_out.shape[0]:
                                 p0 = wp.vec3d(geometry.vertices[edges.ends[e][0]]) - ad

@@ -3,33 +3,35 @@
 import numpy as np
 import warp as wp
 
-from jaxdr.geometry.queries.bvh_cache import BVHCache
+from jaxdr.geometry.queries.bvh_cache import BVHCache, HostArrays
 from jaxdr.geometry.queries.warp import tree_kernels
+from jaxdr.geometry.queries.warp.device_arrays import DeviceArrays, largest
 from jaxdr.geometry.queries.warp.launch import launch
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
 
 
-def _on(device, array, dtype) -> wp.array:
-    """A host array where kernels can read it: a view on CPU, a copy on CUDA."""
-    return wp.array(array, dtype=dtype, device=device, copy=not device.is_cpu)
+def _for_kernels(array, dtype) -> wp.array:
+    """A kept array as kernels take it: a view of one on the host."""
+    return array if isinstance(array, wp.array) else wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
 class _FaceBVH:
-    """What structures over faces share: the faces on the device, and their boxes' margin."""
+    """What structures over faces share: the faces, and their boxes' margin."""
 
     def __init__(self, topology, device):
         self.device = device
         self.count = len(topology[0])
-        self.faces = wp.array(topology[0], dtype=wp.vec3i, device=device)
+        self.faces = _for_kernels(topology[0], wp.vec3i)
 
     def _launch(self, kernel, moving, *rest):
-        vertices = _on(self.device, moving[0], wp.vec3)
+        vertices = _for_kernels(moving[0], wp.vec3)
         launch(kernel, self.count, [], [vertices, self.faces, *rest], self.device)
 
     def _margin(self, moving) -> float:
-        return float(BOX_MARGIN * np.abs(moving[0]).max())
+        far = largest(moving[0]) if isinstance(moving[0], wp.array) else np.abs(moving[0]).max()
+        return float(BOX_MARGIN * far)
 
     def _empty(self, count):
         return wp.empty(count, dtype=wp.vec3, device=self.device)
@@ -85,21 +87,21 @@ class _PointBVH:
 
     def __init__(self, moving, topology, device):
         del topology
-        self.bvh = wp.Bvh(*(wp.array(a, dtype=wp.vec3, device=device) for a in self._boxes(moving)))
+        lower, upper = (wp.empty(len(moving[0]), dtype=wp.vec3, device=device) for _ in range(2))
+        self._boxes(moving, lower, upper)
+        self.bvh = wp.Bvh(lower, upper)
 
     @property
     def id(self):
         return self.bvh.id
 
     def refit(self, moving):
-        lower, upper = self._boxes(moving)
-        self.bvh.lowers.assign(lower)
-        self.bvh.uppers.assign(upper)
+        self._boxes(moving, self.bvh.lowers, self.bvh.uppers)
         self.bvh.refit()
 
-    def _boxes(self, moving):
-        radius = np.maximum(moving[1], 0.0)[:, None]
-        return (moving[0] - radius).astype(np.float32), (moving[0] + radius).astype(np.float32)
+    def _boxes(self, moving, lower, upper):
+        point, radius = _for_kernels(moving[0], wp.vec3), _for_kernels(moving[1], float)
+        launch(tree_kernels.point_boxes, len(moving[0]), [], [point, radius, lower, upper], lower.device)
 
 
 _caches: dict[tuple[str, str], BVHCache] = {}
@@ -107,10 +109,18 @@ _STRUCTURES = {"mesh": _MeshBVH, "faces": _BoxBVH, "points": _PointBVH}
 
 
 def structure_cache(kind: str, device) -> BVHCache:
-    """The structures of one kind that were used last on a device, by the content of the geometry."""
+    """The structures of one kind that were used last on a device, by the content of the geometry.
+
+    Its arrays are NumPy's on a CPU and Warp's elsewhere.
+    """
     key = (kind, str(device))
     if key not in _caches:
-        make = _STRUCTURES[kind]
-        # In one step: another thread may be here, too.
-        _caches.setdefault(key, BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m)))
+        make, arrays = _STRUCTURES[kind], arrays_on(device)
+        cache = BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m), arrays)
+        _caches.setdefault(key, cache)  # in one step: another thread may be here, too
     return _caches[key]
+
+
+def arrays_on(device) -> HostArrays | DeviceArrays:
+    """How caches on a device compare and keep arrays."""
+    return HostArrays() if device.is_cpu else DeviceArrays(device)

@@ -27,6 +27,9 @@ class Node:
     radius: float
 
 
+NODE_WORDS = wp.types.type_size_in_bytes(Node) // 4
+
+
 @wp.func
 def nothing():
     node = Node()
@@ -174,6 +177,20 @@ def face_boxes(
     low, high = face_box(vertices, faces[f], margin)
     lower[f] = low
     upper[f] = high
+
+
+@wp.kernel
+def point_boxes(
+    start: int,
+    point: wp.array(dtype=wp.vec3),
+    radius: wp.array(dtype=float),
+    lower: wp.array(dtype=wp.vec3),
+    upper: wp.array(dtype=wp.vec3),
+):
+    i = start + wp.tid()
+    grown = wp.max(radius[i], 0.0)
+    lower[i] = point[i] - wp.vec3(grown, grown, grown)
+    upper[i] = point[i] + wp.vec3(grown, grown, grown)
 
 
 @wp.kernel

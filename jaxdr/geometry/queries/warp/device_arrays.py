@@ -1,0 +1,85 @@
+"""Arrays on a GPU, as a cache of structures compares and keeps them, and when structures there may change.
+
+All of it also runs on Warp's CPU device, where it is tested.
+
+What Warp guarantees (1.19), and what follows:
+
+- A callback from JAX works on XLA's stream, and kernels that it launched may still wait when it returns. A lock does
+  not tell whether a structure is in use: before one is refitted or dropped, all streams of the device are waited for.
+- Memory is freed in the order of the default stream. That one waits for streams like Warp's own, and not for XLA's, so
+  memory that kernels on XLA's stream still use could be given to others. Structures, and the scratch memory of their
+  construction, therefore are made on a stream of Warp's own, and finished before others see them.
+"""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import warp as wp
+
+from jaxdr.geometry.queries.warp import array_kernels as kernels
+from jaxdr.geometry.queries.warp.launch import launch
+
+
+class DeviceArrays:
+    """Warp arrays, compared where they are: one number an array comes back to the host."""
+
+    def __init__(self, device):
+        self.device = device
+        self.stream = None if device.is_cpu else wp.Stream(device)
+
+    def agree(self, kept: Sequence[wp.array], given: Sequence[wp.array]) -> Iterator[bool]:
+        """Whether arrays are equal bit by bit, pair by pair; shapes and types are looked at first."""
+        alike = [a.shape == b.shape and a.dtype == b.dtype for a, b in zip(kept, given, strict=True)]
+        if not any(alike):
+            return iter(alike)
+        differ = wp.zeros(len(alike), dtype=int, device=self.device)
+        for i, (a, b) in enumerate(zip(kept, given, strict=True)):
+            if alike[i]:
+                launch(kernels.find_difference, _words(a).size, [], [_words(a), _words(b), i, differ], self.device)
+        return (like and not found for like, found in zip(alike, differ.numpy(), strict=True))
+
+    def copies(self, given: Sequence[wp.array]) -> list[wp.array]:
+        """Copies that nobody else writes to."""
+        return [wp.clone(a) for a in given]
+
+    @contextlib.contextmanager
+    def changes(self) -> Iterator[None]:
+        """Waits for all kernels on the device, and in the end for what was launched inside.
+
+        Copies made inside are part of it: what they are made of is there when it begins.
+        """
+        if self.stream is None:
+            yield
+            return
+        wp.synchronize_device(self.device)
+        with wp.ScopedStream(self.stream, sync_enter=False):
+            try:
+                yield
+            finally:
+                wp.synchronize_stream(self.stream)
+
+
+def largest(array: wp.array) -> float:
+    """The largest absolute value in an array of float vectors; waits for the device."""
+    numbers = _as(array, float)
+    found = wp.zeros(1, dtype=float, device=array.device)
+    # At once: threads of a CPU have no atomic maximum.
+    launch(kernels.find_largest, numbers.size, [], [numbers, found], array.device, each=max(1, numbers.size))
+    return float(found.numpy()[0])
+
+
+def number_above(array: wp.array, limit: int) -> int:
+    """How many whole numbers exceed a limit; waits for the device."""
+    count = wp.zeros(1, dtype=int, device=array.device)
+    launch(kernels.count_above, array.size, [], [array, limit, count], array.device, each=max(1, array.size))
+    return int(count.numpy()[0])
+
+
+def _words(array: wp.array) -> wp.array:
+    """The same memory as words of 32 bits."""
+    return _as(array, int)
+
+
+def _as(array: wp.array, dtype) -> wp.array:
+    size = array.size * wp.types.type_size_in_bytes(array.dtype) // 4
+    return wp.array(ptr=array.ptr, dtype=dtype, shape=size, device=array.device)
