@@ -1,13 +1,12 @@
 """A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
@@ -21,8 +20,9 @@ from jaxdr.optimize.reconstruction.paint import (
     first_light_and_albedo,
     seen_colors,
 )
-from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
-from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, resampled, solid_angles
+from jaxdr.optimize.reconstruction.photo_set import PhotoSet
+from jaxdr.optimize.reconstruction.pictures import Photographs
+from jaxdr.optimize.reconstruction.sky import Backdrop, resampled, solid_angles
 from jaxdr.optimize.reconstruction.unknowns import (
     ROUGHEST,
     SMOOTHEST,
@@ -35,7 +35,6 @@ from jaxdr.optimize.reconstruction.unknowns import (
     to_latent,
 )
 from jaxdr.optimize.remesh import remesh_to
-from jaxdr.views.record import View
 
 FIRST_ROUGHNESS = 0.5
 DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
@@ -55,7 +54,7 @@ class Stage(NamedTuple):
     mesh: Mesh
     steps: LargeSteps
     transformation: optax.GradientTransformation
-    photographs: list[Cut]
+    photographs: Photographs
     gradient: Callable
     update: Callable
 
@@ -79,14 +78,12 @@ class Stage(NamedTuple):
         return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(cut.trust), jnp.asarray(view, jnp.int32))
 
 
-def make_stage(
-    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, start: int, mesh: Mesh
-) -> Stage:
+def make_stage(config: ReconstructConfig, photos: PhotoSet, number: int, start: int, mesh: Mesh) -> Stage:
     """A level for a mesh."""
     level = config.levels[number]
     steps = LargeSteps(mesh, level.lam)
     transformation = optimizer(config.rates, config.unknown, config.steps, start)
-    expected = _expected(mesh, find_backdrop(views, level.sky), level)
+    expected = _expected(mesh, photos.backdrop(level.sky), level)
     weights = config.priors
 
     @jit
@@ -97,8 +94,7 @@ def make_stage(
         return State(jax.tree.map(jnp.add, state.latent, updates), moments)
 
     gradient = jit(view_gradient(config.integrator.build(), config.samples, config.priors.mask))
-    photographs = cuts(views, pose, level.resolution)
-    return Stage(number, start, mesh, steps, transformation, photographs, gradient, update)
+    return Stage(number, start, mesh, steps, transformation, photos.at(level.resolution), gradient, update)
 
 
 def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
@@ -111,10 +107,10 @@ def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
     return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
 
 
-def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Unknowns:
+def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> Unknowns:
     """The paint and the light that explain the dull colours that photographs show, half rough."""
     count = len(mesh.vertices)
-    radiance, albedo = first_light_and_albedo(mesh, _seen(config, views, pose, mesh), find_backdrop(views, ROWS))
+    radiance, albedo = first_light_and_albedo(mesh, seen_colors(mesh, photos.paint()), photos.backdrop(ROWS))
     radiance = np.maximum(radiance, DIM * radiance.mean())
     roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
@@ -122,13 +118,9 @@ def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose,
         _logit(albedo),
         np.full((count, 1), _logit(roughness)),
         resampled(np.log(radiance), config.levels[0].sky),
-        np.zeros((len(views), 3)),
+        np.zeros((len(photos.views), 3)),
     )
     return Unknowns(*(jnp.asarray(value, float) for value in values))
-
-
-def _seen(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Float[np.ndarray, "V 3"]:
-    return seen_colors(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
 
 
 def _logit(share):
@@ -136,7 +128,7 @@ def _logit(share):
 
 
 def next_unknowns(
-    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, mesh: Mesh, unknowns: Unknowns
+    config: ReconstructConfig, photos: PhotoSet, number: int, mesh: Mesh, unknowns: Unknowns
 ) -> tuple[Mesh, Unknowns, str]:
     """(the mesh remeshed for a level, the unknowns carried over, why remeshing failed or nothing: then it is the same).
 
@@ -149,7 +141,7 @@ def next_unknowns(
         new = remesh_to(mesh, level.vertices).smooth()
     except ValueError as problem:
         return mesh, unknowns._replace(light=light), str(problem)
-    old_seen, seen = (np.maximum(_seen(config, views, pose, each), DARKEST) for each in (mesh, new))
+    old_seen, seen = (np.maximum(seen_colors(each, photos.paint()), DARKEST) for each in (mesh, new))
     albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
     albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
     values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)
