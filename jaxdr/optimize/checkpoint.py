@@ -58,7 +58,7 @@ class Checkpoint(NamedTuple):
         """The state; `template` is one of the same structure. Raises ValueError that names a leaf that differs."""
         dynamic, static = eqx.partition(template, eqx.is_array)
         expected = named_leaves(dynamic)
-        for name in [*expected, *(self.leaves.keys() - expected.keys())]:
+        for name in dict.fromkeys([*expected, *self.leaves]):
             found, wanted = (_shape(leaves.get(name)) for leaves in (self.leaves, expected))
             if found != wanted:
                 raise ValueError(

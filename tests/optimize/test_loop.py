@@ -115,7 +115,7 @@ def initial_mesh(config):
 def test_another_seed_gives_another_result(config, straight):
     other = dataclasses.replace(config, seed=1)
     optimize(other)
-    assert not np.array_equal(checkpoint(straight)["state/latent"], checkpoint(other)["state_0"])
+    assert not np.array_equal(checkpoint(straight)["state/latent"], checkpoint(other)["state/latent"])
 
 
 def test_ctrl_c_and_resume_end_with_the_same_bits(config, straight, monkeypatch):
