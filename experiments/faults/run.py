@@ -65,7 +65,7 @@ class Run:
     def wait_for_step(self, process: subprocess.Popen, step: int) -> None:
         """Until so many steps are recorded."""
         while self.steps() < step and process.poll() is None:
-            time.sleep(0.002)
+            time.sleep(0.02)
 
     def steps(self) -> int:
         """Steps that are recorded."""

@@ -1,5 +1,6 @@
 """Reading many pictures in little memory: as many as fit are kept, others are read ahead by a few threads."""
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -8,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-THREADS = 4
+THREADS = min(4, os.cpu_count() or 1)
 AHEAD = 4  # pictures that are read, or being read, before they are asked for
 
 T = TypeVar("T")

@@ -3,6 +3,7 @@
 import threading
 import time
 
+import jax
 import numpy as np
 import pytest
 
@@ -99,7 +100,7 @@ def test_levels_and_sky_do_not_depend_on_the_room(tmp_path, make):
         found.append(([photographs[i] for i in (0, 2, 1)], list(photographs), find_backdrop(views, 5)))
     for single, together, sky in found[1:]:
         for one, other in zip([*single, *together], [*found[0][0], *found[0][1]], strict=True):
-            for part, same in zip(one, other, strict=True):
+            for part, same in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
                 np.testing.assert_array_equal(part, same)
         if sky is None:
             assert found[0][2] is None

@@ -46,7 +46,7 @@ class Cut(NamedTuple):
     camera: Pinhole
 
 
-class Photographs(Sequence[Cut]):
+class Photographs:
     """The photographs reduced to `resolution` pixels along their longer side, and cut to one size around the object.
 
     Without masks nothing is cut off. Light is averaged over the area of the new pixels. They are read when they are
@@ -63,7 +63,7 @@ class Photographs(Sequence[Cut]):
     def __len__(self) -> int:
         return len(self.views)
 
-    def __getitem__(self, number):
+    def __getitem__(self, number: int) -> Cut:
         if not 0 <= number < len(self.views):
             raise IndexError(number)
         expected = self._expected.get(number)
