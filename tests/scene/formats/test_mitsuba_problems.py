@@ -22,7 +22,8 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
     <bsdf type="diffuse"><texture type="noise" name="reflectance"/></bsdf></shape>"""
 MESSAGES = [
     "line 2, <bsdf>: unknown type 'velvet'; known: diffuse, twosided, mask, normalmap, bumpmap, blendbsdf, "
-    "mixturebsdf, roughconductor, roughdielectric, roughplastic, principled, principledthin, conductor, dielectric, thindielectric, phong, plastic; "
+    "mixturebsdf, roughconductor, roughdielectric, roughplastic, principled, principledthin, conductor, dielectric, "
+    "thindielectric, phong, plastic; "
     "with ignore_unsupported a grey diffuse BSDF",
     "line 3, <shape>: unknown type 'hair'; known: obj, ply, serialized,",
     "line 4, <float>: unknown parameter 'aperture' of sensor 'perspective'; known: ",
