@@ -33,9 +33,7 @@ from jaxdr.scene.textures import Texture
 
 SAMPLING = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate")
 SAMPLING_OF_THIN = tuple(
-    f"{lobe}_{way}_sampling_rate"
-    for lobe in ("diffuse", "specular")
-    for way in ("reflectance", "transmittance")
+    f"{lobe}_{way}_sampling_rate" for lobe in ("diffuse", "specular") for way in ("reflectance", "transmittance")
 )
 # Of Principled: what has no effect without the lobe that it belongs to.
 DETAILS = {"sheen_tint": "sheen", "clearcoat_gloss": "clearcoat"}
