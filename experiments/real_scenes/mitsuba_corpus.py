@@ -128,7 +128,7 @@ SETTINGS = {
     "wrong_encoding": scene("<!-- é -->", head='<?xml version="1.0" encoding="utf-8"?>'),
     "spot_with_texture": scene(
         f'<emitter type="spot"><rgb name="intensity" value="30, 30, 30"/>{image("texture")}'
-        '<transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform></emitter>'
+        '<transform name="to_world"><lookat origin="-0.5, 0, 3.5" target="0, 0, 0" up="0, 1, 0"/></transform></emitter>'
     ),
     "sunsky": scene('<emitter type="sunsky"/>', room=FLOOR),
     "bmp_image": scene(

@@ -7,4 +7,5 @@ from jaxdr.scene.textures.bitmap import Bitmap as Bitmap
 from jaxdr.scene.textures.checkerboard import Checkerboard as Checkerboard
 from jaxdr.scene.textures.face_colors import FaceColors as FaceColors
 from jaxdr.scene.textures.heights import Heights as Heights
+from jaxdr.scene.textures.product import Product as Product
 from jaxdr.scene.textures.vertex_colors import VertexColors as VertexColors

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from jaxdr.scene.bsdf import (
@@ -94,14 +93,11 @@ def _phong(properties: Properties) -> Phong:
     if total is not None and total > 1.0:
         message = f"the two reflectances add up to {total:.3g}; both are made darker, so that they reflect 0.99 at most"
         warnings.warn(properties.element.place(message), stacklevel=2)
-        diffuse, specular = (_darker(value, 0.99 / total) for value in (diffuse, specular))
+        diffuse, specular = (
+            value.times(0.99 / total) if isinstance(value, Texture) else 0.99 / total * np.asarray(value)
+            for value in (diffuse, specular)
+        )
     return Phong(diffuse, specular, exponent)
-
-
-def _darker(value: Any, factor: float) -> Any:
-    if not isinstance(value, Texture):
-        return factor * np.asarray(value)
-    return eqx.tree_at(lambda t: t.data(), value, tuple(factor * array for array in value.data()))
 
 
 def _base(properties: Properties) -> dict[str, Any]:
