@@ -109,6 +109,7 @@ def pictures_by_mitsuba(path, tiny, spp, integrator):
     """Two independent pictures of the file with a film of the same size and a box filter."""
     import mitsuba as mi
 
+    mi.file_resolver().append(str(path.parent.resolve()))  # as `load_file` does
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(path))
     mi.parser.transform_all(config, state)
