@@ -570,7 +570,7 @@ material_case(
     "lobes.glb",
     {"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}, "KHR_materials_sheen": {}}},
     strict=False,
-    warned=("KHR_materials_clearcoat is not supported",),  # and no sheen, whose colour is black
+    warned=("KHR_materials_clearcoat is not supported; there is no coat",),  # and no sheen, whose colour is black
 )
 
 

@@ -302,3 +302,8 @@ def test_jumps_inside_faces_that_move_are_refused():
     for primary in ("fixed_ray", "material"):
         with pytest.raises(ValueError, match="it has no derivative by to_uv or UVs"):
             differentiate(board, along("quad.bsdf.reflectance.to_uv", np.ones((2, 3))), primary=primary)
+        tinted = jd.Product(jd.Checkerboard(0.2, 0.8, to_uv=np.eye(3)), jd.VertexColors(np.ones(4)))
+        board_and_colors = scene(jd.Diffuse(tinted), pixel_filter=jd.Gaussian())
+        with pytest.raises(ValueError, match="it has no derivative by to_uv or UVs"):
+            change = along("quad.bsdf.reflectance.first.to_uv", np.ones((2, 3)))
+            differentiate(board_and_colors, change, primary=primary)

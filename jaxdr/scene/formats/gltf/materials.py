@@ -41,6 +41,9 @@ LOBES = {
     "KHR_materials_diffuse_transmission": ("diffuseTransmissionFactor", 0),
 }
 INSTEAD = {
+    # Burley's are others: a coat with 0.6 (head on) to 0.1 (grazing) of the light of glTF's, a sheen of another shape.
+    "KHR_materials_clearcoat": "there is no coat; that of Principled is another one",
+    "KHR_materials_sheen": "there is no sheen; that of Principled is another one",
     "KHR_materials_pbrSpecularGlossiness": "its metallic-roughness values count",
     "KHR_materials_dispersion": "one index counts for all colours",
 }
