@@ -1,8 +1,10 @@
 """Small glTF files that between them hold what makes other people's files hard to load, with what each must give.
 
-`write(folder)` writes them all. They are made from the specification of glTF 2.0 and its extensions, by `gltf_writer`.
+`python -m experiments.real_scenes.gltf_corpus FOLDER` writes them all. They are made from the specification of glTF 2.0
+and its extensions, by `gltf_writer`.
 """
 
+import argparse
 import contextlib
 import dataclasses
 import io
@@ -801,3 +803,9 @@ def _(path):
     file = File()
     file.square({"pbrMetallicRoughness": {"baseColorTexture": {"index": file.texture(CHECKS[:40])}}})
     file.save(path)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path)
+    print(f"{len(write(parser.parse_args().folder))} files")

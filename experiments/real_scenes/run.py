@@ -18,6 +18,7 @@ from experiments.common import ROOT
 
 PATTERNS = ("*.xml", "*.gltf", "*.glb")
 LONGEST_SIDE = 48  # pixels
+FINITE = {True: "finite", False: "NOT FINITE"}  # where there is no picture to compare with
 DEEP = 12  # segments, where Mitsuba counts them in another way
 
 
@@ -141,7 +142,7 @@ def row(found):
         found["scene"],
         found.get("outcome", found.get("failed", "?")),
         str(len(found.get("warnings", []))),
-        " ".join(f"{value:.3f}" for value in ratio) if ratio else "",
+        " ".join(f"{value:.3f}" for value in ratio) if ratio else FINITE.get(found.get("finite"), ""),
         str(found.get("error_over_noise", "")),
         f"{found['seconds']:.2f}" if "seconds" in found else "",
         "refused" if "mitsuba" in found else f"{found['mitsuba_seconds']:.2f}" if "mitsuba_seconds" in found else "",

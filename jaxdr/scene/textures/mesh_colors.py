@@ -27,6 +27,9 @@ class MeshColors(Texture):
 class VertexColors(MeshColors):
     """`colors` [V] or [V, C] (C = 1 or 3) of a mesh's V vertices, interpolated over its faces."""
 
+    def __init__(self, colors: ArrayLike):
+        super().__init__(colors)
+
     def lookup(self, row, point):
         return interpolate(self.colors[row[:, None], point.vertices], point.barycentric)
 
@@ -35,6 +38,9 @@ class FaceColors(MeshColors):
     """`colors` [F] or [F, C] (C = 1 or 3) of a mesh's F faces, each the same all over its face."""
 
     uses_faces = True
+
+    def __init__(self, colors: ArrayLike):
+        super().__init__(colors)
 
     def lookup(self, row, point):
         assert point.face is not None

@@ -35,10 +35,10 @@ class Product(Texture):
         return self.first.data() + self.second.data()
 
     def extremes(self):
-        known = [part.extremes() for part in (self.first, self.second)]
-        if None in known:
+        one, two = self.first.extremes(), self.second.extremes()
+        if one is None or two is None:
             return None
-        (a, b), (c, d) = known
+        (a, b), (c, d) = one, two
         ends = np.stack(np.broadcast_arrays(a * c, a * d, b * c, b * d))
         return ends.min(0), ends.max(0)
 

@@ -197,10 +197,8 @@ class Materials:
                     "instead of ending at the cutoff"
                 )
             alpha = there
-        of_vertices = info is not None and cutoff is None and colors is not None and colors.shape[1] == 4
-        if of_vertices:
-            image = self.textures.bitmap(info, alpha, label)
-            return Product(image, VertexColors(colors[:, 3]))
+        if info is not None and cutoff is None and colors is not None and colors.shape[1] == 4:
+            return Product(self.textures.bitmap(info, alpha, label), VertexColors(colors[:, 3]))
         if np.min(alpha) == np.max(alpha):
             return float(np.min(alpha))
         if info is None:

@@ -67,10 +67,14 @@ def glass_bsdf(label: str, material: dict, base: Any, roughness: Any, problems: 
             f"{label}: {TRANSMISSION}: a thin pane has two surfaces here: it reflects 2 R / (1 + R) where one "
             "reflects R"
         )
-        return ThinDielectric(index, 1.0, specular_transmittance=base)
+        return _smooth(ThinDielectric, index, base)
     if index == 1 or (isinstance(roughness, float) and roughness**2 <= SMOOTHEST):
-        return Dielectric(index, 1.0, specular_transmittance=base)
+        return _smooth(Dielectric, index, base)
     return RoughDielectric(_alpha(roughness), index, 1.0, specular_transmittance=base)
+
+
+def _smooth(model: Any, index: float, base: Any) -> BSDF:
+    return model(index, 1.0, specular_transmittance=base)
 
 
 def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
