@@ -13,7 +13,7 @@ from jaxdr.optimize.reconstruction.sky import find_backdrop
 from jaxdr.views import pictures
 from jaxdr.views.pictures import CannotRead
 from jaxdr.views.reading import AHEAD, Kept, read_ahead
-from tests.views.folders import SIZE, write_colmap, write_nerf, write_picture
+from tests.views.folders import SIZE, tell_apart, write_colmap, write_nerf, write_picture
 
 WHERE = Pose(np.zeros(3), 1.0)
 BYTES = SIZE * SIZE * 4 * 4  # of a picture with alpha
@@ -91,7 +91,7 @@ def test_with_room_for_one_picture_the_others_are_read_again(tmp_path, counted):
 def test_levels_and_sky_do_not_depend_on_the_room(tmp_path, make):
     if make is write_colmap:
         pytest.importorskip("pycolmap")
-    folder = make(tmp_path)
+    folder = tell_apart(make(tmp_path))
     found = []
     for keep in (1.0, BYTES / 2**30, 0.0):
         views = jd.load_views(folder, keep=keep).views
@@ -110,12 +110,13 @@ def test_levels_and_sky_do_not_depend_on_the_room(tmp_path, make):
 
 
 def test_those_expected_are_read_ahead_and_others_are_let_go(tmp_path, counted):
-    views = jd.load_views(write_nerf(tmp_path), keep=0.0).views
+    views = jd.load_views(tell_apart(write_nerf(tmp_path)), keep=0.0).views
     photographs = cuts(views, WHERE, SIZE)
+    expected = [cut.color for cut in photographs]
     counted.clear()
     photographs.expect([3, 1])
     for number in (3, 1, 3, 3):
-        photographs[number]
+        np.testing.assert_array_equal(photographs[number].color, expected[number])
     assert len(counted) == 2
     photographs.expect([1, 2])
     photographs[1], photographs[2]

@@ -16,7 +16,7 @@ from jaxdr.optimize.progress import Interrupted, Stopped
 from jaxdr.optimize.reconstruction import loop
 from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
 from jaxdr.views import pictures
-from tests.views.folders import SIZE, write_nerf
+from tests.views.folders import SIZE, tell_apart, write_nerf
 
 for package in ("gpytoolbox", "skimage", "xatlas"):
     pytest.importorskip(package)
@@ -34,7 +34,7 @@ TABLE = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_nerf(tmp_path_factory.mktemp("photos") / "nerf", train=6, test=2)
+    return tell_apart(write_nerf(tmp_path_factory.mktemp("photos") / "nerf", train=6, test=2))
 
 
 def config(folder, output, **changes) -> ReconstructConfig:
