@@ -60,7 +60,7 @@ if [ -n "$quick" ]; then
     part "tests" 1800 python -m pytest -n 0 -q tests/geometry/queries/test_purity.py
     part "devices" 1800 python -m experiments.gpu.devices --device "$platform" --device cpu --case "README, depth 2" \
         --size 16 --spp 2 --out "$out"
-    part "chart" 1800 jaxdr chart configs/chart_quick.toml --set "output=$out/chart" --set "samples=[1]" --set keys=2 \
+    part "chart" 1800 jaxdr chart configs/chart_quick.toml --set "output=$out/chart" --set "samples=[1]" --set keys=8 \
         --set memory=false --set terms=0
     part "scaling" 1800 python -m experiments.gpu.scaling --platform "$platform" --quick --out "$out"
 else
