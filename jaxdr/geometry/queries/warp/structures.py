@@ -10,8 +10,8 @@ from jaxdr.geometry.queries.warp.launch import launch
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
-# Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth: rays then lose what
-# is left on an overflow, and other queries write past the stack. This one, on the host, keeps to the limit.
+# Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth: where the stack is
+# full, rays lose what is left, and other queries write past it. This one, on the host, keeps to the limit.
 CONSTRUCTOR = "sah"
 
 
