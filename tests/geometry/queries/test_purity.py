@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import warp as wp
 
 from jaxdr.geometry import queries
 from jaxdr.geometry.edges import INTERIOR
@@ -164,6 +165,28 @@ def test_structures_of_a_device_are_those_of_the_host(device_arrays, monkeypatch
     for ours, s in zip(found, scales, strict=True):
         jax.tree.map(np.testing.assert_array_equal, ours, ask(s))
     assert int(found[0][2].count) > 100 and (found[0][0].face >= 0).sum() > 100
+
+
+def test_trees_are_of_the_kind_whose_depth_has_a_limit(monkeypatch):
+    """Others, such as Warp's default for GPUs, overflow the stack of its queries without a word."""
+    asked = []
+
+    def recorded(name, option):
+        made = getattr(wp, name)
+        monkeypatch.setattr(wp, name, lambda *a, **options: asked.append(options.get(option)) or made(*a, **options))
+
+    recorded("Mesh", "bvh_constructor")
+    recorded("Bvh", "constructor")
+    vertices, faces = np.asarray(SQUARE, np.float32), np.asarray(FACES, np.int32)
+    radius = np.ones(4, np.float32)
+    device = wp.get_device("cpu")
+    for kind, moving, topology in (
+        ("mesh", [vertices], [faces]),
+        ("faces", [vertices], [faces]),
+        ("points", [vertices, radius], []),
+    ):
+        warp_structures._STRUCTURES[kind](moving, topology, device)
+    assert asked == ["sah"] * 3
 
 
 @pytest.mark.parametrize("situation", SITUATIONS)

@@ -10,6 +10,9 @@ from jaxdr.geometry.queries.warp.launch import launch
 
 # Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
+# Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth: where the stack is
+# full, rays lose what is left, and other queries write past it. This one, on the host, keeps to the limit.
+CONSTRUCTOR = "sah"
 
 
 def _for_kernels(array, dtype) -> wp.array:
@@ -48,7 +51,8 @@ class _MeshBVH(_FaceBVH):
         super().__init__(topology, device)
         points = self._empty(3 * self.count)
         self._spread(moving, points)
-        self.mesh = wp.Mesh(points=points, indices=wp.array(np.arange(3 * self.count), dtype=int, device=device))
+        indices = wp.array(np.arange(3 * self.count), dtype=int, device=device)
+        self.mesh = wp.Mesh(points=points, indices=indices, bvh_constructor=CONSTRUCTOR)
         self._launch(tree_kernels.face_corners, moving, self.mesh.points)
 
     @property
@@ -71,7 +75,7 @@ class _BoxBVH(_FaceBVH):
         super().__init__(topology, device)
         lower, upper = self._empty(self.count), self._empty(self.count)
         self._launch(tree_kernels.face_boxes, moving, self._margin(moving), lower, upper)
-        self.bvh = wp.Bvh(lower, upper)
+        self.bvh = wp.Bvh(lower, upper, constructor=CONSTRUCTOR)
 
     @property
     def id(self):
@@ -89,7 +93,7 @@ class _PointBVH:
         del topology
         lower, upper = (wp.empty(len(moving[0]), dtype=wp.vec3, device=device) for _ in range(2))
         self._boxes(moving, lower, upper)
-        self.bvh = wp.Bvh(lower, upper)
+        self.bvh = wp.Bvh(lower, upper, constructor=CONSTRUCTOR)
 
     @property
     def id(self):

@@ -1,0 +1,90 @@
+"""Seconds of a gradient of several views on one, two, four, ... devices of this process.
+
+    python -m experiments.gpu.scaling --platform cuda
+
+Strong scaling: as many views as there are devices at most, divided. Weak scaling: one view on every device. Each number
+of devices is measured in a process of its own.
+"""
+
+import json
+import os
+import statistics
+from pathlib import Path
+
+from experiments import common
+from experiments.gradient_scaling.run import scene_of
+
+CALLS = 5
+
+
+def measure(platform: str, devices: int, views: int, size: int, spp: int) -> dict:
+    """Seconds of the mean gradient of `views` pictures, by all vertices of a mesh; in a fresh process."""
+    os.environ["JAX_PLATFORMS"] = platform
+    if platform == "cpu":
+        os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + f" --xla_force_host_platform_device_count={devices}"
+    import jax
+    from jax.sharding import AxisType
+    from jax.sharding import PartitionSpec as P
+
+    import jaxdr as jd
+
+    scene = scene_of(1_000 if size < 64 else 40_000, size)
+    integrator = jd.PathTracer(max_depth=2)
+    mesh = jax.make_mesh((devices,), ("view",), axis_types=(AxisType.Auto,), devices=jax.devices()[:devices])
+
+    def own(vertices, keys):
+        def loss(vertices):
+            def view(total, key):
+                image = jd.render(scene.replace({"sphere.vertices": vertices}), key, spp, integrator)
+                return total + ((image - 0.25) ** 2).mean(), None
+
+            zero = jax.lax.pcast(0.0, "view", to="varying")
+            return jax.lax.scan(view, zero, keys)[0]
+
+        return jax.grad(loss)(vertices) / views  # summed over devices: the vertices are the same on all
+
+    step = jd.jit(jax.shard_map(own, mesh=mesh, in_specs=(P(), P("view")), out_specs=P()))
+    vertices = scene.parameters()["sphere.vertices"]
+
+    def call(k):
+        return step(vertices, jax.random.split(jax.random.key(k), views))
+
+    _, first = common.seconds_of(call, 0)
+    times = [common.seconds_of(call, k)[1] for k in range(1, CALLS + 1)]
+    return {"devices": devices, "views": views, "first": first, "seconds": statistics.median(times)}
+
+
+def device_count(platform: str) -> int:
+    """How many devices there are; of a CPU two, for a trial."""
+    os.environ["JAX_PLATFORMS"] = platform
+    import jax
+
+    return 2 if platform == "cpu" else jax.device_count()
+
+
+def main():
+    parser = common.parser(__doc__)
+    parser.add_argument("--platform", default="cuda")
+    parser.add_argument("--out", type=Path, help="folder of the results; default: results/ of this study")
+    options = parser.parse_args()
+    size, spp = (16, 2) if options.quick else (256, 16)
+    most = common.in_fresh_process(device_count, options.platform)
+    counts = [n for n in (1, 2, 4, 8, 16) if n <= most]
+    rows = []
+    for kind, views_of in (("strong", lambda n: counts[-1]), ("weak", lambda n: n)):
+        alone = None
+        for n in counts:
+            row = common.in_fresh_process(measure, options.platform, n, views_of(n), size, spp)
+            alone = alone or row
+            gain = alone["seconds"] / row["seconds"] * row["views"] / alone["views"]
+            rows.append({"scaling": kind, **row, "speed": gain})
+            print(json.dumps(rows[-1]), flush=True)
+    folder = options.out or common.results("gpu", options.quick)
+    common.write_json(folder / "scaling.json", {"rows": rows})
+    columns = {"scaling": ("scaling", ""), "devices": ("devices", "d"), "views": ("views", "d")}
+    columns |= {"seconds a step": ("seconds", ".3f"), "times the speed of one": ("speed", ".2f")}
+    print(common.table(rows, columns))
+
+
+if __name__ == "__main__":
+    main()
