@@ -20,6 +20,7 @@ from jaxdr.optimize.run_files import RunFiles, faults_told
 
 # How errors of collective operations begin. JAX raises them as one class or another.
 STATUS = re.compile("(ABORTED|CANCELLED|DEADLINE_EXCEEDED|FAILED_PRECONDITION|INTERNAL|UNAVAILABLE|UNKNOWN): ")
+PROBLEM = "what went wrong"  # the name of an error among arrays
 HEARTBEAT = 30  # seconds without a sign of life after which a process counts as lost
 
 
@@ -52,22 +53,28 @@ def is_writer() -> bool:
 def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """What the writing process gets from `function`, which the others don't call; with one process, what it returns.
 
-    A ValueError there is one in all of them.
+    An error there is a ValueError in the others.
     """
     if jax.process_count() == 1:
         return function()
-    data = b""
+    arrays: dict[str, np.ndarray] = {}
+    problem: Exception | None = None
     if is_writer():
-        with io.BytesIO() as file:
-            try:
-                np.savez(file, allow_pickle=False, **{f"value_{k}": v for k, v in function().items()})
-            except ValueError as problem:
-                np.savez(file, allow_pickle=False, problem=np.asarray(str(problem)))
-            data = file.getvalue()
-    with np.load(io.BytesIO(_broadcast(data)), allow_pickle=False) as found:
-        if "problem" in found:
-            raise ValueError(str(found["problem"]))
-        return {name.removeprefix("value_"): found[name] for name in found.files}
+        try:
+            arrays = function()
+        except Exception as caught:  # the others wait for this process: they get told first
+            problem = caught
+            arrays = {PROBLEM: np.asarray(str(caught))}
+    with io.BytesIO() as file:
+        np.savez(file, allow_pickle=False, **{f"value_{name}": value for name, value in arrays.items()})
+        data = _broadcast(file.getvalue())
+    if problem is not None:
+        raise problem
+    with np.load(io.BytesIO(data), allow_pickle=False) as found:
+        arrays = {name.removeprefix("value_"): found[name] for name in found.files}
+    if PROBLEM in arrays:
+        raise ValueError(str(arrays[PROBLEM]))
+    return arrays
 
 
 def _broadcast(data: bytes) -> bytes:

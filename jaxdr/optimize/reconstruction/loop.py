@@ -11,7 +11,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.checkpoint import Place
 from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.processes import any_process, run_in
+from jaxdr.optimize.processes import any_process, mesh_of_writer, run_in
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.reconstruction.asset import require_xatlas
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
@@ -120,7 +120,7 @@ class _Run:
     def fresh(self) -> tuple[int, Stage, State]:
         """The beginning."""
         level = self.config.levels[0]
-        mesh = remesh_to(self.surface, level.vertices).smooth()
+        mesh = mesh_of_writer(lambda: remesh_to(self.surface, level.vertices).smooth())
         unknowns = first_unknowns(self.config, self.photos, mesh)
         stage = make_stage(self.config, self.photos, 0, 0, mesh, self.devices)
         return 0, stage, stage.fresh(unknowns)

@@ -12,6 +12,7 @@ from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.devices import Device, Divided, divide
 from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.processes import mesh_of_writer
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
 from jaxdr.optimize.reconstruction.paint import (
@@ -145,7 +146,7 @@ def next_unknowns(
     level = config.levels[number]
     light = jnp.asarray(resampled(np.asarray(unknowns.light), level.sky), float)
     try:
-        new = remesh_to(mesh, level.vertices).smooth()
+        new = mesh_of_writer(lambda: remesh_to(mesh, level.vertices).smooth())
     except ValueError as problem:
         return mesh, unknowns._replace(light=light), str(problem)
     old_seen, seen = (np.maximum(seen_colors(each, photos.paint()), DARKEST) for each in (mesh, new))
