@@ -140,7 +140,8 @@ def _left(folder: RunFiles) -> str:
     """What is left of a run whose disk is full or gone."""
     try:
         if not folder.path.is_dir():
-            return f"the folder {folder.path} is gone, and its checkpoint with it: put back a copy, or start again"
+            gone = f"the folder {folder.path} is gone, and its checkpoint with it"
+            return f"{gone} (a copy of it, or a new start, is all that is left)"
         if not folder.checkpoint.exists():
             return "there is no checkpoint yet; a run that is resumed begins again"
         step = load_checkpoint(folder.checkpoint, folder.owner).place.step
