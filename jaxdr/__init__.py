@@ -77,6 +77,7 @@ from jaxdr.scene.scene import Shape as Shape
 from jaxdr.scene.textures import Bitmap as Bitmap
 from jaxdr.scene.textures import Checkerboard as Checkerboard
 from jaxdr.scene.textures import FaceColors as FaceColors
+from jaxdr.scene.textures import Product as Product
 from jaxdr.scene.textures import Texture as Texture
 from jaxdr.scene.textures import VertexColors as VertexColors
 from jaxdr.transport.radiance import Answers as Answers

@@ -2,7 +2,8 @@
 
 Compiled programs are kept in the user's cache folder. Each command that compiles says so first, in a line on stderr.
 A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
-exit code 2, before anything is written. A run that meets NaN ends with exit code 1, Ctrl-C with 130.
+exit code 2, before anything is written. A run whose disk is full or gone ends the same way, its last checkpoint whole;
+one that meets NaN with exit code 1; Ctrl-C and SIGTERM with 130.
 """
 
 import argparse
@@ -35,7 +36,7 @@ from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
-from jaxdr.optimize.progress import Interrupted, NotFinite
+from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
 from jaxdr.optimize.reconstruction.config import reconstruct_config
 from jaxdr.optimize.reconstruction.loop import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
@@ -254,16 +255,13 @@ def _plan(options) -> int:
 def _optimize(options) -> int:
     path = Path(options.config)
     table = read_toml(path, options.set)
-    try:
+    with _way_to_go_on("optimize", options.config, options=options):
         if is_recovery(table):
             config = recovery_config(table, path)
             summary = recover(config, **_how(options))
         else:
             config = optimize_config(table, path)
             summary = optimize(config, **_how(options))
-    except Interrupted as interruption:
-        overrides = "".join(f" --set {assignment}" for assignment in options.set)
-        raise Interrupted(f"{interruption}; go on with: jaxdr optimize {options.config}{overrides} --resume") from None
     if isinstance(config, RecoveryConfig):
         pairs = {"loss": (summary["loss_initial"], summary["loss_final"]), **summary["errors"]}
         changes = ", ".join(f"{name} {before:.3g} -> {after:.3g}" for name, (before, after) in pairs.items())
@@ -287,13 +285,11 @@ def _reconstruct(options) -> int:
     else:
         source, table = "--set", override_table({}, options.set, "the defaults")
     config = reconstruct_config(table, source, options.folder, options.output, options.holdout or "")
-    try:
+    command = ["reconstruct", options.folder, "-o", options.output]
+    for name, value in (("--config", options.config), ("--holdout", options.holdout)):
+        command += [name, value] if value else []
+    with _way_to_go_on(*command, options=options):
         summary = reconstruct(config, **_how(options))
-    except Interrupted as interruption:
-        command = ["jaxdr", "reconstruct", options.folder, "-o", options.output]
-        for name, values in (("--config", [options.config]), ("--holdout", [options.holdout]), ("--set", options.set)):
-            command += [word for value in values if value for word in (name, value)]
-        raise Interrupted(f"{interruption}; go on with: {shlex.join(command)} --resume") from None
     overlap = f", overlap of masks {summary['iou']['mean']:.4f}" if "iou" in summary else ""
     print(
         f"{Path(config.output) / 'asset.glb'}: views {summary['judged_by']}: PSNR {summary['psnr']['mean']:.2f} dB"
@@ -305,14 +301,23 @@ def _reconstruct(options) -> int:
 def _chart(options) -> int:
     path = Path(options.config)
     config = chart_config(read_toml(path, options.set), path)
-    try:
+    with _way_to_go_on("chart", options.config, options=options):
         summary = chart(config, resume=options.resume, overwrite=options.overwrite)
-    except Interrupted as interruption:
-        overrides = "".join(f" --set {assignment}" for assignment in options.set)
-        raise Interrupted(f"{interruption}; go on with: jaxdr chart {options.config}{overrides} --resume") from None
     left = f"{summary['over_budget']} over the budget, {summary['refused']} refused"
     print(f"{Path(config.output) / 'index.html'}: {summary['measured']} points, {left}")
     return 0
+
+
+@contextlib.contextmanager
+def _way_to_go_on(*command: str, options) -> Iterator[None]:
+    """Inside the block a run that is stopped, by a signal or by its disk, ends with the command that goes on."""
+    words = ["jaxdr", *command, *(word for assignment in options.set for word in ("--set", assignment)), "--resume"]
+    try:
+        yield
+    except Interrupted as interruption:
+        raise Interrupted(f"{interruption}; go on with: {shlex.join(words)}") from None
+    except Stopped as problem:
+        raise Stopped(f"{problem}; once that is mended, go on with: {shlex.join(words)}") from problem
 
 
 def _view(options) -> int:

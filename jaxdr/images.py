@@ -4,13 +4,15 @@ The file formats themselves are in `jaxdr.image_formats`.
 """
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from jaxdr.atomic_file import atomic_path
 from jaxdr.image_formats import exr, pfm, png, rgbe
 
 # Ends and middle of the diverging map, sRGB: blue, white, red of Moreland 2009, "Diverging Color Maps for Scientific
@@ -48,18 +50,30 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
     the package OpenEXR. The message names the file.
     """
     path = Path(path)
+    image = _read(path, READERS)
+    if path.suffix.lower() in ENCODED and not raw:
+        image[..., :3] = from_srgb(image[..., :3])
+    return image
+
+
+def image_size(path: Path) -> tuple[int, int, int]:
+    """(width, height, channels) of what `load_image` reads, from the header of the file alone.
+
+    Raises ValueError as `load_image` does, for what the header tells.
+    """
+    return _read(path, SIZES)
+
+
+def _read(path: Path, functions: dict[str, Callable[[Path], Any]]) -> Any:
     suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise ValueError(f"{path}: unknown image format {path.suffix!r}; known are {', '.join(READERS)}")
+    if suffix not in functions:
+        raise ValueError(f"{path}: unknown image format {path.suffix!r}; known are {', '.join(functions)}")
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
     try:
-        image = READERS[suffix](path)
+        return functions[suffix](path)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    if suffix in ENCODED and not raw:
-        image[..., :3] = from_srgb(image[..., :3])
-    return image
 
 
 def check_image_path(path: Path) -> None:
@@ -106,6 +120,16 @@ def _read_npy(path: Path) -> Float[np.ndarray, "H W C"]:
     return image.astype(np.float32)
 
 
+def _npy_size(path: Path) -> tuple[int, int, int]:
+    try:
+        shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
+    except (EOFError, OSError) as error:
+        raise ValueError(f"not a readable NPY file ({error})") from error
+    if len(shape) != 3 or shape[2] not in (1, 3, 4):
+        raise ValueError(f"expected an array of shape [H, W, 1, 3 or 4], got {list(shape)}")
+    return shape[1], shape[0], shape[2]
+
+
 ENCODED = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 READERS = {
     ".png": png.read,
@@ -118,6 +142,13 @@ READERS = {
     ".pfm": pfm.read,
     ".npy": _read_npy,
 }
+SIZES = {
+    **{suffix: png.size for suffix in ENCODED},
+    ".exr": exr.size,
+    ".hdr": rgbe.size,
+    ".pfm": pfm.size,
+    ".npy": _npy_size,
+}
 WRITERS = {
     ".png": lambda path, image: png.write(path, to_srgb(image)),
     ".exr": exr.write,
@@ -126,25 +157,6 @@ WRITERS = {
     ".npy": np.save,
 }
 SUFFIXES = tuple(WRITERS)
-
-
-class atomic_path:
-    """Context manager: a temporary path beside `path` that takes its place when the block ends without an error."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __enter__(self) -> Path:
-        with NamedTemporaryFile(dir=self.path.parent, suffix=self.path.suffix, prefix=".", delete=False) as file:
-            self.temporary = Path(file.name)
-        return self.temporary
-
-    def __exit__(self, kind, value, traceback) -> None:
-        if kind is None:
-            self.temporary.chmod(0o666 & ~_umask())
-            os.replace(self.temporary, self.path)
-        else:
-            self.temporary.unlink(missing_ok=True)
 
 
 def signed_picture(values: Float[np.ndarray, "H W"], limit: float, height: int = 512) -> UInt8[np.ndarray, "h w 3"]:
@@ -193,9 +205,3 @@ def labelled_grid(
         place = (j * (cell_width + gap) + cell_width // 2, header // 2)
         draw.text(place, title, fill=(0, 0, 0), font=ImageFont.load_default(12), anchor="mm")
     return np.asarray(image)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

@@ -123,6 +123,7 @@ def with_photographs(folder: Path) -> dict:
 CODE = {
     "README.md": (nothing, True),
     "docs/choosing.md": (imports, False),
+    "docs/devices.md": (with_a_scene("spot"), True),
     "docs/guided_edges.md": (with_a_scene("bunny"), True),
     "docs/plan.md": (with_a_scene("spot"), True),
     "docs/quickstart.md": (nothing, False),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxdr.images import atomic_path, diverging, labelled_grid, signed_picture, to_srgb, write_image
+from jaxdr.atomic_file import atomic_path
+from jaxdr.images import diverging, labelled_grid, signed_picture, to_srgb, write_image
 
 
 @pytest.fixture

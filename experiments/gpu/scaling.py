@@ -3,7 +3,8 @@
     python -m experiments.gpu.scaling --platform cuda
 
 Strong scaling: as many views as there are devices at most, divided. Weak scaling: one view on every device. Each number
-of devices is measured in a process of its own.
+of devices is measured in a process of its own. With `--platform cpu` a process has as many cores as it has devices, one
+and two, so that what is measured is the division and not the threads of one device.
 """
 
 import json
@@ -21,6 +22,8 @@ def measure(platform: str, devices: int, views: int, size: int, spp: int) -> dic
     """Seconds of the mean gradient of `views` pictures, by all vertices of a mesh; in a fresh process."""
     os.environ["JAX_PLATFORMS"] = platform
     if platform == "cpu":
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:devices])
         os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + f" --xla_force_host_platform_device_count={devices}"
     import jax
     from jax.sharding import AxisType
@@ -65,9 +68,11 @@ def device_count(platform: str) -> int:
 def main():
     parser = common.parser(__doc__)
     parser.add_argument("--platform", default="cuda")
+    parser.add_argument("--size", type=int, help="pixels along a side; default: 256, or 16 with --quick")
     parser.add_argument("--out", type=Path, help="folder of the results; default: results/ of this study")
     options = parser.parse_args()
     size, spp = (16, 2) if options.quick else (256, 16)
+    size = options.size or size
     most = common.in_fresh_process(device_count, options.platform)
     counts = [n for n in (1, 2, 4, 8, 16) if n <= most]
     rows = []

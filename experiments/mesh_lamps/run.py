@@ -41,11 +41,14 @@ COLUMNS = {
 
 def scene_of(case: str, oracle: Path):
     """(scene, name of the moving shape)."""
+    import equinox as eqx
+
     import jaxdr as jd
     from jaxdr.geometry import shapes
 
     if case == "direct_spot":
-        return jd.load_mitsuba(str(oracle / case / "scene.xml"), width=32, height=32), "spot"
+        scene = jd.load_mitsuba(str(oracle / case / "scene.xml"))
+        return eqx.tree_at(lambda s: s.camera.film, scene, jd.Film(32, 32)), "spot"
     if case == "tiny_flat":
         pose = jd.look_at((0.9, -0.5, 2.4), (0.0, 0.0, 0.3), (0.3, 0.8, 0.1))
         lamp = shapes.transformed(shapes.plane(0.016, 4), pose)

@@ -21,18 +21,19 @@ OURS = """
 import time, warnings, sys
 warnings.simplefilter("ignore")
 import jaxdr
-started = time.perf_counter()
+started, worked = time.perf_counter(), time.process_time()
 scene = jaxdr.load_mitsuba(sys.argv[1])
-print(time.perf_counter() - started, len(scene.shapes), sum(len(s.mesh.faces) for s in scene.shapes.values()))
+seconds = time.perf_counter() - started, time.process_time() - worked
+print(*seconds, len(scene.shapes), sum(len(s.mesh.faces) for s in scene.shapes.values()))
 """
 MITSUBA = """
 import time, sys
 import mitsuba
 mitsuba.set_variant("scalar_rgb")
-started = time.perf_counter()
+started, worked = time.perf_counter(), time.process_time()
 scene = mitsuba.load_file(sys.argv[1])
-seconds = time.perf_counter() - started
-print(seconds, len(scene.shapes()), sum(shape.face_count() for shape in scene.shapes()))
+seconds = time.perf_counter() - started, time.process_time() - worked
+print(*seconds, len(scene.shapes()), sum(shape.face_count() for shape in scene.shapes()))
 """
 
 
@@ -63,12 +64,12 @@ def write(folder, shapes, faces):
 
 
 def timed(program, path, folder):
-    """(seconds, shapes, faces) of one loading in a fresh process, with the package of `folder`."""
+    """(seconds, processor seconds, shapes, faces) of one loading in a fresh process, with the package of `folder`."""
     done = subprocess.run(
         [sys.executable, "-c", program, str(path)], cwd=folder, capture_output=True, text=True, check=True
     )
-    seconds, shapes, faces = done.stdout.split()[-3:]
-    return float(seconds), int(shapes), int(faces)
+    seconds, work, shapes, faces = done.stdout.split()[-4:]
+    return float(seconds), float(work), int(shapes), int(faces)
 
 
 def main():
@@ -93,12 +94,17 @@ def main():
             except subprocess.CalledProcessError as error:
                 found.setdefault(name, []).append(None)
                 print(name, error.stderr.strip().splitlines()[-1][:200])
-    lines = ["| | seconds (median) | fastest | shapes | faces |", "| --- | --- | --- | --- | --- |"]
+    lines = ["| | seconds (median) | fastest | processor seconds | shapes | faces |", "| --- " * 6 + "|"]
     for name, times in found.items():
         done = [time for time in times if time]
         seconds = [time[0] for time in done]
         cells = (
-            [f"{statistics.median(seconds):.2f}", f"{min(seconds):.2f}", *map(str, done[0][1:])]
+            [
+                f"{statistics.median(seconds):.2f}",
+                f"{min(seconds):.2f}",
+                f"{statistics.median(time[1] for time in done):.2f}",
+                *map(str, done[0][2:]),
+            ]
             if done
             else ["refused"]
         )

@@ -128,7 +128,7 @@ SETTINGS = {
     "wrong_encoding": scene("<!-- é -->", head='<?xml version="1.0" encoding="utf-8"?>'),
     "spot_with_texture": scene(
         f'<emitter type="spot"><rgb name="intensity" value="30, 30, 30"/>{image("texture")}'
-        '<transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform></emitter>'
+        '<transform name="to_world"><lookat origin="-0.5, 0, 3.5" target="0, 0, 0" up="0, 1, 0"/></transform></emitter>'
     ),
     "sunsky": scene('<emitter type="sunsky"/>', room=FLOOR),
     "bmp_image": scene(
@@ -172,6 +172,8 @@ MATERIALS = {
     "anisotropic_principled": ball(f'<bsdf type="principled">{GLOSSY}<float name="anisotropic" value="0.7"/></bsdf>'),
     "flatness": ball(f'<bsdf type="principled">{GLOSSY}<float name="flatness" value="0.7"/></bsdf>'),
     "spec_tint": ball(f'<bsdf type="principled">{GLOSSY}<float name="spec_tint" value="0.7"/></bsdf>'),
+    "sheet": ball(f'<bsdf type="principledthin">{GLOSSY}<float name="flatness" value="0.5"/></bsdf>'),
+    "sheet_that_transmits": ball(f'<bsdf type="principledthin">{GLOSSY}<float name="diff_trans" value="1"/></bsdf>'),
     "amorphous_carbon": ball('<bsdf type="conductor"><string name="material" value="a-C"/></bsdf>'),
     "polarised_plastic": ball('<bsdf type="pplastic"/>'),
     "rgb_opacity": ball(f'<bsdf type="mask"><rgb name="opacity" value="0.5, 0.2, 0.9"/>{PLAIN}</bsdf>'),
@@ -206,6 +208,9 @@ OLD = {
         sensor=SENSOR.replace("hdrfilm", "ldrfilm")
         .replace("to_world", "toWorld")
         .replace(SIZE, f'{SIZE}<float name="gamma" value="-1"/>'),
+    ),
+    "old_mixture": old_ball(
+        f'<bsdf type="mixturebsdf"><string name="weights" value="0.5, 0.2"/>{PLAIN}<bsdf type="conductor"/></bsdf>'
     ),
     "old_phong": old_ball('<bsdf type="phong"><float name="exponent" value="30"/></bsdf>'),
     "old_copper": old_ball('<bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf>'),

@@ -8,7 +8,6 @@ another sky after one factor a colour channel. Prints JSON.
 """
 
 import argparse
-import dataclasses
 import json
 from pathlib import Path
 
@@ -65,7 +64,7 @@ def _picture(path: Path) -> np.ndarray:
 def _relit(view: jd.View, path: Path) -> jd.View:
     """The view with its photograph under the other sky."""
     image, alpha = read_picture(path, None)
-    return dataclasses.replace(view, image=image, alpha=alpha)
+    return view.with_picture(image, alpha)
 
 
 def _summary(evaluation: Evaluation) -> dict:

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxdr.atomic_file import atomic_path
 from jaxdr.chart.config import ChartConfig
-from jaxdr.images import atomic_path
 from jaxdr.optimize.results_folder import open_results
 
 KEPT = ("references", "cells", "calls", "terms")

@@ -227,6 +227,23 @@ def smoothing_groups(
     return groups.reshape(-1, 3)
 
 
+def normals_apart(arrays: MeshArrays, corner_normals: Float[np.ndarray, "F 3 3"]) -> float:
+    """Mean angle (degrees) between stored normals and those of the smoothing groups, which are computed of the faces.
+
+    Weighted by the corners' angles, as in `Mesh.vertex_normals`.
+    """
+    assert arrays.normal_faces is not None
+    corners = np.asarray(arrays.vertices, float)[arrays.faces]
+    to_next, to_previous = (np.roll(corners, shift, axis=1) - corners for shift in (-1, 1))
+    crossed = np.cross(to_next, to_previous)
+    angles = np.arctan2(np.linalg.norm(crossed, axis=2), np.sum(to_next * to_previous, axis=2))
+    weighted = _unit(crossed.reshape(-1, 3)) * angles.reshape(-1, 1)
+    groups = arrays.normal_faces.reshape(-1)
+    summed = np.stack([np.bincount(groups, column) for column in weighted.T], axis=1)
+    cosine = np.sum(_unit(summed)[groups] * corner_normals.reshape(-1, 3), axis=1)
+    return float(np.degrees(np.average(np.arccos(np.clip(cosine, -1, 1)), weights=angles.reshape(-1) + 1e-300)))
+
+
 def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Corner triples (vertex, uv, normal group) that occur [n, 3], and the faces that index them."""
     columns = [mesh.faces, mesh.uv_faces, mesh.normal_faces]

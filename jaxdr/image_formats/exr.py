@@ -43,8 +43,27 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
     raise ValueError(f"there is no layer {', '.join(GROUPS)}; the file has {found or 'nothing'}")
 
 
+def size(path: Path) -> tuple[int, int, int]:
+    """(width, height, channels) of what `read` reads, from the header alone. Raises ValueError as it does."""
+    if not is_available():
+        raise ValueError(INSTALL)
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            headers = [file.header(i) for i in range(max(1, len(file.parts)))]
+            found = [({c.name for c in header["channels"]}, header["dataWindow"]) for header in headers]
+    except Exception as error:  # whatever the library makes of a broken file
+        raise ValueError(f"not a readable EXR file ({error})") from error
+    for names, (low, high) in found:
+        for group in GROUPS:
+            if set(group) <= names:
+                return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1), len(group)
+    raise ValueError(f"there is no layer {', '.join(GROUPS)}")
+
+
 def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:
-    """Write float32 values, C = 1, 3 or 4, losslessly compressed. Raises ValueError without the package."""
+    """Write float32 values, C = 1, 3 or 4, losslessly. Raises OSError, and ValueError without the package."""
     if not is_available():
         raise ValueError(INSTALL)
     import OpenEXR
@@ -53,4 +72,7 @@ def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:
     name = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
     pixels = np.ascontiguousarray(image, np.float32)
     with OpenEXR.File(header, {name: pixels[..., 0].copy() if name == "Y" else pixels}) as file:
-        file.write(str(path))
+        try:
+            file.write(str(path))
+        except RuntimeError as error:  # what the library makes of a full disk
+            raise OSError(str(error)) from error

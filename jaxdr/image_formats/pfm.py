@@ -9,16 +9,14 @@ from jaxtyping import Float
 
 # Kind, width, height, scale (negative: little-endian), then one whitespace character before the data.
 HEADER = re.compile(rb"(PF|Pf)\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s", re.ASCII)
+LONGEST_HEADER = 1 << 10  # bytes
 
 
 def read(path: Path) -> Float[np.ndarray, "H W C"]:
     """Linear values, C = 1 or 3, times the scale that the header gives. Raises ValueError for a damaged file."""
     data = path.read_bytes()
-    header = HEADER.match(data)
-    if header is None:
-        raise ValueError("the header is not that of a PFM file (PF or Pf, width, height, scale)")
-    channels = 3 if header[1] == b"PF" else 1
-    width, height = int(header[2]), int(header[3])
+    header = _header(data)
+    width, height, channels = _size(header)
     try:
         scale = float(header[4])
     except ValueError:
@@ -30,6 +28,23 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
         raise ValueError(f"{width} x {height} pixels take {expected} bytes, the file has {found}")
     pixels = np.frombuffer(data, "<f4" if scale < 0 else ">f4", offset=header.end())
     return (abs(scale) * pixels.reshape(height, width, channels)[::-1]).astype(np.float32)
+
+
+def size(path: Path) -> tuple[int, int, int]:
+    """(width, height, channels), from the header alone. Raises ValueError for a header that is damaged."""
+    with open(path, "rb") as file:
+        return _size(_header(file.read(LONGEST_HEADER)))
+
+
+def _header(data: bytes) -> re.Match:
+    header = HEADER.match(data)
+    if header is None:
+        raise ValueError("the header is not that of a PFM file (PF or Pf, width, height, scale)")
+    return header
+
+
+def _size(header: re.Match) -> tuple[int, int, int]:
+    return int(header[2]), int(header[3]), 3 if header[1] == b"PF" else 1
 
 
 def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:

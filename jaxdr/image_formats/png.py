@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageFile
 
+FORMATS = ("PNG", "JPEG", "BMP", "TGA")
+
 
 def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
     """Stored values / 255 (or / 65535 with 16 bits), C = 1, 3 or 4; alpha last. Palettes are looked up.
@@ -14,11 +16,21 @@ def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
     Raises ValueError for a damaged file, CMYK, and 16-bit images with grey and alpha or with one transparent colour.
     """
     try:
-        with Image.open(path, formats=("PNG", "JPEG", "BMP", "TGA")) as image:
+        with Image.open(path, formats=FORMATS) as image:
             pixels = _pixels(image, path)
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise ValueError(f"not a readable PNG, JPEG, BMP or TGA file ({error})") from error
     return pixels.reshape(*pixels.shape[:2], -1)
+
+
+def size(path: Path) -> tuple[int, int, int]:
+    """(width, height, channels) of what `read` reads, from the header alone. Raises ValueError as it does."""
+    try:
+        with Image.open(path, formats=FORMATS) as image:
+            mode = image.mode if _deep(image) else _mode(image)
+            return *image.size, 1 if mode == "I;16" else len(mode)
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"not a readable PNG, JPEG, BMP or TGA file ({error})") from error
 
 
 def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
@@ -27,10 +39,7 @@ def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
 
 
 def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
-    raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
-    if raw_mode.endswith(";16B"):
-        if raw_mode == "LA;16B" or "transparency" in image.info:
-            raise ValueError("16-bit grey with alpha and 16-bit transparent colours are not supported; use RGBA")
+    if raw_mode := _deep(image):
         if image.mode == "I;16":
             return np.asarray(image).astype(np.float32) / 65535
         # Pillow keeps the first byte of each 16-bit colour. Decoded as if they were stored the other way around, the
@@ -40,10 +49,23 @@ def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
             again.tile = [tile._replace(args=raw_mode.replace(";16B", ";16L")) for tile in again.tile]
             low = np.asarray(again)
         return (256 * high + low).astype(np.float32) / 65535
+    return np.asarray(image.convert(_mode(image))).astype(np.float32) / 255
+
+
+def _deep(image: ImageFile.ImageFile) -> str:
+    """How Pillow calls the values of a file with 16 bits, else nothing."""
+    raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
+    if not raw_mode.endswith(";16B"):
+        return ""
+    if raw_mode == "LA;16B" or "transparency" in image.info:
+        raise ValueError("16-bit grey with alpha and 16-bit transparent colours are not supported; use RGBA")
+    return raw_mode
+
+
+def _mode(image: ImageFile.ImageFile) -> str:
+    """What a file with 8 bits is converted to."""
     if image.mode == "CMYK":
         raise ValueError("CMYK colours are not supported; save the file as RGB")
     if image.has_transparency_data:
-        mode = "RGBA"
-    else:
-        mode = "L" if image.mode in ("1", "L") else "RGB"
-    return np.asarray(image.convert(mode)).astype(np.float32) / 255
+        return "RGBA"
+    return "L" if image.mode in ("1", "L") else "RGB"

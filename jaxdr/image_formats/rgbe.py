@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 RESOLUTION = re.compile(rb"-Y (\d+) \+X (\d+)")
+LONGEST_HEADER = 1 << 16  # bytes
 RUN_LENGTH_WIDTHS = range(8, 32768)  # other scanlines can only be stored flat
 LONGEST_RUN, LONGEST_LITERAL, SHORTEST_RUN = 127, 128, 4
 
@@ -20,23 +21,36 @@ def read(path: Path) -> Float[np.ndarray, "H W 3"]:
     taken as they are, as other renderers do. Raises ValueError for a damaged file, XYZ colours, an image that is not
     stored from the top left, and the run-length encoding of before 1991.
     """
-    data = path.read_bytes()
-    if not data.startswith(b"#?"):
-        raise ValueError("the first line is not that of a Radiance file (#?RADIANCE)")
-    header, separator, rest = data.partition(b"\n\n")
-    size, _, pixels = rest.partition(b"\n")
-    if not separator:
-        raise ValueError("the header has no end")
-    _check_header(path, header)
-    resolution = RESOLUTION.fullmatch(size)
-    if resolution is None:
-        raise ValueError(f"expected a size such as '-Y 512 +X 1024', got {size[:40].decode(errors='replace')!r}")
-    height, width = int(resolution[1]), int(resolution[2])
+    header, width, height, pixels = _parts(path.read_bytes())
+    _check_exposure(path, header)
     # What a scanline takes at least: a damaged size must not ask for any amount of memory.
     shortest = min(4 * width, 4 + 8 * math.ceil(width / LONGEST_RUN))
     if not 0 < height * shortest <= len(pixels):
         raise ValueError(f"{len(pixels)} bytes are too few for {width} x {height} pixels")
     return _floats(_scanlines(pixels, height, width))
+
+
+def size(path: Path) -> tuple[int, int, int]:
+    """(width, height, 3), from the header alone. Raises ValueError for a header that is damaged."""
+    with open(path, "rb") as file:
+        _, width, height, _ = _parts(file.read(LONGEST_HEADER))
+    return width, height, 3
+
+
+def _parts(data: bytes) -> tuple[bytes, int, int, bytes]:
+    """(lines of the header, width, height, what follows)."""
+    if not data.startswith(b"#?"):
+        raise ValueError("the first line is not that of a Radiance file (#?RADIANCE)")
+    header, separator, rest = data.partition(b"\n\n")
+    line, _, pixels = rest.partition(b"\n")
+    if not separator:
+        raise ValueError("the header has no end")
+    if wrong := [value for name, value in _fields(header) if name == "FORMAT" and value != "32-bit_rle_rgbe"]:
+        raise ValueError(f"FORMAT={wrong[0]} is not supported; expected 32-bit_rle_rgbe")
+    resolution = RESOLUTION.fullmatch(line)
+    if resolution is None:
+        raise ValueError(f"expected a size such as '-Y 512 +X 1024', got {line[:40].decode(errors='replace')!r}")
+    return header, int(resolution[2]), int(resolution[1]), pixels
 
 
 def write(path: Path, image: Float[np.ndarray, "H W 3"]) -> None:
@@ -53,14 +67,17 @@ def write(path: Path, image: Float[np.ndarray, "H W 3"]) -> None:
     path.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (height, width) + lines)
 
 
-def _check_header(path: Path, header: bytes) -> None:
-    for line in header.splitlines()[1:]:
-        name, _, value = (part.strip().decode(errors="replace") for part in line.partition(b"="))
-        if name == "FORMAT" and value != "32-bit_rle_rgbe":
-            raise ValueError(f"FORMAT={value} is not supported; expected 32-bit_rle_rgbe")
+def _fields(header: bytes) -> list[tuple[str, str]]:
+    """Names and values of the lines of a header."""
+    lines = [line.decode(errors="replace").partition("=") for line in header.splitlines()[1:]]
+    return [(name.strip(), value.strip()) for name, _, value in lines]
+
+
+def _check_exposure(path: Path, header: bytes) -> None:
+    for name, value in _fields(header):
         if name == "EXPOSURE" and value not in ("1", "1.0"):
             text = f"{path}: EXPOSURE={value}: values are taken as stored; divide by it for the radiance photographed"
-            warnings.warn(text, stacklevel=4)
+            warnings.warn(text, stacklevel=5)
 
 
 def _floats(pixels: UInt8[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W 3"]:

@@ -1,5 +1,12 @@
-"""Checkpoints: everything a run needs to go on bit for bit, in one file."""
+"""Checkpoints: everything a run needs to go on bit for bit, in one file, the same for all kinds of runs.
 
+A checkpoint is an `.npz` of NumPy: one file that one rename replaces, of whole arrays on the host, so that a run may go
+on with another number of devices. Orbax (0.12) was looked at: it writes a folder (12 files for four arrays), deletes
+the old checkpoint before it writes a new one of the same name, and brings 15 packages of 108 MB. It pays where arrays
+are too large for one host; those of a run are a few numbers a vertex.
+"""
+
+import json
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,52 +15,140 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Float, Int, PyTree
 
-from jaxdr.images import atomic_path
+from jaxdr.atomic_file import atomic_path
 
-STATE = "state_"
+VERSION = 2  # 1 had no names of leaves, and said neither its version nor whose it was
+STATE = "state/"
+PLACE = ("step", "seconds", "level", "since", "start", "vertices", "faces")
+
+
+class Owner(NamedTuple):
+    """Whose a checkpoint is: the `kind` of run, and what of its `config` decides the result, as JSON has it."""
+
+    kind: str
+    config: dict
+
+
+class Place(NamedTuple):
+    """Where a run is: after `step` steps and `seconds`.
+
+    - `level`: its level, which began after `since` steps.
+    - `vertices`, `faces`: the mesh as it was when its topology last changed, after `start` steps; empty without one.
+    """
+
+    step: int
+    seconds: float
+    level: int = 0
+    since: int = 0
+    start: int = 0
+    vertices: Float[np.ndarray, "V 3"] = np.zeros((0, 3))
+    faces: Int[np.ndarray, "F 3"] = np.zeros((0, 3), np.int64)
 
 
 class Checkpoint(NamedTuple):
-    """State of a run after `iteration` steps and `seconds`: arrays of its `leaves`, and `others` by name."""
+    """What `load_checkpoint` found: where the run was, and the arrays of its state by their paths in the pytree."""
 
     path: Path
-    iteration: int
-    seconds: float
+    place: Place
     leaves: dict[str, np.ndarray]
-    others: dict[str, np.ndarray]
 
     def state(self, template: PyTree) -> PyTree:
-        """The state; `template` is one of the same structure. Raises ValueError where this holds another kind."""
+        """The state; `template` is one of the same structure. Raises ValueError that names a leaf that differs."""
         dynamic, static = eqx.partition(template, eqx.is_array)
-        old, structure = jax.tree.flatten(dynamic)
-        new = [self.leaves.get(f"{STATE}{i}") for i in range(len(old))]
-        alike = all(a is not None and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in zip(new, old, strict=True))
-        if not alike or len(self.leaves) != len(old):
-            raise ValueError(f"{self.path}: holds the state of another optimiser")
-        return eqx.combine(jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in new]), static)
+        expected = named_leaves(dynamic)
+        for name in dict.fromkeys([*expected, *self.leaves]):
+            found, wanted = (_shape(leaves.get(name)) for leaves in (self.leaves, expected))
+            if found != wanted:
+                raise ValueError(
+                    f"{self.path}: holds the state of another optimiser: {name} is {found}, expected {wanted}; "
+                    "start again with --overwrite"
+                )
+        structure = jax.tree.structure(dynamic)
+        leaves = [jnp.asarray(self.leaves[name]) for name in expected]
+        return eqx.combine(jax.tree.unflatten(structure, leaves), static)
 
 
-def save_checkpoint(path: Path, state: PyTree, iteration: int, seconds: float, **others: Any) -> None:
-    """Write a `.npz` file that appears complete or not at all, so that an interruption leaves the previous one."""
-    arrays = jax.tree.leaves(eqx.filter(state, eqx.is_array))
-    leaves = {f"{STATE}{i}": np.asarray(leaf) for i, leaf in enumerate(arrays)}
+def named_leaves(state: PyTree) -> dict[str, np.ndarray]:
+    """The arrays of a pytree on the host, in its order, by their paths: `optimizer/0/mu/vertices`."""
+    found = jax.tree_util.tree_leaves_with_path(eqx.filter(state, eqx.is_array))
+    named = {jax.tree_util.keystr(path, simple=True, separator="/"): np.asarray(leaf) for path, leaf in found}
+    assert len(named) == len(found), "two leaves have one name"
+    return named
+
+
+def save_checkpoint(path: Path, owner: Owner, place: Place, state: PyTree) -> None:
+    """Write a file that appears complete or not at all, so that an interruption leaves the previous one.
+
+    Raises `CannotWrite`.
+    """
+    leaves = {STATE + name: leaf for name, leaf in named_leaves(state).items()}
+    head = {"version": VERSION, "kind": owner.kind, "config": json.dumps(owner.config)}
+    arrays: dict[str, Any] = {**head, **place._asdict(), **leaves}
     with atomic_path(path) as temporary:
-        np.savez(temporary, allow_pickle=False, iteration=iteration, seconds=seconds, **others, **leaves)
+        np.savez(temporary, allow_pickle=False, **arrays)
 
 
-def load_checkpoint(path: Path, *others: str) -> Checkpoint:
-    """What `save_checkpoint` wrote, with these `others`. Raises ValueError when it is missing, damaged or another's."""
+def load_checkpoint(path: Path, owner: Owner) -> Checkpoint:
+    """What `save_checkpoint` wrote.
+
+    Raises ValueError, each with words of its own, for a file that is missing, damaged, of another version, of another
+    kind of run, or of a run with another config.
+    """
+    arrays = _arrays(path)
+    if "version" not in arrays or arrays["version"] != VERSION:
+        found = arrays["version"] if "version" in arrays else 1 if "iteration" in arrays else "none of ours"
+        raise ValueError(
+            f"{path}: is a checkpoint of another version (its format is {found}, this jaxdr reads {VERSION}); go on "
+            "with the jaxdr that wrote it, or start again with --overwrite"
+        )
+    if missing := {"kind", "config", *PLACE} - arrays.keys():
+        raise ValueError(f"{path}: is damaged: it lacks {', '.join(sorted(missing))}; start again with --overwrite")
+    kind, config = str(arrays["kind"]), json.loads(str(arrays["config"]))
+    if kind != owner.kind:
+        raise ValueError(f"{path}: is the checkpoint of a {kind}, this is a {owner.kind}; choose another output")
+    if changed := differences(config, owner.config):
+        raise ValueError(
+            f"{path}: is the checkpoint of a run with another config: {'; '.join(changed)}; take that config, or "
+            "start again with --overwrite"
+        )
+    step, level, since, start = (int(arrays[name]) for name in ("step", "level", "since", "start"))
+    place = Place(step, float(arrays["seconds"]), level, since, start, arrays["vertices"], arrays["faces"])
+    leaves = {name.removeprefix(STATE): leaf for name, leaf in arrays.items() if name.startswith(STATE)}
+    return Checkpoint(path, place, leaves)
+
+
+def checkpoint_kind(path: Path) -> str | None:
+    """The kind of run whose checkpoint a file is; None where that can't be told."""
     try:
-        with np.load(path) as file:
-            arrays = dict(file)
+        with np.load(path, allow_pickle=False) as file:
+            return str(file["kind"])
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile):
+        return None  # `load_checkpoint` says what is wrong
+
+
+def differences(old: Any, new: Any, key: str = "") -> list[str]:
+    """What differs between two configs, as JSON has them: "seed was 0, is 1"."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = dict.fromkeys([*old, *new])
+        return [d for n in names for d in differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]
+    return [] if old == new else [f"{key} was {old!r}, is {new!r}"]
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with zipfile.ZipFile(path):  # else NumPy takes the file for something else, and says so
+            pass
+        with np.load(path, allow_pickle=False) as file:
+            return dict(file)
     except FileNotFoundError:
-        raise ValueError(f"{path}: there is no checkpoint to resume from") from None
-    except (OSError, ValueError, zipfile.BadZipFile) as problem:
-        raise ValueError(f"{path}: is not a readable checkpoint ({problem})") from None
-    leaves = {name: arrays.pop(name) for name in list(arrays) if name.startswith(STATE)}
-    if missing := {"iteration", "seconds", *others} - arrays.keys():
-        raise ValueError(f"{path}: is not a checkpoint of this version; it lacks {', '.join(sorted(missing))}")
-    iteration, seconds = int(arrays.pop("iteration")), float(arrays.pop("seconds"))
-    return Checkpoint(path, iteration, seconds, leaves, arrays)
+        raise ValueError(f"{path}: there is no checkpoint to resume from; start again with --overwrite") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
+        raise ValueError(
+            f"{path}: is damaged, it is not a readable checkpoint ({problem}); start again with --overwrite"
+        ) from None
+
+
+def _shape(leaf: np.ndarray | None) -> str:
+    return "absent" if leaf is None else f"{leaf.dtype}{list(leaf.shape)}"

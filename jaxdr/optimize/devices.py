@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from jaxdr.compilation import jit
 
+Device = Any  # jax.Device, which is a variable to type checkers
 VIEW, SHARE = "view", "share"  # axes of the mesh of devices
 
 
@@ -57,7 +59,7 @@ def divide(views: int, devices: int, spp: int) -> Division:
     return Division(rows, devices // rows)
 
 
-def chosen_devices(count: int | None = None) -> list[jax.Device]:
+def chosen_devices(count: int | None = None) -> list[Device]:
     """The first `count` devices of all processes; all by default. Raises ValueError where there are fewer."""
     devices = jax.devices()
     if count is not None and not 1 <= count <= len(devices):
@@ -73,7 +75,7 @@ class Divided:
     With a `Division` of one row and share it is the compiled function itself, called for one item after the other.
     """
 
-    def __init__(self, function: Callable[[Any, Any], Any], division: Division, devices: Sequence[jax.Device]):
+    def __init__(self, function: Callable[[Any, Any], Any], division: Division, devices: Sequence[Device]):
         self.division, self.several = division, len(devices) > 1
         if not self.several:
             self.program = jit(function)
@@ -145,14 +147,14 @@ def batches(items: Iterable[Any], size: int) -> list[list[Any]]:
 class _KeyData(NamedTuple):
     """The words of a random key, which can be placed on devices like numbers."""
 
-    words: Array | np.ndarray
+    words: Any
 
 
 def _key_data(tree: Any) -> Any:
     """The tree with the words of its keys, on the host."""
 
     def plain(x):
-        is_key = isinstance(x, jax.Array) and jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key)
+        is_key = isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
         return _KeyData(np.asarray(jax.random.key_data(x))) if is_key else x
 
     return jax.tree.map(plain, tree)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +11,9 @@ from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.chamfer import chamfer
-from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
+from jaxdr.optimize.checkpoint import Place
 from jaxdr.optimize.config import Level, OptimizeConfig, Remesh
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.field_aligned import remesh_field_aligned, require_pyinstantmeshes
 from jaxdr.optimize.folds import COLLAPSED, collapse_message, folded_share
 from jaxdr.optimize.output import RunFolder, views_to_show
@@ -24,6 +23,7 @@ from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
 from jaxdr.optimize.processes import any_process, mesh_of_writer, run_in
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.remesh import remesh, remesh_to, require_gpytoolbox
+from jaxdr.optimize.run_files import shown_if_possible
 from jaxdr.optimize.signal import signal_to_noise
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
@@ -37,18 +37,14 @@ def optimize(
 ) -> dict:
     """Run a config to its end and return the summary that `metrics.json` holds.
 
-    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every
-    random number derives from the seed and the iteration, so a run that was interrupted and is resumed ends with the
-    same bits. Raises ValueError for a config that can't be run, an output folder in use or too few devices, ImportError
-    before the start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C, `NotFinite` rather than
-    go on with NaN, and `ProcessLost`.
+    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every random number
+    derives from the seed and the iteration, so a run that was interrupted and is resumed ends with the same bits.
+    Raises ValueError for a config that can't be run, an output folder in use or too few devices, ImportError before the
+    start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C or SIGTERM, `Stopped` when a
+    checkpoint or result can't be written, `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     run = _Run(config, chosen_devices(devices))
-
-    def open_at(path: Path) -> RunFolder:
-        return RunFolder(path, config).opened(resume, overwrite)
-
-    with run_in(run, Path(config.output), open_at, resume):
+    with run_in(run, resume, overwrite):
         try:
             return run.run(resume)
         finally:
@@ -69,9 +65,7 @@ def with_new_topology(mesh: Mesh, to: Level | Remesh) -> Mesh:
 class _Run:
     """One call of `optimize`."""
 
-    folder: RunFolder
-
-    def __init__(self, config: OptimizeConfig, devices: list[jax.Device]):
+    def __init__(self, config: OptimizeConfig, devices: list[Device]):
         self.config, self.devices = config, devices
         self.problem = build_problem(config)
         self.initial = self.problem.scene.shapes[OBJECT].mesh
@@ -83,6 +77,7 @@ class _Run:
             require_pyinstantmeshes()  # now, not after an hour
         if not all(is_field_aligned(to) for to in sizes):
             require_gpytoolbox()
+        self.folder = RunFolder(config)
         self.plan: Plan | None = None
         self.programs: list[Programs] = []  # one for each level, made once the integrator is known
         self.beside = ThreadPoolExecutor(1, "jaxdr ahead")
@@ -104,6 +99,7 @@ class _Run:
         targets = self.targets(phase.level, resume)
         self.look_ahead(phase, resume)
         if iteration == 0:
+            self.save_checkpoint(phase, state, 0)  # from here on a run without a checkpoint has lost it
             self.folder.save_mesh("target", self.problem.target)
             self.save_pictures(phase, state, targets, 0)
         compiled.result()
@@ -152,19 +148,16 @@ class _Run:
     def restored(self) -> tuple[int, Phase, State]:
         """Iteration, phase and state of the checkpoint; the beginning when the run stopped before its first one."""
         iteration, phase, state = self.fresh()
-        if not self.folder.checkpoint.exists():
+        saved = self.folder.load_checkpoint()
+        if saved is None:
             return iteration, phase, state
-        saved = load_checkpoint(self.folder.checkpoint, "start", "level", "since", "vertices", "faces")
-        if saved.iteration >= self.config.optimizer.iterations and self.folder.finished:
-            raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
-        start, level, since = (int(saved.others[name]) for name in ("start", "level", "since"))
-        mesh = self.initial
-        if start > 0:
-            mesh = Mesh(saved.others["vertices"], saved.others["faces"])
+        place, mesh = saved.place, self.initial
+        if place.start > 0:
+            mesh = Mesh(place.vertices, place.faces)
             mesh = mesh.smooth() if self.config.initial.shading == "smooth" else mesh
-        phase = make_phase(self.config, self.programs[level], mesh, start, level, since)
-        self.clock -= saved.seconds
-        return saved.iteration, phase, saved.state(phase.fresh_state())
+        phase = make_phase(self.config, self.programs[place.level], mesh, place.start, place.level, place.since)
+        self.clock -= place.seconds
+        return place.step, phase, saved.state(phase.fresh_state())
 
     def targets(self, level: int, resume: bool, quiet: bool = False) -> Float[np.ndarray, "N H W 3"]:
         """Target views of a level: rendered, or read back when a run is resumed."""
@@ -335,12 +328,14 @@ class _Run:
         mesh, key = phase.current_mesh(state), jax.random.fold_in(self.key, PICTURES)
         poses, spp = self.poses(), self.config.samples.pictures
         images = np.stack([phase.image(mesh.vertices, poses[view], key, spp) for view in shown])
-        self.folder.save_grid(iteration, targets[shown], images)
-        self.folder.save_mesh(f"{iteration:05d}", mesh)
+
+        def save():
+            self.folder.save_grid(iteration, targets[shown], images)
+            self.folder.save_mesh(f"{iteration:05d}", mesh)
+
+        shown_if_possible(iteration, save)
 
     def save_checkpoint(self, phase: Phase, state: State, iteration: int) -> None:
-        vertices, faces = np.asarray(phase.mesh.vertices), np.asarray(phase.mesh.faces)
-        where = {"start": phase.start, "level": phase.level, "since": phase.since}
-        save_checkpoint(
-            self.folder.checkpoint, state, iteration, self.seconds(), vertices=vertices, faces=faces, **where
-        )
+        mesh = np.asarray(phase.mesh.vertices), np.asarray(phase.mesh.faces)
+        place = Place(iteration, self.seconds(), phase.level, phase.since, phase.start, *mesh)
+        self.folder.save_checkpoint(place, state)

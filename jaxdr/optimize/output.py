@@ -1,6 +1,5 @@
 """The folder of a run: metrics, pictures, meshes, checkpoint."""
 
-import csv
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,12 +7,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxdr.atomic_file import atomic_path
 from jaxdr.geometry.load import save_mesh
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.images import atomic_path, diverging, labelled_grid, save_png, to_srgb
+from jaxdr.images import diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.config import OptimizeConfig
 from jaxdr.optimize.recovery.config import RecoveryConfig
-from jaxdr.optimize.results_folder import open_results
+from jaxdr.optimize.run_files import RunFiles
 from jaxdr.plan.report import Plan
 
 COLUMNS = (
@@ -29,53 +29,23 @@ COLUMNS = (
 )
 
 
-class RunFolder:
-    """Names and formats of everything a run writes.
+class RunFolder(RunFiles):
+    """Names and formats of everything that a run of `jaxdr optimize` writes.
 
     `metrics.csv` has a line for every step, `pictures/` grids and `meshes/` GLB files of the state after so many
     steps, `checkpoint.npz` and `plan.json` (where the integrator was left to `jaxdr.plan`) what `resume` needs,
     `metrics.json` the summary of a finished run.
     """
 
-    def __init__(self, path: Path, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
-        self.path = path
-        self.config = config
-        self.columns = tuple(columns)
+    subfolders = ("pictures", "meshes")
 
-    @property
-    def checkpoint(self) -> Path:
-        """Where the checkpoint is."""
-        return self.path / "checkpoint.npz"
+    def __init__(self, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
+        super().__init__(config, columns)
+        self.kind = "recovery" if isinstance(config, RecoveryConfig) else "shape optimisation"
 
     def targets(self, level: int | None = None) -> Path:
         """Where the target views are, once all of them were rendered; those of a coarse level have a file each."""
         return self.path / ("targets.npy" if level is None else f"targets_{level}.npy")
-
-    @property
-    def finished(self) -> bool:
-        """Whether the run came to its end."""
-        return (self.path / "metrics.json").exists()
-
-    def opened(self, resume: bool, overwrite: bool) -> "RunFolder":
-        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
-        # How often the folder is written to doesn't change the result.
-        open_results(self.path, self.config, resume, overwrite, free=("output", "report"))
-        for name in ("pictures", "meshes"):
-            (self.path / name).mkdir(exist_ok=True)
-        return self
-
-    def start_metrics(self, iteration: int) -> None:
-        """Begin `metrics.csv`, or drop the lines of steps from `iteration` on, which will be done again."""
-        path = self.path / "metrics.csv"
-        lines = [",".join(self.columns)]
-        if iteration > 0 and path.exists():
-            lines += [line for line in path.read_text().splitlines()[1:] if int(line.partition(",")[0]) <= iteration]
-        self._write_text("metrics.csv", "\n".join(lines) + "\n")
-
-    def add_metrics(self, row: dict) -> None:
-        """Append a line to `metrics.csv`; columns without a value stay empty."""
-        with open(self.path / "metrics.csv", "a", newline="") as file:
-            csv.DictWriter(file, self.columns, lineterminator="\n").writerow(row)
 
     def save_targets(self, targets: Float[np.ndarray, "N H W 3"], level: int | None = None) -> None:
         """Keep the target views: a resumed run needs the very same."""
@@ -99,7 +69,7 @@ class RunFolder:
 
     def save_plan(self, plan: Plan) -> None:
         """Write `plan.json`: a resumed run does not measure again."""
-        self._write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
+        self.write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
 
     def load_plan(self) -> Plan:
         """The plan that the run was begun with. Raises ValueError when it is damaged."""
@@ -142,14 +112,6 @@ class RunFolder:
         """Write `result.npz`: parameters of the scene by name."""
         with atomic_path(self.path / "result.npz") as temporary:
             np.savez(temporary, allow_pickle=False, **values)
-
-    def save_summary(self, summary: dict) -> None:
-        """Write `metrics.json`."""
-        self._write_text("metrics.json", json.dumps(summary, indent=2) + "\n")
-
-    def _write_text(self, name: str, text: str) -> None:
-        with atomic_path(self.path / name) as temporary:
-            temporary.write_text(text)
 
 
 def views_to_show(shown: int, views: int) -> list[int]:

@@ -14,7 +14,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize import losses
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer
-from jaxdr.optimize.devices import ALONE, Divided, Division, divide
+from jaxdr.optimize.devices import ALONE, Device, Divided, Division, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
 from jaxdr.render import render
@@ -76,7 +76,7 @@ class Phase(NamedTuple):
         return self.mesh.with_vertices(self.vertices(state))
 
 
-def make_programs(config: OptimizeConfig, problem: Problem, devices: Sequence[jax.Device]) -> list[Programs]:
+def make_programs(config: OptimizeConfig, problem: Problem, devices: Sequence[Device]) -> list[Programs]:
     """The programs of every level, compiled when they are called.
 
     Levels of the same resolution and samples, whose views are divided over the devices alike, share one.

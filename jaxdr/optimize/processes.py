@@ -4,12 +4,11 @@ import contextlib
 import io
 import os
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
@@ -17,9 +16,11 @@ from jax.experimental import multihost_utils
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.progress import deferred_interrupt
+from jaxdr.optimize.run_files import RunFiles, faults_told
 
 # How errors of collective operations begin. JAX raises them as one class or another.
 STATUS = re.compile("(ABORTED|CANCELLED|DEADLINE_EXCEEDED|FAILED_PRECONDITION|INTERNAL|UNAVAILABLE|UNKNOWN): ")
+PROBLEM = "what went wrong"  # the name of an error among arrays
 HEARTBEAT = 30  # seconds without a sign of life after which a process counts as lost
 
 
@@ -52,22 +53,28 @@ def is_writer() -> bool:
 def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """What the writing process gets from `function`, which the others don't call; with one process, what it returns.
 
-    A ValueError there is one in all of them.
+    An error there is a ValueError in the others.
     """
     if jax.process_count() == 1:
         return function()
-    data = b""
+    arrays: dict[str, np.ndarray] = {}
+    problem: Exception | None = None
     if is_writer():
-        with io.BytesIO() as file:
-            try:
-                np.savez(file, allow_pickle=False, **{f"value_{k}": v for k, v in function().items()})
-            except ValueError as problem:
-                np.savez(file, allow_pickle=False, problem=np.asarray(str(problem)))
-            data = file.getvalue()
-    with np.load(io.BytesIO(_broadcast(data)), allow_pickle=False) as found:
-        if "problem" in found:
-            raise ValueError(str(found["problem"]))
-        return {name.removeprefix("value_"): found[name] for name in found.files}
+        try:
+            arrays = function()
+        except Exception as caught:  # the others wait for this process: they get told first
+            problem = caught
+            arrays = {PROBLEM: np.asarray(str(caught))}
+    with io.BytesIO() as file:
+        np.savez(file, allow_pickle=False, **{f"value_{name}": value for name, value in arrays.items()})
+        data = _broadcast(file.getvalue())
+    if problem is not None:
+        raise problem
+    with np.load(io.BytesIO(data), allow_pickle=False) as found:
+        arrays = {name.removeprefix("value_"): found[name] for name in found.files}
+    if PROBLEM in arrays:
+        raise ValueError(str(arrays[PROBLEM]))
+    return arrays
 
 
 def _broadcast(data: bytes) -> bytes:
@@ -101,36 +108,33 @@ def mesh_of_writer(make: Callable[[], Mesh]) -> Mesh:
     return mesh.smooth() if found["smooth"] else mesh
 
 
-Folder = TypeVar("Folder")
-
-
 @contextlib.contextmanager
-def folder_of_process(path: Path, open_at: Callable[[Path], Folder], resume: bool) -> Iterator[Folder]:
-    """The folder in which this process works on the run at `path`, which `open_at` makes or checks.
+def folder_of_process(folder: RunFiles, resume: bool, overwrite: bool) -> Iterator[RunFiles]:
+    """The folder in which this process works on a run, made or checked; that of the writing process is `folder`.
 
-    That of the writing process is `path` itself. Others have one of their own, with copies of the files that a run goes
-    on from, which is deleted in the end: they need not see the same file system. A ValueError of the writing process
-    is raised in all.
+    Others have one of their own, with copies of the files that a run goes on from, which is deleted in the end: they
+    need not see the same file system. A ValueError of the writing process is raised in all.
     """
-
-    opened: list[Folder] = []
+    if jax.process_count() == 1:
+        folder.open(resume, overwrite)
+        yield folder
+        return
 
     def files_of_writer():
-        opened.append(open_at(path))
-        kept = [p for p in sorted(path.iterdir()) if p.is_file() and p.suffix in (".npz", ".npy", ".json")]
-        return {p.name: np.frombuffer(p.read_bytes(), np.uint8) for p in kept} if resume else {}
+        folder.open(resume, overwrite)
+        kept = [p for p in sorted(folder.path.iterdir()) if p.is_file()] if resume else []
+        return {p.name: np.frombuffer(p.read_bytes(), np.uint8) for p in kept}
 
     files = of_writer(files_of_writer)
     if is_writer():
-        yield opened[0]
+        yield folder
         return
-    own = Path(tempfile.mkdtemp(prefix="jaxdr-process-"))
-    try:
+    with tempfile.TemporaryDirectory(prefix="jaxdr-process-", ignore_cleanup_errors=True) as own:
         for name, content in files.items():
-            (own / name).write_bytes(content.tobytes())
-        yield open_at(own)
-    finally:
-        shutil.rmtree(own, ignore_errors=True)
+            (Path(own) / name).write_bytes(content.tobytes())
+        there = folder.at(Path(own))
+        there.open(resume, overwrite=False)
+        yield there
 
 
 @contextlib.contextmanager
@@ -156,8 +160,13 @@ def leave_at_once(code: int) -> NoReturn:
 
 
 @contextlib.contextmanager
-def run_in(run: Any, path: Path, open_at: Callable[[Path], Any], resume: bool) -> Iterator[None]:
-    """Give a run the `folder` in which this process works on it, and the `interruption` that Ctrl-C sets."""
-    with folder_of_process(path, open_at, resume) as run.folder, deferred_interrupt() as run.interruption:
-        with told_of_lost_processes(path / run.folder.checkpoint.name):
-            yield
+def run_in(run: Any, resume: bool, overwrite: bool) -> Iterator[None]:
+    """Give a run the `folder` in which this process works on it, and the `interruption` that signals set."""
+    checkpoint = run.folder.checkpoint
+    with (
+        folder_of_process(run.folder, resume, overwrite) as run.folder,
+        deferred_interrupt() as run.interruption,
+        faults_told(run.folder),
+        told_of_lost_processes(checkpoint),
+    ):
+        yield

@@ -1,4 +1,4 @@
-"""Progress for people: a bar on a terminal, lines elsewhere; and Ctrl-C that waits for the end of a step."""
+"""Progress for people: a bar on a terminal, lines elsewhere; and signals that wait for the end of a step."""
 
 import signal
 import sys
@@ -63,7 +63,11 @@ class Progress:
 
 
 class Interrupted(Exception):
-    """Ctrl-C stopped a run; the message says where its checkpoint is."""
+    """Ctrl-C or SIGTERM stopped a run; the message says where its checkpoint is."""
+
+
+class Stopped(OSError):
+    """A file of a run could not be written or read; the message says which, why, and what is left of the run."""
 
 
 class NotFinite(ArithmeticError):
@@ -71,20 +75,20 @@ class NotFinite(ArithmeticError):
 
 
 class Interruption:
-    """Whether Ctrl-C was pressed."""
+    """Whether Ctrl-C was pressed, or SIGTERM came."""
 
     requested: bool = False
 
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Interruption]:
-    """Inside the block the first Ctrl-C (SIGINT) only sets `requested`; a second one raises KeyboardInterrupt.
+    """Inside the block the first Ctrl-C or SIGTERM only sets `requested`; a second one raises KeyboardInterrupt.
 
-    Outside the main thread, where Python delivers no signals, and in a background job, which the shell started with
-    SIGINT ignored, nothing changes.
+    SIGTERM is what schedulers send before they kill. Outside the main thread, where Python delivers no signals, nothing
+    changes; neither does a signal that is ignored, as SIGINT is in a background job of a shell.
     """
     interruption = Interruption()
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    if threading.current_thread() is not threading.main_thread():
         yield interruption
         return
 
@@ -92,13 +96,16 @@ def deferred_interrupt() -> Iterator[Interruption]:
         if interruption.requested:
             raise KeyboardInterrupt
         interruption.requested = True
-        print("\nfinishing the current step; Ctrl-C again stops at once", file=sys.stderr, flush=True)
+        what = "Ctrl-C again" if number == signal.SIGINT else "a second signal"
+        print(f"\nfinishing the current step; {what} stops at once", file=sys.stderr, flush=True)
 
-    previous = signal.signal(signal.SIGINT, handle)
+    deferred = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+    previous = {number: signal.signal(number, handle) for number in deferred}
     try:
         yield interruption
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def _clock(seconds: float) -> str:

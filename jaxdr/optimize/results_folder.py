@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxdr.images import atomic_path
+from jaxdr.atomic_file import atomic_path, remove_partial
+from jaxdr.optimize.checkpoint import differences
 
 
 def open_results(
@@ -27,9 +28,9 @@ def open_results(
     """
     if resume and overwrite:
         raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")
-    text = json.dumps(dataclasses.asdict(config), indent=2)
     if resume:
-        _check_config(path, json.loads(text), kind, marker, free)
+        _check_config(path, config, kind, marker, free)
+        remove_partial(path)
         return
     if path.exists() and not path.is_dir():
         raise ValueError(f"output {path}: is a file; expected a folder")
@@ -41,25 +42,23 @@ def open_results(
         shutil.rmtree(path)
     path.mkdir(parents=True, exist_ok=True)
     with atomic_path(path / marker) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(json.dumps(dataclasses.asdict(config), indent=2))
 
 
-def _check_config(path: Path, new: dict, kind: str, marker: str, free: Sequence[str]) -> None:
+def settled(config: Any, free: Sequence[str]) -> dict:
+    """A config as JSON has it, without its fields `free`, which do not change the result."""
+    table = json.loads(json.dumps(dataclasses.asdict(config)))
+    return {name: value for name, value in table.items() if name not in free}
+
+
+def _check_config(path: Path, config: Any, kind: str, marker: str, free: Sequence[str]) -> None:
     try:
         old = json.loads((path / marker).read_text())
     except FileNotFoundError:
         raise ValueError(f"output {path}: there is no {kind} to resume") from None
     except json.JSONDecodeError as problem:
         raise ValueError(f"output {path}: {marker} is damaged ({problem})") from None
-    changed = _differences(
-        *({name: value for name, value in c.items() if name not in free} for c in (old, new)), key=""
-    )
+    old = {name: value for name, value in old.items() if name not in free}
+    changed = differences(old, settled(config, free))
     if changed:
         raise ValueError(f"output {path}: can't resume, the config differs from the {kind}'s: {'; '.join(changed)}")
-
-
-def _differences(old, new, key: str) -> list[str]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        names = dict.fromkeys([*old, *new])
-        return [d for n in names for d in _differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]
-    return [] if old == new else [f"{key} was {old!r}, is {new!r}"]

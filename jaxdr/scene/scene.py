@@ -144,7 +144,7 @@ def _check_textures(name: str, shape: Shape) -> None:
             f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs "
             "that tell their axes"
         )
-    for field, texture in textures_of(shape):
+    for field, texture in [(field, part) for field, whole in textures_of(shape) for part in whole.parts]:
         owner = f"Scene: {name}.{field}, a {type(texture).__name__},"
         if texture.uses_uv and mesh.uvs is None:
             raise ValueError(

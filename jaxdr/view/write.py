@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from jaxdr.images import atomic_path
+from jaxdr.atomic_file import atomic_path
 from jaxdr.view.folder import read_folder
 from jaxdr.view.page import GENERATOR, page
 

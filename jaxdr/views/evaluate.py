@@ -9,8 +9,10 @@ from jaxtyping import Float
 from jaxdr.images import to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.scene.scene import Scene
-from jaxdr.views.record import View, Views
-from jaxdr.views.rendering import render_views
+from jaxdr.views.record import View, Views, over_black
+from jaxdr.views.rendering import each_rendered
+
+UNSCALED = np.ones(3)
 
 
 class Score(NamedTuple):
@@ -29,7 +31,7 @@ class Evaluation(NamedTuple):
     """Scores of several views. `scale`: RGB factors that the renderings were multiplied by."""
 
     scores: tuple[Score, ...]
-    scale: tuple[float, float, float]
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def to_dict(self) -> dict:
         """Mean and worst of every figure, and the figures of the views."""
@@ -61,8 +63,10 @@ def evaluate_views(
     require_skimage()
     if not chosen:
         raise ValueError("evaluate_views: there is no view to judge by; hold some out (load_views, holdout=...)")
-    pictures = render_views(scene, chosen, spp=spp, seed=seed, integrator=integrator)
-    return score_pictures(pictures, chosen, match_channels=match_channels)
+    pictures = each_rendered(scene, chosen, spp, seed, integrator)
+    if match_channels:  # the factors are of all pictures
+        return score_pictures(list(pictures), chosen, match_channels=True)
+    return Evaluation(tuple(score_picture(picture, view) for picture, view in zip(pictures, chosen, strict=True)))
 
 
 def score_pictures(
@@ -75,34 +79,40 @@ def score_pictures(
     if len(pictures) != len(views) or not views:
         raise ValueError(f"score_pictures: {len(pictures)} pictures for {len(views)} photographs; give one each")
     for picture, view in zip(pictures, views, strict=True):
-        if picture.shape != (view.height, view.width, 4):
-            raise ValueError(
-                f"score_pictures: the picture of {view.name} has shape {list(picture.shape)}, expected "
-                f"{[view.height, view.width, 4]}"
-            )
+        _check_shape(picture, view)
     scale = _channel_scale(pictures, views) if match_channels else np.ones(3)
-    scores = [_score(picture, view, scale) for picture, view in zip(pictures, views, strict=True)]
+    scores = [score_picture(picture, view, scale) for picture, view in zip(pictures, views, strict=True)]
     return Evaluation(tuple(scores), (float(scale[0]), float(scale[1]), float(scale[2])))
+
+
+def _check_shape(picture: Float[np.ndarray, "H W 4"], view: View) -> None:
+    if picture.shape != (view.height, view.width, 4):
+        raise ValueError(
+            f"score_pictures: the picture of {view.name} has shape {list(picture.shape)}, expected "
+            f"{[view.height, view.width, 4]}"
+        )
 
 
 def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
     """The factors that bring the pictures nearest to the photographs (least squares), where these are not clipped."""
     above, below = np.zeros(3), np.zeros(3)
     for picture, view in zip(pictures, views, strict=True):
-        photograph = view.over_black.astype(float)
-        inside = (photograph.max(-1, keepdims=True) < 0.99) & (_mask(view) > 0.5)[..., None]
+        image, alpha = view.picture.read()
+        photograph = over_black(image, alpha).astype(float)
+        mask = np.ones(image.shape[:2]) if alpha is None else alpha
+        inside = (photograph.max(-1, keepdims=True) < 0.99) & (mask > 0.5)[..., None]
         above += (inside * picture[..., :3] * photograph).sum((0, 1))
         below += (inside * picture[..., :3] ** 2).sum((0, 1))
     return np.where(below > 0, above / np.where(below > 0, below, 1.0), 1.0)
 
 
-def _mask(view: View) -> Float[np.ndarray, "H W"]:
-    return np.ones((view.height, view.width)) if view.alpha is None else view.alpha
-
-
-def _score(picture, view: View, scale) -> Score:
+def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[np.ndarray, "3"] = UNSCALED) -> Score:
+    """The score of one picture, multiplied by `scale`; see `score_pictures`."""
     structural_similarity = require_skimage()
-    rendered, photograph = (to_srgb(x).astype(float) / 255 for x in (picture[..., :3] * scale, view.over_black))
+    _check_shape(picture, view)
+    image, alpha = view.picture.read()
+    both = picture[..., :3] * scale, over_black(image, alpha)
+    rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
     error = float(((rendered - photograph) ** 2).mean())
     psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB: the same to the last bit
     size = min(11, view.height, view.width)
@@ -117,8 +127,8 @@ def _score(picture, view: View, scale) -> Score:
         use_sample_covariance=False,
     )
     iou = None
-    if view.alpha is not None:
-        one, other = picture[..., 3] > 0.5, view.alpha > 0.5
+    if alpha is not None:
+        one, other = picture[..., 3] > 0.5, alpha > 0.5
         iou = float((one & other).sum() / max((one | other).sum(), 1))
     return Score(view.name, float(psnr), float(ssim), iou)
 

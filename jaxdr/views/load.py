@@ -10,14 +10,16 @@ import numpy as np
 
 from jaxdr.views.colmap import colmap_frames, find_model
 from jaxdr.views.frames import Frame
-from jaxdr.views.pictures import check_masks_have_pictures, read_picture
+from jaxdr.views.pictures import PictureFile, check_masks_have_pictures
+from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
 from jaxdr.views.transforms import is_transforms, transforms_frames
 
 EVERY = 8  # where nothing says which pictures are held out
+KEEP = 1.0  # GiB of pictures
 
 
-def load_views(folder: str | os.PathLike, *, holdout: str | None = None) -> Views:
+def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP) -> Views:
     """Photographs with known cameras, from a folder.
 
     Layouts: `transforms_train.json` and `transforms_test.json` of the NeRF synthetic scenes, `transforms.json` of
@@ -29,9 +31,13 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None) -> View
     matches the pattern `holdout` ("*_7", "test/*"). Where there are none of these, it is every eighth picture, the
     first of each eight, if there are at least eight.
 
-    All pictures are of one size. Raises ValueError that names file, fault and remedy for a folder of another kind, for
-    missing or damaged pictures, masks without pictures or pictures without masks, sizes that differ, lenses that are no
-    pinhole, and cameras that look away from each other; ImportError for a COLMAP model without pycolmap.
+    All pictures are of one size. Their headers are read now, their pixels when `View.image` or `View.alpha` are asked
+    for; as many as fit into `keep` GiB are kept, others are read again each time.
+
+    Raises ValueError that names file, fault and remedy for a folder of another kind, for missing pictures and damaged
+    headers, masks without pictures or pictures without masks, sizes that differ, lenses that are no pinhole, and
+    cameras that look away from each other; ImportError for a COLMAP model without pycolmap. Where the pixels are
+    damaged, not finite, or a mask is empty, `View.image` and `View.alpha` raise it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -49,7 +55,7 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None) -> View
     _check_directions(folder, frames)
     frames = _held_out(folder, frames, holdout)
     names = _names(folder, frames)
-    return Views(folder, _without_idle_alpha(_read(frames, names)))
+    return Views(folder, _without_idle_alpha(_views(frames, names, Kept(int(keep * 2**30)))))
 
 
 def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> list[Frame]:
@@ -86,33 +92,38 @@ def _names(folder: Path, frames: Sequence[Frame]) -> list[str]:
     return names
 
 
-def _read(frames: Sequence[Frame], names: Sequence[str]) -> list[View]:
-    """The frames with their pictures."""
+def _views(frames: Sequence[Frame], names: Sequence[str], kept: Kept) -> list[View]:
+    """The frames with their pictures, whose headers are read."""
     views: list[View] = []
     for frame, name in zip(frames, names, strict=True):
-        image, alpha = read_picture(frame.path, frame.mask)
-        height, width = image.shape[:2]
+        picture = PictureFile.of(frame.path, frame.mask, kept)
+        width, height = picture.width, picture.height
         if views and (width, height) != (views[0].width, views[0].height):
             raise ValueError(
                 f"{frame.path}: has {width} x {height} pixels, {views[0].path.name} has {views[0].width} x "
                 f"{views[0].height}; all photographs must be of one size"
             )
         focal, centre = frame.lens(width, height)
-        backdrop = alpha is None or frame.mask is not None
-        views.append(View(name, frame.path, image, alpha, frame.to_world, focal, centre, frame.held_out, backdrop))
+        backdrop = not picture.masked or frame.mask is not None
+        views.append(View(name, frame.path, picture, frame.to_world, focal, centre, frame.held_out, backdrop))
     return views
 
 
 def _without_idle_alpha(views: Sequence[View]) -> tuple[View, ...]:
     """Without alpha, where it says that the object fills every picture: then it is only a channel of the format."""
-    if all(view.alpha is not None and (view.alpha == 1).all() for view in views):
-        return tuple(dataclasses.replace(view, alpha=None, backdrop=True) for view in views)
+    masked = [view.masked for view in views]
+    if all(masked) and all(read_ahead(_is_opaque, views)):  # most often the first one says no
+        return tuple(dataclasses.replace(view, picture=view.picture.without_alpha(), backdrop=True) for view in views)
     for view in views:
-        if view.alpha is None and any(other.alpha is not None for other in views):
+        if not view.masked and any(masked):
             raise ValueError(
                 f"{view.path}: has no mask and no alpha, other pictures have; give all of them one, or none"
             )
     return tuple(views)
+
+
+def _is_opaque(view: View) -> bool:
+    return bool((view.alpha == 1).all())
 
 
 def _check_directions(folder: Path, frames: Sequence[Frame]) -> None:

@@ -1,13 +1,95 @@
-"""The pictures of a folder of photographs: files found, colours and masks read."""
+"""The pictures of a folder of photographs: files found, their headers checked, colours and masks read when needed."""
 
+import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxdr.images import READERS, load_image
+from jaxdr.images import READERS, image_size, load_image
+from jaxdr.views.reading import Kept
 
-Picture = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
+Colors = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
+
+
+class CannotRead(ValueError):
+    """A picture can't be read; the message names the file, says why, and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """A picture in memory: linear RGB, not multiplied by alpha, and alpha or None."""
+
+    image: Float[np.ndarray, "H W 3"]
+    alpha: Float[np.ndarray, "H W"] | None = None
+
+    @property
+    def width(self) -> int:
+        """Width, in pixels."""
+        return self.image.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Height, in pixels."""
+        return self.image.shape[0]
+
+    @property
+    def masked(self) -> bool:
+        """Whether there is alpha."""
+        return self.alpha is not None
+
+    def without_alpha(self) -> "Pixels":
+        """The same picture, whose alpha says nothing."""
+        return Pixels(self.image)
+
+    def read(self) -> Colors:
+        """(linear RGB, alpha or None)."""
+        return self.image, self.alpha
+
+
+@dataclass(frozen=True, eq=False)
+class PictureFile:
+    """A picture in a file, with a mask in another one or none: `width`, `height` and whether it is `masked` are known
+    from the headers, the rest is read when it is asked for, and `kept` as far as there is room."""
+
+    path: Path
+    mask: Path | None
+    width: int
+    height: int
+    masked: bool
+    kept: Kept
+
+    @classmethod
+    def of(cls, path: Path, mask: Path | None, kept: Kept) -> "PictureFile":
+        """From the headers. Raises ValueError that names the file as `read_picture` does, for what they tell."""
+        width, height, channels = image_size(path)
+        if mask is not None and (size := image_size(mask)[:2]) != (width, height):
+            raise ValueError(_another_size(mask, size, path, (width, height)))
+        return cls(path, mask, width, height, mask is not None or channels == 4, kept)
+
+    def without_alpha(self) -> "PictureFile":
+        """The same picture, whose alpha says nothing."""
+        return dataclasses.replace(self, masked=False)
+
+    def read(self) -> Colors:
+        """(linear RGB, alpha or None), not to be written to. Raises `CannotRead` that names the file."""
+        image, alpha = self.kept.get((self.path, self.mask), self._read)
+        return image, alpha if self.masked else None
+
+    def _read(self) -> Colors:
+        try:
+            image, alpha = read_picture(self.path, self.mask)
+        except ValueError as problem:
+            raise CannotRead(str(problem)) from problem
+        except OSError as problem:
+            raise CannotRead(f"{self.path}: can't be read ({problem.strerror or problem})") from problem
+        if image.shape[:2] != (self.height, self.width) or (self.masked and alpha is None):
+            raise CannotRead(f"{self.path}: is another picture than its header said; was it changed meanwhile?")
+        for pixels in (image, alpha):
+            if pixels is not None:
+                pixels.flags.writeable = False  # others may get the very same array
+        return image, alpha
 
 
 def find_picture(base: Path, name: str, said_by: Path) -> Path:
@@ -47,7 +129,7 @@ def check_masks_have_pictures(folder: Path, used: set[Path]) -> None:
         raise ValueError(f"{left[0]}{more}: a mask without a photograph; add the photograph or take the mask away")
 
 
-def read_picture(path: Path, mask: Path | None) -> Picture:
+def read_picture(path: Path, mask: Path | None) -> Colors:
     """Linear RGB, not multiplied by alpha, and alpha from the mask, else from the file, else None.
 
     EXR files hold colours multiplied by alpha, the others do not. Raises ValueError that names the file for one that
@@ -68,11 +150,12 @@ def read_picture(path: Path, mask: Path | None) -> Picture:
         # The last channel of grey and alpha, or of RGB and alpha, is what a mask with alpha says.
         alpha = values[..., -1] if values.shape[2] == 4 else values[..., 0]
         if alpha.shape != color.shape[:2]:
-            raise ValueError(f"{mask}: the mask has {_size(alpha)} pixels, {path.name} has {_size(color)}; resize it")
+            raise ValueError(_another_size(mask, alpha.shape[::-1], path, color.shape[1::-1]))
     if alpha is not None and not (alpha > 0.5).any():
         raise ValueError(f"{source}: the mask is empty, the object is nowhere; take this photograph out")
     return np.ascontiguousarray(color, np.float32), None if alpha is None else np.ascontiguousarray(alpha, np.float32)
 
 
-def _size(pixels: np.ndarray) -> str:
-    return f"{pixels.shape[1]} x {pixels.shape[0]}"
+def _another_size(mask: Path, size, path: Path, wanted) -> str:
+    sizes = [f"{width} x {height}" for width, height in (size, wanted)]
+    return f"{mask}: the mask has {sizes[0]} pixels, {path.name} has {sizes[1]}; resize it"

@@ -1,6 +1,6 @@
 """What a photograph with a known camera is, and a set of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
+from jaxdr.views.pictures import PictureFile, Pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,8 +16,7 @@ class View:
     """One photograph and its pinhole camera.
 
     - `name`: the name of its file without suffix; `path`: the file.
-    - `image`: linear RGB, not multiplied by alpha.
-    - `alpha`: share of each pixel that the object covers, in [0, 1]; None where nothing says.
+    - `picture`: what has its pixels, in a file or in memory; `image` and `alpha` read it.
     - `to_world`: camera to world; the columns are left, up, forward, position, as `jaxdr.look_at` has them.
     - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
     - `held_out`: kept for judging, never used in fitting.
@@ -25,8 +25,7 @@ class View:
 
     name: str
     path: Path
-    image: Float[np.ndarray, "H W 3"]
-    alpha: Float[np.ndarray, "H W"] | None
+    picture: Pixels | PictureFile
     to_world: Float[np.ndarray, "4 4"]
     focal: float
     centre: tuple[float, float]
@@ -34,14 +33,29 @@ class View:
     backdrop: bool = True
 
     @property
+    def image(self) -> Float[np.ndarray, "H W 3"]:
+        """Linear RGB, not multiplied by alpha. Raises ValueError that names a file that can't be read."""
+        return self.picture.read()[0]
+
+    @property
+    def alpha(self) -> Float[np.ndarray, "H W"] | None:
+        """Share of each pixel that the object covers, in [0, 1]; None where nothing says. Raises as `image` does."""
+        return self.picture.read()[1] if self.masked else None
+
+    @property
+    def masked(self) -> bool:
+        """Whether there is alpha; nothing is read for that."""
+        return self.picture.masked
+
+    @property
     def width(self) -> int:
         """Width, in pixels."""
-        return self.image.shape[1]
+        return self.picture.width
 
     @property
     def height(self) -> int:
         """Height, in pixels."""
-        return self.image.shape[0]
+        return self.picture.height
 
     @property
     def fov(self) -> float:
@@ -62,7 +76,11 @@ class View:
     @property
     def over_black(self) -> Float[np.ndarray, "H W 3"]:
         """Linear RGB with black where the object is not."""
-        return self.image if self.alpha is None else self.image * self.alpha[..., None]
+        return over_black(*self.picture.read())
+
+    def with_picture(self, image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> "View":
+        """The same camera with other pixels, in memory."""
+        return replace(self, picture=Pixels(image, alpha))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +103,12 @@ class Views:
     @property
     def masked(self) -> bool:
         """Whether every photograph says where the object is."""
-        return all(view.alpha is not None for view in self.views)
+        return all(view.masked for view in self.views)
+
+
+def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:
+    """Colours multiplied by alpha, where there is one."""
+    return image if alpha is None else image * alpha[..., None]
 
 
 def common_point(poses: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "3"]:

@@ -1,7 +1,7 @@
 """Renderings of a scene as a photograph with alpha has it: the object without what is behind, and its coverage."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
@@ -82,16 +82,21 @@ def render_views(
     What is behind the object is left out, but for photographs without alpha, which show it. `spp`: samples per pixel.
     `integrator`: default as in `render`. All views of one size share a program. Raises ValueError for spp < 1.
     """
+    return list(each_rendered(scene, views, spp, seed, integrator))
+
+
+def each_rendered(
+    scene: Scene, views: Iterable[View], spp: int, seed: int, integrator: Integrator | None
+) -> Iterator[Float[np.ndarray, "H W 4"]]:
+    """The pictures of `render_views` one by one: none is held here."""
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render_views: spp must be a positive whole number of samples per pixel, got {spp}")
     integrator = integrator or _without_boundary(default_integrator(scene))
     key = jax.random.key(seed)
-    pictures = []
     for i, view in enumerate(views):
         program = _program(view.width, view.height, int(spp), integrator)
         parts = program(scene, Pinhole.of(view), jax.random.fold_in(key, i))
-        pictures.append(picture(parts, behind=view.alpha is None))
-    return pictures
+        yield picture(parts, behind=not view.masked)
 
 
 def picture(parts: Layers, behind: bool = False) -> Float[np.ndarray, "H W 4"]:

@@ -45,6 +45,8 @@ SURFACES = {
     "bitmap": [TRANSLATION, CAMERA, turned, along("quad.bsdf.reflectance.to_uv", RNG.normal(size=(2, 3))),
                along("quad.bsdf.reflectance.pixels", RNG.normal(size=PIXELS.shape))],
     "vertex colours": [TRANSLATION, CAMERA, along("quad.bsdf.reflectance.colors", RNG.normal(size=(36, 3)))],
+    "product": [TRANSLATION, turned, along("quad.bsdf.reflectance.first.pixels", RNG.normal(size=PIXELS.shape)),
+                along("quad.bsdf.reflectance.second.colors", RNG.normal(size=(36, 3)))],
     "rough metal": [TRANSLATION, CAMERA, along("quad.bsdf.alpha.pixels", RNG.uniform(size=(5, 6, 1)))],
     "normal map": [TRANSLATION, CAMERA, turned, along("quad.bsdf.normal.pixels", RNG.normal(size=PIXELS.shape))],
     "bump map": [TRANSLATION, CAMERA, turned, along("quad.bsdf.height.pixels", RNG.normal(size=(5, 6, 1))),
@@ -60,6 +62,9 @@ def surface(name):
     if name == "vertex colours":
         colors = jd.VertexColors(np.random.default_rng(8).uniform(0.2, 0.9, (36, 3)))
         return scene(jd.Diffuse(colors), jd.shapes.plane(4.0, 5))
+    if name == "product":
+        colors = jd.VertexColors(np.random.default_rng(8).uniform(0.2, 0.9, (36, 3)))
+        return scene(jd.Diffuse(jd.Product(bitmap, colors)), jd.shapes.plane(4.0, 5))
     if name == "rough metal":
         return scene(jd.RoughConductor(jd.Bitmap(PIXELS[..., 0]), "Au", specular_reflectance=bitmap))
     if name == "normal map":
@@ -297,3 +302,8 @@ def test_jumps_inside_faces_that_move_are_refused():
     for primary in ("fixed_ray", "material"):
         with pytest.raises(ValueError, match="it has no derivative by to_uv or UVs"):
             differentiate(board, along("quad.bsdf.reflectance.to_uv", np.ones((2, 3))), primary=primary)
+        tinted = jd.Product(jd.Checkerboard(0.2, 0.8, to_uv=np.eye(3)), jd.VertexColors(np.ones(4)))
+        board_and_colors = scene(jd.Diffuse(tinted), pixel_filter=jd.Gaussian())
+        with pytest.raises(ValueError, match="it has no derivative by to_uv or UVs"):
+            change = along("quad.bsdf.reflectance.first.to_uv", np.ones((2, 3)))
+            differentiate(board_and_colors, change, primary=primary)

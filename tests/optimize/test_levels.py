@@ -142,7 +142,7 @@ def test_the_last_level_is_not_asked(tmp_path):
 def test_the_optimiser_goes_on_where_the_topology_does(tmp_path):
     made = config(tmp_path / "run", levels=(Level(resolution=8), Level()), signal_to_noise=1e9)
     optimize(made)
-    assert int(checkpoint(made)["state_1"]) == 12 and int(checkpoint(made)["level"]) == 1
+    assert int(checkpoint(made)["state/optimizer/0/count"]) == 12 and int(checkpoint(made)["level"]) == 1
     assert checkpoint(made)["start"] == 0 and checkpoint(made)["since"] == 2
 
 
@@ -158,7 +158,7 @@ def test_another_preconditioner_starts_afresh_from_the_shape_as_it_is(tmp_path, 
     monkeypatch.setattr(loop._Run, "next_level", next_level)
     optimize(made)
     np.testing.assert_allclose(*vertices, atol=1e-6)
-    assert int(checkpoint(made)["state_1"]) == 10 and int(checkpoint(made)["start"]) == 2
+    assert int(checkpoint(made)["state/optimizer/0/count"]) == 10 and int(checkpoint(made)["start"]) == 2
 
 
 def test_noise_is_that_of_the_step(tmp_path, monkeypatch):

@@ -81,7 +81,7 @@ def test_a_resumed_run_measures_nothing(asked, tmp_path, monkeypatch):
     asked["plans"].clear()
     optimize(once, resume=True)
     assert asked["plans"] == [] and asked["integrators"] == {PLAN.integrator}
-    latents = [np.load(tmp_path / name / "checkpoint.npz")["state_0"] for name in ("run", "straight")]
+    latents = [np.load(tmp_path / name / "checkpoint.npz")["state/latent"] for name in ("run", "straight")]
     np.testing.assert_array_equal(*latents)
     (tmp_path / "run" / "metrics.json").unlink()
     (tmp_path / "run" / "plan.json").write_text("{")

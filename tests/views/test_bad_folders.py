@@ -35,6 +35,19 @@ def damaged_picture(folder):
     (folder / "train" / "r_1.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"0" * 40)
 
 
+def cut_off(folder):
+    write_nerf(folder)
+    path = folder / "train" / "r_3.png"
+    path.write_bytes(path.read_bytes()[:60])  # the header is whole
+
+
+def not_finite(folder):
+    write_nerf(folder, test=0)
+    for i in range(4):
+        np.save(folder / "train" / f"{i}.npy", np.full((SIZE, SIZE, 3), np.nan if i == 2 else 0.5, np.float32))
+    _frames(folder, lambda frames: [frame.update(file_path=f"train/{i}.npy") for i, frame in enumerate(frames)])
+
+
 def sizes_differ(folder):
     write_nerf(folder)
     write_picture(folder / "train" / "r_3.png", size=SIZE + 2)
@@ -104,6 +117,9 @@ def damaged_colmap(folder):
     (folder / "sparse/0/cameras.txt").write_text("1 PINHOLE 16 many\n")
 
 
+IN_PIXELS = (empty_mask, cut_off, not_finite)  # headers do not tell
+
+
 @pytest.mark.parametrize(
     "make, place, fault",
     [
@@ -112,6 +128,8 @@ def damaged_colmap(folder):
         (no_frames, "transforms.json", "has no frames"),
         (missing_picture, "r_2", "missing"),
         (damaged_picture, "r_1.png", "not a readable PNG"),
+        (cut_off, "r_3.png", "not a readable PNG"),
+        (not_finite, "2.npy", "pixels that are not finite"),
         (sizes_differ, "r_3.png", "one size"),
         (size_is_not_the_cameras, "transforms_train.json: frames[0]", "says height 32, r_0.png has 16 pixels"),
         (distortion, "frames[0]", "k1, p2"),
@@ -133,7 +151,10 @@ def test_one_clear_error(tmp_path, make, place, fault):
         pytest.importorskip("pycolmap")
     make(tmp_path)
     with pytest.raises(ValueError) as caught:
-        jd.load_views(tmp_path)
+        views = jd.load_views(tmp_path)
+        assert make in IN_PIXELS, "said too late"
+        for view in views.views:
+            view.image  # noqa: B018
     message = str(caught.value)
     assert place.format(folder=tmp_path) in message and fault in message
     assert "\n" not in message

@@ -1,7 +1,5 @@
 """Renderings of the views of photographs, and their scores."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +42,7 @@ def test_what_is_behind_is_left_out_and_alpha_is_the_silhouette(views):
 
 
 def test_photographs_without_alpha_show_the_sky(views):
-    bare = dataclasses.replace(views.held_out[0], alpha=None)
+    bare = views.held_out[0].with_picture(views.held_out[0].image, None)
     (picture,) = jd.render_views(ball(bare, 0.7), [bare], spp=64, integrator=TRACER)
     (without, _) = jd.render_views(ball(bare, 0.7), views.held_out, spp=64, integrator=TRACER)
     np.testing.assert_allclose(picture[..., 3], without[..., 3])
@@ -65,7 +63,7 @@ def test_a_scene_agrees_with_its_own_pictures(views):
     for view, picture in zip(views.held_out, pictures, strict=True):
         alpha = picture[..., 3]
         color = picture[..., :3] / np.where(alpha > 0, alpha, 1)[..., None]
-        own.append(dataclasses.replace(view, image=color.astype(np.float32), alpha=alpha.astype(np.float32)))
+        own.append(view.with_picture(color.astype(np.float32), alpha.astype(np.float32)))
     found = jd.evaluate_views(scene, own, spp=64, integrator=TRACER)
     for score in found.scores:
         assert score.psnr > 60 and score.ssim > 0.999 and score.iou == 1
@@ -77,7 +75,7 @@ def test_a_scene_agrees_with_its_own_pictures(views):
 
 def test_psnr_ssim_and_overlap_of_known_pictures(views):
     view = views.held_out[0]
-    flat = dataclasses.replace(view, image=np.ones((SIZE, SIZE, 3), np.float32), alpha=None)
+    flat = view.with_picture(np.ones((SIZE, SIZE, 3), np.float32), None)
     grey = np.ones((SIZE, SIZE, 4), np.float32)
     (score,) = score_pictures([grey], [flat]).scores
     assert score.psnr == 100 and score.ssim == 1 and score.iou is None

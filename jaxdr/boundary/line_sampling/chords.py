@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.shared.emitter_planes import chord_inside
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place, sampled_arc
 from jaxdr.geometry.queries import UNBOUNDED
-from jaxdr.geometry.vector import cross, dot, normalize, orthonormal_basis, scale
+from jaxdr.geometry.vector import cross, dot, normalize, orthonormal_basis, scale, z_of
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitting_surface
 from jaxdr.transport.interaction import SurfacePoint
@@ -40,6 +40,15 @@ class Chords(NamedTuple):
         """Unit normals of the sectors that the chords span with `apex`."""
         across = cross(self.first - apex, self.last - apex)
         return normalize(jnp.where(self.useful[:, None], across, 1.0))
+
+    def in_sight(self, scatterer: Scatterer, centre: Float[Array, "M 3"], reach: Float[Array, " M"]) -> "Chords":
+        """Useful are those with a part above the horizon; all of them where light goes through the surface.
+
+        They are geodesic, within the angle `reach` (radians) of unit directions `centre`.
+        """
+        rises = scatterer.cosine(centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
+        through = scatterer.spreads_through()
+        return self._replace(useful=self.useful & (rises if through is None else rises | through))
 
 
 def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Array, "M 3"]:

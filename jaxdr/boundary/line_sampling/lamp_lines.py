@@ -28,7 +28,7 @@ from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, se
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
-from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale, z_of
+from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
@@ -186,11 +186,7 @@ class LampLines:
         drawn = lamp_chords(packed.clusters, stop_gradient(scatterer.point.position), u)
         apex = scatterer.leave_scattering(drawn.centre)
         chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity)
-        reach = jnp.maximum(-drawn.low, drawn.high)
-        rises = scatterer.cosine(drawn.centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
-        through = scatterer.spreads_through()
-        rises = rises if through is None else rises | through
-        chords = chords._replace(useful=chords.useful & rises)
+        chords = chords.in_sight(scatterer, drawn.centre, jnp.maximum(-drawn.low, drawn.high))
         moves = self.prepared.moving[packed.face_shape[packed.emitter_faces]].any()
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room, moves)
 

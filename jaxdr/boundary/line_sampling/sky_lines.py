@@ -19,7 +19,7 @@ from jaxdr.boundary.line_sampling.crossings import (
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
-from jaxdr.geometry.vector import cross, dot, normalize, scale, z_of
+from jaxdr.geometry.vector import cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
@@ -82,11 +82,7 @@ class SkyLines:
         drawn = LobeChords(centre, pdf, plane, reach)
 
         apex = scatterer.leave_scattering(centre)
-        chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity)
-        rises = scatterer.cosine(centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
-        through = scatterer.spreads_through()
-        rises = rises if through is None else rises | through
-        chords = chords._replace(useful=chords.useful & rises)
+        chords = drawn.chords(apex, 2.0 * self.paths.distance_to_infinity).in_sight(scatterer, centre, reach)
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:

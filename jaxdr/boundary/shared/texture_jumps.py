@@ -102,7 +102,7 @@ def check_still_maps(active: Scene) -> None:
     Leaves of the scene say whether they are differentiated.
     """
     for name, shape in active.shapes.items():
-        for field, texture in textures_of(shape):
+        for field, texture in ((field, part) for field, whole in textures_of(shape) for part in whole.parts):
             moves = bool(shape.mesh.uvs) or bool(getattr(texture, "to_uv", False))
             if texture.uses_uv and moves and not texture.continuous:
                 raise ValueError(

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from PIL import Image
 
+from jaxdr.atomic_file import atomic_path
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.images import atomic_path, to_srgb
+from jaxdr.images import to_srgb
 
 NAME = "object"  # of mesh, node and material
 

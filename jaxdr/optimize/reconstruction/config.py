@@ -115,6 +115,17 @@ class Report:
         require(16 <= self.texture <= 8192, "texture", "must be between 16 and 8192", self.texture)
 
 
+@dataclass(frozen=True)
+class Memory:
+    """GiB of `pictures` that are kept in memory once they are read: half of it as they are in the files, half as levels
+    need them. Others are read again each time, ahead of the steps that need them. It does not change the result."""
+
+    pictures: float = 2.0
+
+    def __post_init__(self):
+        require(self.pictures >= 0, "pictures", "must not be negative", self.pictures)
+
+
 LEVELS = (
     Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
     Level(steps=220, resolution=200, vertices=12000, views=2, sky=33),
@@ -139,6 +150,7 @@ class ReconstructConfig:
     rates: Rates = Rates()
     levels: tuple[Level, ...] = LEVELS
     report: Report = Report()
+    memory: Memory = Memory()
 
     def __post_init__(self):
         require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)

@@ -1,6 +1,6 @@
 """The first surface: the visual hull of the masks, or a sphere."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -8,23 +8,26 @@ from jaxtyping import Float
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.pictures import Pose
+from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, common_point
 
 COARSE = 48  # cells along the cube in which the object is looked for
 CELLS = 1 << 20  # cells at once
+KEEP = 1 << 30
 SMALL = 0.02  # pieces of the hull of less than this share of its volume are phantoms
 
 
-def initial_surface(views: Sequence[View], kind: str, grid: int) -> tuple[Mesh, Pose]:
+def initial_surface(views: Sequence[View], kind: str, grid: int, keep: int = KEEP) -> tuple[Mesh, Pose]:
     """(a closed mesh in its own frame, where the longest side is 1; where that is in the world of the cameras).
 
-    `kind`: "hull", "sphere". Raises ValueError where a hull is asked for without masks, and where it is empty.
+    `kind`: "hull", "sphere". `keep`: bytes of distances to outlines that are not computed twice. Raises ValueError
+    where a hull is asked for without masks, and where it is empty.
     """
     if kind == "sphere":
         return _sphere(views)
-    if any(view.alpha is None for view in views):
+    if not all(view.masked for view in views):
         raise ValueError('start.kind: "hull" needs a mask or alpha of every photograph; take "sphere"')
-    vertices, faces = visual_hull(views, grid)
+    vertices, faces = visual_hull(views, grid, keep)
     lower, upper = vertices.min(0), vertices.max(0)
     pose = Pose((lower + upper) / 2, float((upper - lower).max()))
     return Mesh((vertices - pose.centre) / pose.scale, faces), pose
@@ -49,23 +52,30 @@ def _look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:
     return centre, float(reaches.min())
 
 
-def visual_hull(views: Sequence[View], grid: int) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
+def visual_hull(views: Sequence[View], grid: int, keep: int) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
     """(vertices, faces) of the surface that fills all masks, outside of the frame undecided; in the world.
 
     Of every cell the least of the signed distances (to the outline, in the image, times depth over focal length) of all
     views, and the zero level of that (marching cubes). Raises ValueError where no cell is inside of all masks.
     """
-    fields = [_signed_distance(view.alpha) for view in views if view.alpha is not None]
+    kept = Kept(keep)
+
+    def field(view: View) -> Float[np.ndarray, "H W"]:
+        return kept.get(view, lambda: _signed_distance(np.asarray(view.alpha)))
+
+    def fields() -> Iterator[Float[np.ndarray, "H W"]]:
+        return read_ahead(field, views)
+
     centre, reach = _look(views)
     low, high = centre - 1.5 * reach, centre + 1.5 * reach
-    values = _least(views, fields, low, high, (COARSE,) * 3)
+    values = _least(views, fields(), low, high, (COARSE,) * 3)
     inside = np.argwhere(values > -1.5 * 3 * reach / COARSE)
     if not (values > 0).any() and not len(inside):
         raise ValueError('the masks have no volume in common; check masks and cameras, or take start.kind = "sphere"')
     cell = (high - low) / (COARSE - 1)
     low, high = low + (inside.min(0) - 1) * cell, low + (inside.max(0) + 1) * cell
     counts = np.maximum(np.ceil((high - low) / (high - low).max() * grid).astype(int), 8)
-    values = _least(views, fields, low, high, tuple(counts))
+    values = _least(views, fields(), low, high, tuple(counts))
     if not (values > 0).any():
         raise ValueError('the masks have no volume in common; check masks and cameras, or take start.kind = "sphere"')
     return _surface(values, low, (high - low) / (counts - 1))
@@ -86,9 +96,9 @@ def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
     axes = [np.linspace(low[i], high[i], counts[i]) for i in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     least, seen = np.full(len(points), np.inf), np.zeros(len(points), int)
-    for start in range(0, len(points), CELLS):
-        part = slice(start, start + CELLS)
-        for view, field in zip(views, fields, strict=True):
+    for view, field in zip(views, fields, strict=True):
+        for start in range(0, len(points), CELLS):
+            part = slice(start, start + CELLS)
             local = (points[part] - view.to_world[:3, 3]) @ view.to_world[:3, :3]
             depth = local[:, 2]
             ahead = np.where(depth > 0, depth, 1.0)

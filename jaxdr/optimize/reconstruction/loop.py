@@ -1,32 +1,36 @@
 """The loop of `jaxdr reconstruct`: from photographs with known cameras to a mesh with textures and the light."""
 
 import time
-from pathlib import Path
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.checkpoint import Place
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.processes import any_process, run_in
+from jaxdr.optimize.processes import any_process, mesh_of_writer, run_in
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.reconstruction.asset import require_xatlas
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
+from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
 from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, next_unknowns
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
+from jaxdr.optimize.run_files import shown_if_possible
 from jaxdr.views.evaluate import require_skimage
 from jaxdr.views.load import load_views
-from jaxdr.views.record import Views
+from jaxdr.views.reading import read_ahead
+from jaxdr.views.record import View, Views
 
 # Streams of random numbers under the run's seed.
 STEPS, PICTURES = range(2)
+STEPS_AHEAD = 2  # steps whose photographs are read while one goes on
 
 
 def reconstruct(
@@ -34,58 +38,66 @@ def reconstruct(
 ) -> dict:
     """Find mesh, textures and light from photographs, write them, and return what `metrics.json` holds.
 
-    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every
-    random number derives from the seed and the step, so a run that was interrupted and is resumed ends with the same
-    bits. Raises ValueError for photographs or settings that can't be used, an output folder in use or too few devices,
-    ImportError before the start where an optional package is missing, `Interrupted` after Ctrl-C (checkpoint, asset and
-    light are written), `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every random number
+    derives from the seed and the step, so a run that was interrupted and is resumed ends with the same bits. Raises
+    ValueError for photographs or settings that can't be used, an output folder in use or too few devices, ImportError
+    before the start where an optional package is missing, `Interrupted` after Ctrl-C or SIGTERM (checkpoint, asset and
+    light are written), `Stopped` when a checkpoint or result can't be written or a photograph can't be read any more,
+    `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     require_gpytoolbox()
     require_skimage()
     require_xatlas()
-    views = load_views(config.folder, holdout=config.holdout or None)
+    views = load_views(config.folder, holdout=config.holdout or None, keep=config.memory.pictures / 2)
     run = _Run(config, views, chosen_devices(devices))
-
-    def open_at(path: Path) -> OutputFolder:
-        return OutputFolder(path, config).opened(resume, overwrite)
-
-    with run_in(run, Path(config.output), open_at, resume):
+    with run_in(run, resume, overwrite):
         return run.run(resume)
+
+
+def _check(view: View) -> None:
+    view.picture.read()
 
 
 class _Run:
     """One call of `reconstruct`."""
 
-    folder: OutputFolder
-
-    def __init__(self, config: ReconstructConfig, views: Views, devices: list[jax.Device]):
+    def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
         self.config, self.views, self.devices = config, views, devices
         self.fitted = views.fitted
+        self.folder = OutputFolder(config)
         self.interruption = Interruption()
         self.key = jax.random.key(config.seed)
         self.clock = time.monotonic()
+        keep = int(config.memory.pictures / 2 * 2**30)
+        self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)
+        for _ in read_ahead(_check, views.held_out):  # now, not when all steps are done
+            pass
         kind = config.start.kind
         if kind == "auto":
-            kind = "hull" if all(view.alpha is not None for view in self.fitted) else "sphere"
+            kind = "hull" if self.photos.masked else "sphere"
         self.kind = kind
-        self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid)
+        self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
+        self.photos.pose = self.pose
 
     def run(self, resume: bool) -> dict:
         total = self.config.steps
         done, stage, state = self.restored() if resume else self.fresh()
         self.folder.start_metrics(done)
+        if done == 0:
+            self.save_checkpoint(stage, state, 0)  # from here on a run without a checkpoint has lost it
         with Progress("reconstruct", total, done) as progress:
-            if not all(view.alpha is not None for view in self.fitted):
+            if not self.photos.masked:
                 progress.say(f"{self.config.folder}: there are no masks; the start is a {self.kind}, the sky is fitted")
             while done < total:
                 if done == self.end_of(stage.number):
                     stage, state = self.next_level(stage, state, done, progress)
+                stage.photographs.expect(self.coming_views(stage, done))
                 state, row, shown = self.step(stage, state, done)
                 done += 1
                 self.folder.add_metrics({**row, "step": done, "seconds": round(self.seconds(), 2)})
                 progress.step(loss=row["loss"], level=float(stage.number + 1))
                 if self.due(done, self.config.report.pictures):
-                    self.folder.save_picture(done, *shown)
+                    shown_if_possible(done, partial(self.folder.save_picture, done, *shown), progress.say)
                 stop = any_process(self.interruption.requested)
                 if self.due(done, self.config.report.checkpoint) or stop:
                     self.save_checkpoint(stage, state, done)
@@ -95,6 +107,12 @@ class _Run:
                     raise Interrupted(f"stopped after step {done}; checkpoint in {self.folder.checkpoint}")
         return self.finish(stage, state)
 
+    def coming_views(self, stage: Stage, done: int) -> list[int]:
+        """Numbers of the views of the step after `done` ones, and of the next few steps of the level."""
+        count, steps = len(self.fitted), range(done, min(done + 1 + STEPS_AHEAD, self.end_of(stage.number)))
+        size = min(self.config.levels[stage.number].views, count)
+        return [v for step in steps for v in views_of_step(count, size, step - stage.start, self.config.seed)]
+
     def end_of(self, level: int) -> int:
         """Steps done when a level ends."""
         return sum(each.steps for each in self.config.levels[: level + 1])
@@ -102,21 +120,20 @@ class _Run:
     def fresh(self) -> tuple[int, Stage, State]:
         """The beginning."""
         level = self.config.levels[0]
-        mesh = remesh_to(self.surface, level.vertices).smooth()
-        stage = make_stage(self.config, self.fitted, self.pose, 0, 0, mesh, self.devices)
-        return 0, stage, stage.fresh(first_unknowns(self.config, self.fitted, self.pose, mesh))
+        mesh = mesh_of_writer(lambda: remesh_to(self.surface, level.vertices).smooth())
+        unknowns = first_unknowns(self.config, self.photos, mesh)
+        stage = make_stage(self.config, self.photos, 0, 0, mesh, self.devices)
+        return 0, stage, stage.fresh(unknowns)
 
     def restored(self) -> tuple[int, Stage, State]:
         """Steps done, stage and state of the checkpoint; the beginning where there is none yet."""
-        if not self.folder.checkpoint.exists():
+        saved = self.folder.load_checkpoint()
+        if saved is None:
             return self.fresh()
-        saved = load_checkpoint(self.folder.checkpoint, "level", "start", "vertices", "faces")
-        if saved.iteration >= self.config.steps and self.folder.finished:
-            raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
-        mesh = Mesh(saved.others["vertices"], saved.others["faces"]).smooth()
-        number, start = int(saved.others["level"]), int(saved.others["start"])
-        stage = make_stage(self.config, self.fitted, self.pose, number, start, mesh, self.devices)
-        rows = self.config.levels[number].sky
+        place = saved.place
+        mesh = Mesh(place.vertices, place.faces).smooth()
+        stage = make_stage(self.config, self.photos, place.level, place.start, mesh, self.devices)
+        rows = self.config.levels[place.level].sky
         template = Unknowns(
             mesh.vertices,
             jnp.zeros((len(mesh.vertices), 3)),
@@ -124,22 +141,22 @@ class _Run:
             jnp.zeros((rows, 2 * (rows - 1), 3)),
             jnp.zeros((len(self.fitted), 3)),
         )
-        self.clock -= saved.seconds
-        return saved.iteration, stage, saved.state(stage.fresh(template))
+        self.clock -= place.seconds
+        return place.step, stage, saved.state(stage.fresh(template))
 
     def next_level(self, stage: Stage, state: State, done: int, progress: Progress) -> tuple[Stage, State]:
         """The next level: another mesh and sky, optimisers that begin."""
         number = stage.number + 1
         level = self.config.levels[number]
         current, unknowns = stage.current_mesh(state), stage.unknowns(state)
-        mesh, unknowns, problem = next_unknowns(self.config, self.fitted, self.pose, number, current, unknowns)
+        mesh, unknowns, problem = next_unknowns(self.config, self.photos, number, current, unknowns)
         if problem:
             progress.say(f"after step {done}: kept the mesh as it was ({problem})")
         progress.say(
             f"after step {done}: level {number + 1} of {len(self.config.levels)}: {len(mesh.vertices)} vertices, "
             f"photographs of {level.resolution} pixels, a sky of {level.sky} rows"
         )
-        stage = make_stage(self.config, self.fitted, self.pose, number, done, mesh, self.devices)
+        stage = make_stage(self.config, self.photos, number, done, mesh, self.devices)
         return stage, stage.fresh(unknowns)
 
     def step(self, stage: Stage, state: State, done: int) -> tuple[State, dict, tuple]:
@@ -202,14 +219,6 @@ class _Run:
         return time.monotonic() - self.clock
 
     def save_checkpoint(self, stage: Stage, state: State, done: int) -> None:
-        vertices, faces = np.asarray(stage.mesh.vertices), np.asarray(stage.mesh.faces)
-        save_checkpoint(
-            self.folder.checkpoint,
-            state,
-            done,
-            self.seconds(),
-            vertices=vertices,
-            faces=faces,
-            level=stage.number,
-            start=stage.start,
-        )
+        mesh = np.asarray(stage.mesh.vertices), np.asarray(stage.mesh.faces)
+        place = Place(done, self.seconds(), stage.number, stage.start, stage.start, *mesh)
+        self.folder.save_checkpoint(place, state)

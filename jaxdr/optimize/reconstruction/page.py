@@ -10,13 +10,15 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from jaxdr.images import atomic_path, diverging, to_srgb
+from jaxdr.atomic_file import atomic_path
+from jaxdr.images import diverging, to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.scene.camera import look_at
 from jaxdr.scene.scene import Scene
-from jaxdr.views.evaluate import Evaluation
+from jaxdr.views.evaluate import Evaluation, Score
+from jaxdr.views.pictures import Pixels
 from jaxdr.views.record import View
 from jaxdr.views.rendering import render_views
 
@@ -28,31 +30,24 @@ STYLE = (
 )
 
 
-def report_page(
-    views: Sequence[View],
-    pictures: Sequence[Float[np.ndarray, "H W 4"]],
-    scores: Evaluation,
-    kind: str,
-    turntable: bool,
-    folder: OutputFolder,
-) -> str:
-    """HTML that needs no other file: a row a view, with photograph, rendering, difference and figures."""
+def page_row(view: View, picture: Float[np.ndarray, "H W 4"], score: Score) -> str:
+    """A row of the page: photograph, rendering, difference and figures of a view."""
+    photograph, rendering = to_srgb(view.over_black), to_srgb(picture[..., :3])
+    difference = (rendering.astype(float) - photograph).mean(-1) / 255
+    cells = "".join(f"<td>{_image(x)}</td>" for x in (photograph, rendering, diverging(difference, DIFFERENCE)))
+    overlap = "" if score.iou is None else f"<br>overlap {score.iou:.4f}"
+    return f"<tr>{cells}<td>{html.escape(view.name)}<br>{score.psnr:.2f} dB<br>SSIM {score.ssim:.4f}{overlap}</td></tr>"
+
+
+def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: bool, folder: OutputFolder) -> str:
+    """HTML that needs no other file: figures, and the rows of all views or of some spread over them."""
     summary = scores.to_dict()
     figures = "".join(
         f"<tr><td>{name}</td><td>{summary[key]['mean']:.4g}</td><td>{summary[key]['worst']:.4g}</td></tr>"
         for key, name in (("psnr", "PSNR (dB)"), ("ssim", "SSIM"), ("iou", "overlap of masks"))
         if key in summary
     )
-    rows = []
-    for view, picture, score in zip(views, pictures, scores.scores, strict=True):
-        photograph, rendering = to_srgb(view.over_black), to_srgb(picture[..., :3])
-        difference = (rendering.astype(float) - photograph).mean(-1) / 255
-        cells = "".join(f"<td>{_image(x)}</td>" for x in (photograph, rendering, diverging(difference, DIFFERENCE)))
-        overlap = "" if score.iou is None else f"<br>overlap {score.iou:.4f}"
-        rows.append(
-            f"<tr>{cells}<td>{html.escape(view.name)}<br>{score.psnr:.2f} dB<br>"
-            f"SSIM {score.ssim:.4f}{overlap}</td></tr>"
-        )
+    some = "" if len(rows) == len(scores.scores) else f" {len(rows)} of {len(scores.scores)} views are shown."
     turning = ""
     if turntable:
         data = base64.b64encode((folder.path / "turntable.gif").read_bytes()).decode()
@@ -60,7 +55,7 @@ def report_page(
     title = html.escape(f"Reconstruction of {folder.config.folder}")
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f"<h1>{title}</h1><p>Views that were {kind}. Red: the rendering is too bright; blue: too dark.</p>"
+        f"<h1>{title}</h1><p>Views that were {kind}. Red: the rendering is too bright; blue: too dark.{some}</p>"
         f"<table><tr><th></th><th>mean</th><th>worst</th></tr>{figures}</table>{turning}"
         f"<table><tr><th>photograph</th><th>rendering</th><th>difference</th><th></th></tr>{''.join(rows)}</table></html>\n"
     )
@@ -74,7 +69,7 @@ def save_turntable(
     scale = min(1.0, TURN_SIZE / max(like.width, like.height))
     width, height = round(like.width * scale), round(like.height * scale)
     blank = np.zeros((height, width, 3), np.float32)  # with alpha, so without the sky behind
-    small = dataclasses.replace(like, image=blank, alpha=blank[..., 0], focal=like.focal * scale)
+    small = dataclasses.replace(like, picture=Pixels(blank, blank[..., 0]), focal=like.focal * scale)
     views = []
     for angle in 2 * np.pi * np.arange(frames) / frames:
         offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])

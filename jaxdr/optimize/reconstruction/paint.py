@@ -1,23 +1,23 @@
 """Where albedo and light start: the colours that photographs show, and the light that explains their shading."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.reconstruction.pictures import Cut
+from jaxdr.optimize.reconstruction.pictures import Cut, Photographs
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, Backdrop, columns_of, directions, solid_angles
 
 LIFT = 1e-3  # of the longest side: visibility is asked for from so far above the surface
 GREY = 0.3  # mean albedo to start with, a common one; the light takes the rest
 DARKEST, BRIGHTEST = 0.03, 0.9  # albedo to start with
 ROWS = 9  # of the light that is solved for: shading of dull surfaces tells no more
+BLOCK = 256  # vertices at once
 SMOOTH, ROUNDS = 0.03, 4  # weight of differences of neighbouring directions; rounds of reweighting
 
 
-def seen_colors(mesh: Mesh, photographs: Sequence[Cut]) -> Float[np.ndarray, "V 3"]:
+def seen_colors(mesh: Mesh, photographs: Photographs) -> Float[np.ndarray, "V 3"]:
     """Median colour of every vertex over the photographs that see it; of what none of them sees, that of the rest.
 
     Highlights are in few of them, so the median is the dull part.
@@ -42,7 +42,8 @@ def seen_colors(mesh: Mesh, photographs: Sequence[Cut]) -> Float[np.ndarray, "V 
     known = np.isfinite(seen[..., 0]).any(0)
     colors = np.full(points.shape, GREY)
     if known.any():
-        colors[known] = np.nanmedian(seen[:, known], axis=0)
+        for part in np.split(np.flatnonzero(known), range(BLOCK, int(known.sum()), BLOCK)):
+            colors[part] = np.nanmedian(seen[:, part], axis=0)  # it takes ten times the memory of its argument
         colors[~known] = np.median(colors[known], axis=0)
     return colors
 

@@ -1,6 +1,7 @@
 """Photographs as a level needs them: reduced, cut to one size around the object, cameras to go with them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,11 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from jaxdr.views.record import View
+from jaxdr.views.reading import THREADS, Kept, read_ahead
+from jaxdr.views.record import View, over_black
 from jaxdr.views.rendering import Pinhole
 
 MARGIN = 0.03  # of the longer side of the window, around the object
 MULTIPLE = 8  # pixels: what the sides of a window are multiples of
+
+Bounds = tuple[int, int, int, int]
+Reduced = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None, Float[np.ndarray, "H W"]]
 
 
 class Pose(NamedTuple):
@@ -41,43 +46,129 @@ class Cut(NamedTuple):
     camera: Pinhole
 
 
-def cuts(views: Sequence[View], pose: Pose, resolution: int) -> list[Cut]:
+class Photographs:
     """The photographs reduced to `resolution` pixels along their longer side, and cut to one size around the object.
 
-    Without masks nothing is cut off. Light is averaged over the area of the new pixels.
+    Without masks nothing is cut off. Light is averaged over the area of the new pixels. They are read when they are
+    asked for, or ahead of that (`expect`); `kept` has as many as fit. `bounds`: of the objects, see `object_bounds`.
     """
-    reduced = [_reduced(view, resolution) for view in views]
-    height, width = _window_size([alpha for _, alpha, _, _ in reduced], reduced[0][0].shape[:2])
-    made = []
-    for view, (color, alpha, trust, scale) in zip(views, reduced, strict=True):
-        x0, y0 = (0, 0) if alpha is None else _corner(alpha, width, height)
-        window = np.s_[y0 : y0 + height, x0 : x0 + width]
+
+    def __init__(self, views: Sequence[View], bounds: Sequence[Bounds | None], pose: Pose, resolution: int, kept: Kept):
+        self.views, self.bounds, self.pose, self.resolution, self.kept = views, bounds, pose, resolution, kept
+        width, height = reduced_size(views[0], resolution)
+        self.height, self.width = _window_size(bounds, (height, width))
+        self._expected: dict[int, Future] = {}
+        self._pool = ThreadPoolExecutor(THREADS, "jaxdr read")  # its threads begin when there is something to read
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, number: int) -> Cut:
+        if not 0 <= number < len(self.views):
+            raise IndexError(number)
+        expected = self._expected.get(number)
+        return self._cut(number, expected.result() if expected else self._read(number))
+
+    def __iter__(self) -> Iterator[Cut]:
+        for number, reduced in enumerate(read_ahead(self._read, range(len(self.views)))):
+            yield self._cut(number, reduced)
+
+    def camera(self, number: int) -> Pinhole:
+        """The camera of one of them; nothing is read for that."""
+        view, size = self.views[number], reduced_size(self.views[number], self.resolution)
+        scale = size[0] / view.width, size[1] / view.height
+        x0, y0 = self._corner(number)
         focal = view.focal * scale[0]
         centre = view.centre[0] * scale[0] - x0, view.centre[1] * scale[1] - y0
-        fov = np.degrees(2 * np.arctan(0.5 * width / focal))
-        axis = (0.5 - centre[0] / width, 0.5 - centre[1] / height)
-        camera = Pinhole(*(jnp.asarray(x, float) for x in (pose.moved(view.to_world), fov, axis)))
-        made.append(Cut(color[window], None if alpha is None else alpha[window], trust[window], camera))
-    return made
+        fov = np.degrees(2 * np.arctan(0.5 * self.width / focal))
+        axis = (0.5 - centre[0] / self.width, 0.5 - centre[1] / self.height)
+        return Pinhole(*(jnp.asarray(x, float) for x in (self.pose.moved(view.to_world), fov, axis)))
+
+    def expect(self, numbers: Iterable[int]) -> None:
+        """Read these ahead, in this order, beside what goes on. Those that were expected before are let go."""
+        expected = {}
+        for number in numbers:
+            if number not in expected and (self.views[number], self.resolution) not in self.kept:
+                expected[number] = self._expected.get(number) or self._pool.submit(self._read, number)
+        for number, future in self._expected.items():
+            if number not in expected:
+                future.cancel()
+        self._expected = expected
+
+    def spread(self, count: int) -> "Photographs":
+        """At most so many of them, spread evenly over all."""
+        if count >= len(self):
+            return self
+        chosen = [int(i) for i in np.linspace(0, len(self) - 1, count).round()]
+        views, bounds = [self.views[i] for i in chosen], [self.bounds[i] for i in chosen]
+        return Photographs(views, bounds, self.pose, self.resolution, self.kept)
+
+    def _read(self, number: int) -> Reduced:
+        view = self.views[number]
+        return self.kept.get((view, self.resolution), lambda: _reduced(view, self.resolution))
+
+    def _cut(self, number: int, reduced: Reduced) -> Cut:
+        color, alpha, trust = reduced
+        x0, y0 = self._corner(number)
+        window = np.s_[y0 : y0 + self.height, x0 : x0 + self.width]
+        return Cut(color[window], None if alpha is None else alpha[window], trust[window], self.camera(number))
+
+    def _corner(self, number: int) -> tuple[int, int]:
+        """Upper left corner of the window around the object."""
+        bounds = self.bounds[number]
+        if bounds is None:
+            return 0, 0
+        x0, y0, x1, y1 = bounds
+        all_columns, all_rows = reduced_size(self.views[number], self.resolution)
+        x, y = (x0 + x1 - self.width) // 2, (y0 + y1 - self.height) // 2
+        return int(np.clip(x, 0, all_columns - self.width)), int(np.clip(y, 0, all_rows - self.height))
 
 
-def _reduced(view: View, resolution: int):
-    """(colours over black, alpha, trust, (pixels along x and y a pixel of the photograph))."""
+def object_bounds(views: Sequence[View], resolutions: Iterable[int]) -> dict[int, list[Bounds | None]]:
+    """(x0, y0, x1, y1) of the object in all photographs, reduced to each of the resolutions; None without alpha.
+
+    All photographs are read once. Raises ValueError that names a file that can't be read, or whose object is so small
+    that nothing of it is left.
+    """
+    resolutions = list(dict.fromkeys(resolutions))
+
+    def found(view: View) -> list[Bounds | None]:
+        _, alpha = view.picture.read()
+        if alpha is None:
+            return [None] * len(resolutions)
+        return [_bounds(view, resolution, alpha) for resolution in resolutions]
+
+    columns = zip(*read_ahead(found, views), strict=True)
+    return {resolution: list(column) for resolution, column in zip(resolutions, columns, strict=True)}
+
+
+def cuts(views: Sequence[View], pose: Pose, resolution: int, keep: int = 0) -> Photographs:
+    """The photographs for one resolution, of which as many are kept as fit into so many bytes."""
+    return Photographs(views, object_bounds(views, [resolution])[resolution], pose, resolution, Kept(keep))
+
+
+def reduced_size(view: View, resolution: int) -> tuple[int, int]:
+    """(width, height) of a photograph that is reduced to `resolution` pixels along its longer side."""
     share = min(1.0, resolution / max(view.width, view.height))
-    size = max(1, round(view.width * share)), max(1, round(view.height * share))
-    color = _averaged(view.over_black, size)
-    alpha = None if view.alpha is None else _averaged(view.alpha[..., None], size)[..., 0]
-    trust = _averaged(_trust(view)[..., None], size)[..., 0]
-    return color, alpha, trust, (size[0] / view.width, size[1] / view.height)
+    return max(1, round(view.width * share)), max(1, round(view.height * share))
 
 
-def _trust(view: View) -> Float[np.ndarray, "H W"]:
+def _reduced(view: View, resolution: int) -> Reduced:
+    """(colours over black, alpha, trust)."""
+    size = reduced_size(view, resolution)
+    image, alpha = view.picture.read()
+    color = _averaged(over_black(image, alpha), size)
+    trust = _averaged(_trust(view, alpha)[..., None], size)[..., 0]
+    return color, None if alpha is None else _averaged(alpha[..., None], size)[..., 0], trust
+
+
+def _trust(view: View, alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W"]:
     """0 beside the border of a mask, else 1."""
-    if view.alpha is None or not view.backdrop:
+    if alpha is None or not view.backdrop:
         return np.ones((view.height, view.width), np.float32)
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    same = maximum_filter(view.alpha, 3) == minimum_filter(view.alpha, 3)
+    same = maximum_filter(alpha, 3) == minimum_filter(alpha, 3)
     return same.astype(np.float32)
 
 
@@ -88,27 +179,25 @@ def _averaged(pixels: Float[np.ndarray, "H W C"], size: tuple[int, int]) -> Floa
     return np.stack([np.asarray(channel.resize(size, Image.Resampling.BOX)) for channel in channels], -1)
 
 
-def _bounds(alpha: Float[np.ndarray, "H W"]) -> tuple[int, int, int, int]:
-    """(x0, y0, x1, y1) of the object."""
+def _bounds(view: View, resolution: int, alpha: Float[np.ndarray, "H W"]) -> Bounds:
+    alpha = _averaged(alpha[..., None], reduced_size(view, resolution))[..., 0]
     rows, columns = np.flatnonzero((alpha > 0.1).any(1)), np.flatnonzero((alpha > 0.1).any(0))
+    if not len(rows):
+        raise ValueError(
+            f"{view.path}: the object is so small that nothing of it is left with {resolution} pixels; take larger "
+            "levels, or take this photograph out"
+        )
     return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
-def _window_size(alphas, full: tuple[int, int]) -> tuple[int, int]:
+def _window_size(bounds: Sequence[Bounds | None], full: tuple[int, int]) -> tuple[int, int]:
     """(height, width) of a window that holds the object of every photograph, with a margin."""
-    if any(alpha is None for alpha in alphas):
+    boxes = [box for box in bounds if box is not None]
+    if len(boxes) < len(bounds):
         return full
-    boxes = [_bounds(alpha) for alpha in alphas]
     sides = max(b[3] - b[1] for b in boxes), max(b[2] - b[0] for b in boxes)
     margin = 2 * round(MARGIN * max(sides)) + 4
     height, width = (
         min(-(-(side + margin) // MULTIPLE) * MULTIPLE, all) for side, all in zip(sides, full, strict=True)
     )
     return height, width
-
-
-def _corner(alpha, width: int, height: int) -> tuple[int, int]:
-    """Upper left corner of the window around the object."""
-    x0, y0, x1, y1 = _bounds(alpha)
-    x, y = (x0 + x1 - width) // 2, (y0 + y1 - height) // 2
-    return int(np.clip(x, 0, alpha.shape[1] - width)), int(np.clip(y, 0, alpha.shape[0] - height))

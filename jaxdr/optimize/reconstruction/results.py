@@ -15,17 +15,18 @@ from jaxdr.optimize.progress import Progress
 from jaxdr.optimize.reconstruction.asset import write_glb
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.output import OutputFolder
-from jaxdr.optimize.reconstruction.page import report_page, save_turntable
+from jaxdr.optimize.reconstruction.page import page_row, report_page, save_turntable
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.optimize.reconstruction.sky import resampled
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, roughness_of, scene_of
 from jaxdr.scene.scene import Scene
-from jaxdr.views.evaluate import score_pictures
+from jaxdr.views.evaluate import Evaluation, score_picture
 from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
 from jaxdr.views.transforms import FROM_OPENGL
 
 PATHS, LEAST = 1 << 24, 16  # most paths of a picture of the result, and fewest samples per pixel
+ROWS = 200  # most views on the page
 FINER = 4  # the light is written with so many texels for one, interpolated as it was used
 
 
@@ -67,19 +68,23 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
     scene = result.scene(shown[0])
     spp = max(LEAST, min(config.samples.pictures, PATHS // (shown[0].width * shown[0].height)))
-    pictures = []
+    on_page = {int(i) for i in np.linspace(0, len(shown) - 1, min(ROWS, len(shown))).round()}
+    scores, rows = [], []
     with Progress("render views", len(shown)) as progress:
-        for i, view in enumerate(shown):
-            pictures += render_views(scene, [view], spp=spp, seed=(seed + i) % 2**31, integrator=tracer)
+        for i, view in enumerate(shown):  # one by one: there may be thousands
+            (picture,) = render_views(scene, [view], spp=spp, seed=(seed + i) % 2**31, integrator=tracer)
             if views.held_out:
-                folder.save_test(view.name, pictures[-1], view.alpha is not None)
+                folder.save_test(view.name, picture, view.masked)
+            scores.append(score_picture(picture, view))
+            if i in on_page:
+                rows.append(page_row(view, picture, scores[-1]))
             progress.step()
-    scores = score_pictures(pictures, shown)
+    evaluation = Evaluation(tuple(scores))
     kind = "held out" if views.held_out else "fitted"
     if config.report.turntable:
         save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
-    folder.write_text("report.html", report_page(shown, pictures, scores, kind, bool(config.report.turntable), folder))
-    return {"judged_by": kind, "samples": spp, **scores.to_dict()}
+    folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
+    return {"judged_by": kind, "samples": spp, **evaluation.to_dict()}
 
 
 def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.scene.environment_map import EnvironmentMap
+from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View
 
 # The map's frame has y up; the world z, as in the data sets that people have. Only where the poles lie depends on it.
@@ -71,13 +72,12 @@ def find_backdrop(views: Sequence[View], rows: int) -> Backdrop | None:
     Something near looks different in the same direction from other places. So the mean of every direction has to
     explain at least half of what varies between directions, over directions that several photographs show.
     """
-    if any(view.alpha is None or not view.backdrop for view in views):
+    if not all(view.masked and view.backdrop for view in views):
         return None
     count = rows * columns_of(rows)
     columns = columns_of(rows)
     total, number, clipped = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    for view in views:
-        texel, colors = _background(view, rows, columns)
+    for texel, colors in read_ahead(lambda view: _background(view, rows, columns), views):
         for channel in range(3):
             total[:, channel] += np.bincount(texel, colors[:, channel], count)
         number += np.bincount(texel, minlength=count)
@@ -99,7 +99,8 @@ def find_backdrop(views: Sequence[View], rows: int) -> Backdrop | None:
 
 def _background(view: View, rows: int, columns: int):
     """(texel, colour) of the pixels behind the object."""
-    y, x = np.nonzero(view.alpha < 0.01)
+    image, alpha = view.picture.read()
+    y, x = np.nonzero(alpha < 0.01)
     local = np.stack(
         [
             (view.centre[0] - x - 0.5) / view.focal,
@@ -113,15 +114,15 @@ def _background(view: View, rows: int, columns: int):
     turns = np.arctan2(direction[:, 0], -direction[:, 2]) / (2 * np.pi)
     row = np.round(np.arccos(np.clip(direction[:, 1], -1, 1)) / np.pi * (rows - 1)).astype(int)
     column = np.floor(turns * columns).astype(int) % columns
-    return row * columns + column, view.image[y, x].astype(float)
+    return row * columns + column, image[y, x].astype(float)
 
 
 def _explained(views: Sequence[View], rows: int, columns: int) -> float:
     """Share of the variance of the photographs' means of texels that the mean over photographs explains."""
     count = rows * columns
     means = np.full((len(views), count), np.nan)
-    for i, view in enumerate(views):
-        texel, colors = _background(view, rows, columns)
+    backgrounds = read_ahead(lambda view: _background(view, rows, columns), views)
+    for i, (texel, colors) in enumerate(backgrounds):
         number = np.bincount(texel, minlength=count)
         logarithms = np.log(np.maximum(colors, DARKEST)).mean(1)
         enough = number >= ENOUGH

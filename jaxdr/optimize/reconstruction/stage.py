@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.devices import Divided, divide
+from jaxdr.optimize.devices import Device, Divided, divide
 from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.processes import mesh_of_writer
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
 from jaxdr.optimize.reconstruction.paint import (
@@ -22,8 +22,9 @@ from jaxdr.optimize.reconstruction.paint import (
     first_light_and_albedo,
     seen_colors,
 )
-from jaxdr.optimize.reconstruction.pictures import Cut, Pose, cuts
-from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop, resampled, solid_angles
+from jaxdr.optimize.reconstruction.photo_set import PhotoSet
+from jaxdr.optimize.reconstruction.pictures import Photographs
+from jaxdr.optimize.reconstruction.sky import Backdrop, resampled, solid_angles
 from jaxdr.optimize.reconstruction.unknowns import (
     ROUGHEST,
     SMOOTHEST,
@@ -36,7 +37,6 @@ from jaxdr.optimize.reconstruction.unknowns import (
     to_latent,
 )
 from jaxdr.optimize.remesh import remesh_to
-from jaxdr.views.record import View
 
 FIRST_ROUGHNESS = 0.5
 DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
@@ -57,7 +57,7 @@ class Stage(NamedTuple):
     mesh: Mesh
     steps: LargeSteps
     transformation: optax.GradientTransformation
-    photographs: list[Cut]
+    photographs: Photographs
     gradient: Divided
     update: Callable
 
@@ -82,19 +82,13 @@ class Stage(NamedTuple):
 
 
 def make_stage(
-    config: ReconstructConfig,
-    views: Sequence[View],
-    pose: Pose,
-    number: int,
-    start: int,
-    mesh: Mesh,
-    devices: Sequence[jax.Device],
+    config: ReconstructConfig, photos: PhotoSet, number: int, start: int, mesh: Mesh, devices: Sequence[Device]
 ) -> Stage:
     """A level for a mesh."""
     level = config.levels[number]
     steps = LargeSteps(mesh, level.lam)
     transformation = optimizer(config.rates, config.unknown, config.steps, start)
-    expected = _expected(mesh, find_backdrop(views, level.sky), level)
+    expected = _expected(mesh, photos.backdrop(level.sky), level)
     weights = config.priors
 
     @jit
@@ -104,12 +98,11 @@ def make_stage(
         updates, moments = transformation.update(total, state.optimizer, state.latent)
         return State(jax.tree.map(jnp.add, state.latent, updates), moments)
 
-    samples = config.samples
-    division = divide(min(level.views, len(views)), len(devices), min(samples.image, samples.gradient))
+    samples, views = config.samples, min(level.views, len(photos.views))
+    division = divide(views, len(devices), min(samples.image, samples.gradient))
     of_view = view_gradient(config.integrator.build(), samples, config.priors.mask, division)
     gradient = Divided(lambda common, view: of_view(*common, *view), division, devices)
-    photographs = cuts(views, pose, level.resolution)
-    return Stage(number, start, mesh, steps, transformation, photographs, gradient, update)
+    return Stage(number, start, mesh, steps, transformation, photos.at(level.resolution), gradient, update)
 
 
 def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
@@ -122,10 +115,10 @@ def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
     return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
 
 
-def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Unknowns:
+def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> Unknowns:
     """The paint and the light that explain the dull colours that photographs show, half rough."""
     count = len(mesh.vertices)
-    radiance, albedo = first_light_and_albedo(mesh, _seen(config, views, pose, mesh), find_backdrop(views, ROWS))
+    radiance, albedo = first_light_and_albedo(mesh, seen_colors(mesh, photos.paint()), photos.backdrop(ROWS))
     radiance = np.maximum(radiance, DIM * radiance.mean())
     roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
@@ -133,13 +126,9 @@ def first_unknowns(config: ReconstructConfig, views: Sequence[View], pose: Pose,
         _logit(albedo),
         np.full((count, 1), _logit(roughness)),
         resampled(np.log(radiance), config.levels[0].sky),
-        np.zeros((len(views), 3)),
+        np.zeros((len(photos.views), 3)),
     )
     return Unknowns(*(jnp.asarray(value, float) for value in values))
-
-
-def _seen(config: ReconstructConfig, views: Sequence[View], pose: Pose, mesh: Mesh) -> Float[np.ndarray, "V 3"]:
-    return seen_colors(mesh, cuts(views, pose, max(level.resolution for level in config.levels)))
 
 
 def _logit(share):
@@ -147,7 +136,7 @@ def _logit(share):
 
 
 def next_unknowns(
-    config: ReconstructConfig, views: Sequence[View], pose: Pose, number: int, mesh: Mesh, unknowns: Unknowns
+    config: ReconstructConfig, photos: PhotoSet, number: int, mesh: Mesh, unknowns: Unknowns
 ) -> tuple[Mesh, Unknowns, str]:
     """(the mesh remeshed for a level, the unknowns carried over, why remeshing failed or nothing: then it is the same).
 
@@ -157,10 +146,10 @@ def next_unknowns(
     level = config.levels[number]
     light = jnp.asarray(resampled(np.asarray(unknowns.light), level.sky), float)
     try:
-        new = remesh_to(mesh, level.vertices).smooth()
+        new = mesh_of_writer(lambda: remesh_to(mesh, level.vertices).smooth())
     except ValueError as problem:
         return mesh, unknowns._replace(light=light), str(problem)
-    old_seen, seen = (np.maximum(_seen(config, views, pose, each), DARKEST) for each in (mesh, new))
+    old_seen, seen = (np.maximum(seen_colors(each, photos.paint()), DARKEST) for each in (mesh, new))
     albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
     albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
     values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)

@@ -11,7 +11,7 @@ import optax
 from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
-from jaxdr.optimize.devices import Divided, divide
+from jaxdr.optimize.devices import Device, Divided, divide
 from jaxdr.optimize.phase import view_gradient
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.progress import NotFinite
@@ -31,9 +31,7 @@ class AdamSteps:
 
     columns = ("loss", "gradient_norm")
 
-    def __init__(
-        self, config: RecoveryConfig, options: Adam, problem: Problem, key: Array, devices: Sequence[jax.Device]
-    ):
+    def __init__(self, config: RecoveryConfig, options: Adam, problem: Problem, key: Array, devices: Sequence[Device]):
         self.seed, self.options, self.problem, self.key = config.seed, options, problem, key
         samples = config.samples
         self.optimizers = {

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.compilation import jit
+from jaxdr.optimize.devices import Device
 from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.recovery.config import LevenbergMarquardt, RecoveryConfig
 from jaxdr.optimize.recovery.problem import Latents, Problem, finite
@@ -67,7 +68,7 @@ class LeastSquaresSteps:
         options: LevenbergMarquardt,
         problem: Problem,
         key: Array,
-        devices: Sequence[jax.Device],
+        devices: Sequence[Device],
     ):
         del devices  # derivative images of all views come one after the other
         self.samples, self.options, self.problem = config.samples, options, problem

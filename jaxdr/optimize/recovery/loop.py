@@ -1,7 +1,6 @@
 """The loop of a recovery: targets, steps of a method, metrics, pictures, checkpoints."""
 
 import time
-from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
@@ -10,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
-from jaxdr.optimize.checkpoint import load_checkpoint, save_checkpoint
-from jaxdr.optimize.devices import chosen_devices
+from jaxdr.optimize.checkpoint import Place
+from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
 from jaxdr.optimize.processes import any_process, run_in
@@ -21,6 +20,7 @@ from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.errors import Errors
 from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps
 from jaxdr.optimize.recovery.problem import Problem, build_problem
+from jaxdr.optimize.run_files import shown_if_possible
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
 
@@ -38,27 +38,22 @@ def recover(
     has start and end of every measure that `Errors` knows, `loss_initial` and `loss_final` are mean squared differences
     of all views. Every random number derives from the seed and the iteration, so a run that was interrupted and is
     resumed ends with the same bits. Raises ValueError for a config that can't be run, a folder in use or too few
-    devices, `Interrupted` after Ctrl-C, `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    devices, `Interrupted` after Ctrl-C or SIGTERM, `Stopped` when a checkpoint or result can't be written, `NotFinite`
+    rather than go on with NaN, and `ProcessLost`.
     """
     run = _Run(config, chosen_devices(devices))
-
-    def open_at(path: Path) -> RunFolder:
-        return RunFolder(path, config, run.columns).opened(resume, overwrite)
-
-    with run_in(run, Path(config.output), open_at, resume):
+    with run_in(run, resume, overwrite):
         return run.run(resume)
 
 
 class _Run:
     """One call of `recover`."""
 
-    folder: RunFolder
-
-    def __init__(self, config: RecoveryConfig, devices: list[jax.Device]):
+    def __init__(self, config: RecoveryConfig, devices: list[Device]):
         self.config, self.devices = config, devices
         self.key = jax.random.key(config.seed)
         self.set_problem(build_problem(config))
-        self.columns = ("iteration", *self.method.columns, "seconds", *self.errors.names)
+        self.folder = RunFolder(config, ("iteration", *self.method.columns, "seconds", *self.errors.names))
         self.plan: Plan | None = None
         self.interruption = Interruption()
         self.clock = time.monotonic()
@@ -85,16 +80,15 @@ class _Run:
         if self.config.integrator.planned:
             self.plan_integrator(resume)
         targets = self.targets(resume)
-        if resume and self.folder.checkpoint.exists():
-            saved = load_checkpoint(self.folder.checkpoint)
-            state, iteration, seconds = saved.state(self.method.template(targets)), saved.iteration, saved.seconds
-            if self.folder.finished:
-                raise ValueError(f"output {self.folder.path}: this run is finished; there is nothing to resume")
-            self.clock -= seconds
+        saved = self.folder.load_checkpoint() if resume else None
+        if saved is not None:
+            state, iteration = saved.state(self.method.template(targets)), saved.place.step
+            self.clock -= saved.place.seconds
         else:
             state, iteration = self.method.fresh(targets), 0
         self.folder.start_metrics(iteration)
         if iteration == 0:
+            self.save_checkpoint(state, 0)  # from here on a run without a checkpoint has lost it
             self.save_pictures(state, targets, 0)
 
         with Progress("optimise", total, iteration) as progress:
@@ -113,15 +107,18 @@ class _Run:
                     self.save_pictures(state, targets, iteration)
                 stop = any_process(self.interruption.requested)
                 if last or iteration % self.config.report.checkpoint == 0 or stop:
-                    save_checkpoint(self.folder.checkpoint, state, iteration, self.seconds())
+                    self.save_checkpoint(state, iteration)
                 if stop and not last:
                     raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
         return self.finish(state, targets, iteration)
 
     def stop(self, state: Any, iteration: int, problem: NotFinite) -> NoReturn:
         """Keep the state before a step that failed, and say so."""
-        save_checkpoint(self.folder.checkpoint, state, iteration, self.seconds())
+        self.save_checkpoint(state, iteration)
         raise NotFinite(f"{problem}; the state before that step is in {self.folder.checkpoint}") from None
+
+    def save_checkpoint(self, state: Any, iteration: int) -> None:
+        self.folder.save_checkpoint(Place(iteration, self.seconds()), state)
 
     def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
         """Target views: read, rendered, or read back when a run is resumed."""
@@ -170,10 +167,15 @@ class _Run:
         images = np.stack(
             [self.image(self.problem.scene, latents, poses[view], key, self.config.samples.pictures) for view in shown]
         )
-        self.folder.save_grid(iteration, targets[shown], images)
-        for name, value in self.problem.values(latents).items():
-            if name.endswith(".vertices"):
-                mesh = self.problem.scene.shapes[name.removesuffix(".vertices")].mesh
-                self.folder.save_mesh(f"{iteration:05d}.{name.removesuffix('.vertices')}", mesh.with_vertices(value))
-            elif name.endswith(".pixels"):
-                self.folder.save_texture(f"{iteration:05d}.{name.removesuffix('.pixels')}", np.asarray(value))
+
+        def save():
+            self.folder.save_grid(iteration, targets[shown], images)
+            for name, value in self.problem.values(latents).items():
+                name, _, what = name.rpartition(".")
+                if what == "vertices":
+                    mesh = self.problem.scene.shapes[name].mesh.with_vertices(value)
+                    self.folder.save_mesh(f"{iteration:05d}.{name}", mesh)
+                elif what == "pixels":
+                    self.folder.save_texture(f"{iteration:05d}.{name}", np.asarray(value))
+
+        shown_if_possible(iteration, save)

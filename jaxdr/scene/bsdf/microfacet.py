@@ -65,16 +65,15 @@ def _ggx_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
     return 2.0 / (jnp.abs(z) + jnp.sqrt(x * x + y * y + z * z))
 
 
-def _ggx_sample(v: Float[Array, "*#n 3"], alpha: Alpha, u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
+def _ggx_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
     """Heitz 2018's density by the simpler map of Dupuy and Benyoub 2023: a spherical cap, shifted by v."""
-    v = _stretch(v, alpha)
     first, second = components(u)
     x, y, z = components(v)
     angle = 2 * math.pi * second
     up = 1.0 + z
     raised = (1.0 - first) * up  # of the sum below, without its cancellation
     radius = jnp.sqrt(first * up * (2.0 - first * up))
-    return _stretch(from_components(radius * jnp.cos(angle) + x, radius * jnp.sin(angle) + y, raised), alpha)
+    return from_components(radius * jnp.cos(angle) + x, radius * jnp.sin(angle) + y, raised)
 
 
 def _beckmann_density(m: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
@@ -108,9 +107,8 @@ def _beckmann_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*
     return 2.0 / jnp.where(shadows, below, 2.0 * jnp.where(shadows, 1.0, z))
 
 
-def _beckmann_sample(v: Float[Array, "*#n 3"], alpha: Alpha, u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
+def _beckmann_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
     """Heitz and d'Eon 2014 with the inversion of Jakob 2014: Newton's method for erf(slope)."""
-    v = _stretch(v, alpha)
     first, second = components(u)
     x, y, cos = components(v)
     cos = jnp.abs(cos)  # from below any unit vector will do, but no NaN
@@ -142,10 +140,9 @@ def _beckmann_sample(v: Float[Array, "*#n 3"], alpha: Alpha, u: Float[Array, "*#
     x = x - jnp.where(slope > 0, value - fixed(value), 0.0) / jnp.where(slope > 0, fixed(slope), 1.0)
 
     along, across = erf_inv(x), erf_inv(jnp.clip(2.0 * second - 1.0, -one, one))
-    m = from_components(
+    return from_components(
         -(cos_phi * along - sin_phi * across), -(sin_phi * along + cos_phi * across), jnp.ones_like(along)
     )
-    return _stretch(m, alpha)
 
 
 def _stretch(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n 3"]:
@@ -155,9 +152,18 @@ def _stretch(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n 3"]:
     return normalize(from_components(along * x, across * y, z))
 
 
+def _stretched(visible: Callable) -> Callable:
+    """Samples visible normals of any roughness by `visible`: those at roughness 1, of any length."""
+
+    def sample(v: Float[Array, "*#n 3"], alpha: Alpha, u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
+        return _stretch(visible(_stretch(v, alpha), u), alpha)
+
+    return sample
+
+
 DISTRIBUTIONS = {
-    "ggx": Distribution(_ggx_density, _ggx_masking, _ggx_sample),
-    "beckmann": Distribution(_beckmann_density, _beckmann_masking, _beckmann_sample),
+    "ggx": Distribution(_ggx_density, _ggx_masking, _stretched(_ggx_visible)),
+    "beckmann": Distribution(_beckmann_density, _beckmann_masking, _stretched(_beckmann_visible)),
 }
 
 

@@ -78,8 +78,12 @@ class Phong(BSDF):
 
 def most(diffuse: Color, specular: Color) -> float | None:
     """The largest sum of two reflectances, at worst; None where traced ones have no value."""
-    arrays = [texture.data() if isinstance(texture, Texture) else (texture,) for texture in (diffuse, specular)]
-    if any(isinstance(array, Tracer) for group in arrays for array in group):
-        return None
-    first, second = (np.stack([np.asarray(array).reshape(-1, 3).max(0) for array in group]).max(0) for group in arrays)
-    return float((first + second).max())
+    tops = [_top(color) for color in (diffuse, specular)]
+    return None if tops[0] is None or tops[1] is None else float((tops[0] + tops[1]).max())
+
+
+def _top(color: Color) -> Float[np.ndarray, "3"] | None:
+    if isinstance(color, Texture):
+        known = color.extremes()
+        return None if known is None else known[1]
+    return None if isinstance(color, Tracer) else np.asarray(color)

@@ -47,6 +47,11 @@ class Texture(eqx.Module):
     uses_slopes: ClassVar[bool] = False
 
     @property
+    def parts(self) -> tuple["Texture", ...]:
+        """The textures that it is made of: itself where it is not made of others."""
+        return (self,)
+
+    @property
     @abc.abstractmethod
     def continuous(self) -> bool:
         """Whether values change continuously inside a face. Where they jump and that moves, derivatives miss it."""
@@ -69,17 +74,27 @@ class Texture(eqx.Module):
         grey = [broadcast(array, (*array.shape[:-1], channels)) for array in data]
         return eqx.tree_at(lambda texture: texture.data(), self, tuple(grey))
 
+    def extremes(self) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]] | None:
+        """Bounds of the values of each channel: the least and the greatest; None where a traced one has no value."""
+        if any(isinstance(array, Tracer) for array in self.data()):
+            return None
+        rows = np.concatenate([np.asarray(array).reshape(-1, array.shape[-1]) for array in self.data()])
+        return rows.min(0), rows.max(0)
+
     def check_range(self, name: str, low: float, high: float) -> None:
         """Raise ValueError that names the parameter where a value is outside of [low, high]; traced ones pass."""
-        for array in self.data():
-            if isinstance(array, Tracer):
-                continue
-            values = np.asarray(array)
-            least, most = float(values.min()), float(values.max())
-            lowest, highest = (float(np.asarray(limit, array.dtype)) for limit in (low, high))
-            if not (lowest <= least and most <= highest and np.isfinite(most)):
-                expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
-                raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
+        if (known := self.extremes()) is None:
+            return
+        least, most = float(known[0].min()), float(known[1].max())
+        lowest, highest = (float(np.asarray(limit, known[0].dtype)) for limit in (low, high))
+        if not (lowest <= least and most <= highest and np.isfinite(most)):
+            expected = f"in [{low:g}, {high:g}]" if np.isfinite(high) else f"at least {low:g}"
+            raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
+
+    def times(self, factor: ArrayLike) -> "Texture":
+        """The texture with all its values times a number, or numbers times RGB."""
+        scaled = tuple(as_array(on_host(array) * np.asarray(factor, array.dtype)) for array in self.data())
+        return eqx.tree_at(lambda texture: texture.data(), self, scaled)
 
     def values(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N *C"]:
         """What takes the texture's place at every point: numbers [N] or RGB [N, 3]."""

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -11,10 +12,11 @@ from PIL import Image
 
 import jaxdr as jd
 from jaxdr.cli import main
-from jaxdr.optimize.progress import Interrupted
+from jaxdr.optimize.progress import Interrupted, Stopped
 from jaxdr.optimize.reconstruction import loop
 from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
-from tests.views.folders import SIZE, write_nerf
+from jaxdr.views import pictures
+from tests.views.folders import SIZE, tell_apart, write_nerf
 
 for package in ("gpytoolbox", "skimage", "xatlas"):
     pytest.importorskip(package)
@@ -32,7 +34,7 @@ TABLE = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_nerf(tmp_path_factory.mktemp("photos") / "nerf", train=6, test=2)
+    return tell_apart(write_nerf(tmp_path_factory.mktemp("photos") / "nerf", train=6, test=2))
 
 
 def config(folder, output, **changes) -> ReconstructConfig:
@@ -96,6 +98,41 @@ def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_p
         assert (whole / name).read_bytes() == (output / name).read_bytes()
     lines = [(path / "metrics.csv").read_text().splitlines() for path in (whole, output)]
     assert [line.rpartition(",")[0] for line in lines[0]] == [line.rpartition(",")[0] for line in lines[1]]
+
+
+def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_path, monkeypatch):
+    whole, _ = finished
+    output, read = tmp_path / "streamed", []
+    original = pictures.read_picture
+    monkeypatch.setattr(pictures, "read_picture", lambda *files: (read.append(files), original(*files))[1])
+    loop.reconstruct(config(folder, output, memory={"pictures": 0.0}))
+    assert len(read) > 5 * 8  # of eight pictures
+    for name in ("asset.glb", "test/r_0.png", "test/r_1.png", "report.html", "pictures/00004.png"):
+        assert (whole / name).read_bytes().replace(b"whole", b"") == (output / name).read_bytes(), name
+
+
+def test_a_photograph_that_vanishes_is_told_with_the_checkpoint(folder, tmp_path, monkeypatch):
+    photos = tmp_path / "photos"
+    shutil.copytree(folder, photos)
+    step = loop._Run.step
+
+    def unplug(self, stage, state, done):
+        result = step(self, stage, state, done)
+        shutil.rmtree(photos / "train", ignore_errors=True)
+        return result
+
+    monkeypatch.setattr(loop._Run, "step", unplug)
+    with pytest.raises(Stopped, match=r"r_\d\.png: there is no such file; the checkpoint of step 0 in .* is whole"):
+        loop.reconstruct(config(photos, tmp_path / "out", memory={"pictures": 0.0}))
+
+
+def test_a_held_out_picture_that_cannot_be_read_is_told_before_the_start(tmp_path):
+    photos = write_nerf(tmp_path / "nerf", train=3, test=2)
+    path = photos / "test" / "r_1.png"
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(ValueError, match=r"test/r_1\.png: not a readable PNG"):
+        loop.reconstruct(config(photos, tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_results_are_not_overwritten_unasked(folder, finished):

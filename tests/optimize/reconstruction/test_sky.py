@@ -16,6 +16,7 @@ from jaxdr.optimize.reconstruction.sky import (
     solid_angles,
 )
 from jaxdr.scene.camera import look_at
+from jaxdr.views.pictures import Pixels
 from jaxdr.views.record import View
 
 ROWS, SIZE, FOCAL = 9, 48, 40.0
@@ -44,7 +45,8 @@ def background_views(near: bool = False) -> list[View]:
         else:
             image = radiance(ray)
         alpha = (np.hypot(x - SIZE / 2, y - SIZE / 2) < 5).astype(np.float32)
-        views.append(View(str(i), Path(f"{i}.png"), image.astype(np.float32), alpha, pose, FOCAL, (SIZE / 2, SIZE / 2)))
+        picture = Pixels(image.astype(np.float32), alpha)
+        views.append(View(str(i), Path(f"{i}.png"), picture, pose, FOCAL, (SIZE / 2, SIZE / 2)))
     return views
 
 

@@ -14,6 +14,7 @@ from jaxdr.optimize.reconstruction.paint import first_light_and_albedo, seen_col
 from jaxdr.optimize.reconstruction.pictures import Pose, cuts
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, directions, solid_angles
 from jaxdr.scene.camera import look_at
+from jaxdr.views.pictures import Pixels
 from jaxdr.views.record import View
 from tests.views.folders import write_nerf
 
@@ -34,7 +35,7 @@ def view_of_a_ball(direction, paint=lambda point: np.ones(3), aside=(0.0, 0.0)) 
     hit = depth > 0
     point = eye + (along - np.sqrt(np.maximum(depth, 0)))[..., None] * ray
     image = np.where(hit[..., None], np.apply_along_axis(paint, -1, point), 0.0).astype(np.float32)
-    return View("ball", Path("ball.png"), image, hit.astype(np.float32), pose, FOCAL, centre)
+    return View("ball", Path("ball.png"), Pixels(image, hit.astype(np.float32)), pose, FOCAL, centre)
 
 
 def all_around(**settings) -> list[View]:
@@ -60,7 +61,7 @@ def test_masks_without_a_common_volume_and_hulls_without_masks_are_refused(tmp_p
     views = all_around()
     away = np.roll(views[0].alpha, 25, axis=1)
     with pytest.raises(ValueError, match="no volume in common"):
-        initial_surface([dataclasses.replace(views[0], alpha=away), *views[1:]], "hull", 48)
+        initial_surface([views[0].with_picture(views[0].image, away), *views[1:]], "hull", 48)
     bare = jd.load_views(write_nerf(tmp_path, alpha=False))
     with pytest.raises(ValueError, match=r"start\.kind"):
         initial_surface(bare.fitted, "hull", 48)

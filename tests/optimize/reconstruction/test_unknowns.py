@@ -9,7 +9,7 @@ from jaxdr.geometry import shapes
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction import stage
 from jaxdr.optimize.reconstruction.config import Level, Rates, ReconstructConfig
-from jaxdr.optimize.reconstruction.pictures import Pose
+from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.unknowns import (
     Unknowns,
     carried,
@@ -79,6 +79,6 @@ def test_a_mesh_that_cannot_be_remeshed_stays_and_says_why(monkeypatch):
     monkeypatch.setattr(stage, "remesh_to", refuse)
     level = Level(steps=1, resolution=16, vertices=60, sky=9)
     config = ReconstructConfig("photos", "out", levels=(level,))
-    mesh, values, problem = stage.next_unknowns(config, (), Pose(np.zeros(3), 1.0), 0, MESH, unknowns())
+    mesh, values, problem = stage.next_unknowns(config, object.__new__(PhotoSet), 0, MESH, unknowns())
     assert mesh is MESH and problem == "folded"
     assert values.light.shape == (9, 16, 3) and (values.albedo == unknowns().albedo).all()

@@ -55,7 +55,7 @@ def test_a_file_of_the_corpus(cases, name):
     if not case.strict:
         with pytest.raises(ValueError) as caught:
             load_gltf(case.path)
-        assert all(words in str(caught.value) for words in case.warned)
+        assert any(words in str(caught.value) for words in case.warned)
     scene, messages = load(case, ignore_unsupported=not case.strict)
     triangles = corners(scene)
     assert len(triangles) == case.triangles

@@ -1,15 +1,19 @@
 """glTF materials: vertex colours, alpha, index and strength of reflection, glass, light that shines with alpha."""
 
+import jax
 import numpy as np
 import pytest
 
-from experiments.real_scenes.gltf_corpus import CHECKS, write
+import jaxdr as jd
+from experiments.real_scenes.gltf_corpus import CHECKS, png, write
 from experiments.real_scenes.gltf_writer import CORNERS, SQUARE, SQUARE_FACES, File
-from jaxdr.scene.bsdf import Dielectric, Mask, Principled, RoughDielectric, ThinDielectric, TwoSided
+from jaxdr.scene.bsdf import Blend, Dielectric, Diffuse, Mask, Principled, RoughDielectric, ThinDielectric, TwoSided
 from jaxdr.scene.formats.gltf.load import load_gltf
-from jaxdr.scene.textures import Bitmap, VertexColors
+from jaxdr.scene.textures import Bitmap, Product, VertexColors
+from tests.scene.bsdf.checks import call, random_directions
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*(holes end|a thin pane|specularFactor|shines|edges lie|all glass)")
+UNLIT, LIGHTS = "KHR_materials_unlit", "KHR_lights_punctual"
+pytestmark = pytest.mark.filterwarnings("ignore:.*(holes end|a thin pane|specularFactor|shines|edges lie|unlit;)")
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +114,123 @@ def test_glass(corpus):
     np.testing.assert_allclose(thin.specular_transmittance, [0.5, 1, 1])
     thick = corpus("glass_thick.glb").bsdf
     assert isinstance(thick, RoughDielectric) and float(thick.eta) == 1.25 and float(thick.alpha) == 0.25
-    assert isinstance(corpus("glass_in_part.glb", ignore_unsupported=True).bsdf, Principled)
+    part = corpus("glass_in_part.glb").bsdf
+    assert isinstance(part, Blend) and isinstance(part.second, RoughDielectric) and float(part.weight) == 0.375
+    np.testing.assert_allclose(part.first.metallic, 0.25 / 0.625)
+
+
+THICK = {"KHR_materials_volume": {"thicknessFactor": 1}}
+RED = (0.9, 0.4, 0.2)
+
+
+def dielectric_mix(transmission, metallic, roughness=0.6):
+    """The specification: metal, and below the reflection of what is not metal, diffuse and transmitted light mixed."""
+
+    def of(wi, wo):
+        metal = call(Principled(RED, 1.0, roughness), "eval", wi, wo)
+        opaque = call(Principled(RED, 0.0, roughness), "eval", wi, wo)
+        glass = call(RoughDielectric(roughness**2, 1.5, 1.0, specular_transmittance=RED), "eval", wi, wo)
+        return metallic * metal + (1 - metallic) * ((1 - transmission) * opaque + transmission * glass)
+
+    return of
+
+
+@pytest.mark.parametrize(("transmission", "metallic"), [(0.3, 0.0), (0.7, 0.4), (1.0, 0.2)])
+def test_glass_in_part_is_the_mixture_of_the_specification(tmp_path, transmission, metallic):
+    file = File()
+    factors = {"baseColorFactor": [*RED, 1], "metallicFactor": metallic, "roughnessFactor": 0.6}
+    extensions = {"KHR_materials_transmission": {"transmissionFactor": transmission}, **THICK}
+    file.square({"pbrMetallicRoughness": factors, "extensions": extensions})
+    wi, wo = np.asarray(random_directions(200, 0, 0.0)), np.asarray(random_directions(200, 1, -1.0))
+    found, expected = call(load(tmp_path, file).bsdf, "eval", wi, wo), dielectric_mix(transmission, metallic)(wi, wo)
+    assert (expected > 0).any(1).sum() > 100 and (expected[wo[:, 2] < 0] > 0).any(1).sum() > 10
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_glass_by_textures(tmp_path):
+    """Transmission in red, roughness in green, metallic in blue of one image: shares a texel."""
+    pixels = np.random.default_rng(3).integers(0, 256, (3, 2, 3), np.uint8)
+    file = File()
+    info = {"index": file.texture(png(pixels))}
+    factors = {"metallicFactor": 0.5, "roughnessFactor": 0.8, "metallicRoughnessTexture": info}
+    transmission = {"transmissionFactor": 0.75, "transmissionTexture": info}
+    file.square({"pbrMetallicRoughness": factors, "extensions": {"KHR_materials_transmission": transmission, **THICK}})
+    bsdf = load(tmp_path, file).bsdf
+    through, rough, metal = (np.moveaxis(pixels / 255, 2, 0).T * [0.75, 0.8, 0.5]).T
+    share = through * (1 - metal)
+    np.testing.assert_allclose(bsdf.weight.pixels[..., 0], share, atol=1e-6)
+    np.testing.assert_allclose(bsdf.first.metallic.pixels[..., 0], metal / (1 - share), atol=1e-6)
+    np.testing.assert_allclose(bsdf.second.alpha.pixels[..., 0], rough**2, rtol=1e-5)
+    transmission["transmissionTexture"] = {"index": file.texture(png(255 - pixels))}
+    with pytest.raises(
+        ValueError, match="transmissionTexture and metallicRoughnessTexture of different images are not"
+    ):
+        load(tmp_path, file)
+
+
+def test_reflection_of_glass_by_strength_is_named(tmp_path):
+    file = File()
+    extensions = {
+        "KHR_materials_transmission": {"transmissionFactor": 1},
+        "KHR_materials_specular": {"specularFactor": 0},
+    }
+    file.square({"pbrMetallicRoughness": {"metallicFactor": 0}, "extensions": extensions | THICK})
+    with pytest.raises(ValueError, match="KHR_materials_specular: specularFactor of glass is not supported"):
+        load(tmp_path, file)
+
+
+def test_vertex_colours_times_a_texture(tmp_path):
+    """The specification: the base colour is factor times texture times vertex colour, and so is alpha."""
+    pixels = np.random.default_rng(4).integers(0, 256, (2, 2, 4), np.uint8)
+    colors = np.random.default_rng(5).uniform(size=(4, 4)).astype(np.float32)
+    file = File()
+    factors = {"baseColorFactor": [1, 0.5, 0.25, 0.75], "baseColorTexture": {"index": file.texture(png(pixels))}}
+    file.square({"alphaMode": "BLEND", "pbrMetallicRoughness": factors}, attributes={"COLOR_0": colors})
+    shape = load(tmp_path, file)
+    base, opacity = shape.bsdf.bsdf.base_color, shape.bsdf.opacity
+    assert isinstance(base, Product) and isinstance(opacity, Product)
+    found = np.asarray(shape.mesh.vertices)
+    stored = [int(np.flatnonzero((SQUARE == vertex).all(1))[0]) for vertex in found]
+    np.testing.assert_allclose(base.second.colors, colors[stored, :3], rtol=1e-6)
+    np.testing.assert_allclose(opacity.second.colors[:, 0], colors[stored, 3], rtol=1e-6)
+    np.testing.assert_allclose(opacity.first.pixels[..., 0], 0.75 * pixels[..., 3] / 255, rtol=1e-5)
+
+
+def test_unlit_shows_the_base_colour_in_any_light(tmp_path):
+    """The picture of a square that fills it is the base colour, with a lamp or without."""
+    file = File()
+    file.square({"pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.25, 1, 1]}, "extensions": {UNLIT: {}}})
+    file.json["extensions"] = {LIGHTS: {"lights": [{"type": "point", "intensity": 9}]}}
+    file.node(translation=[0.5, 0.5, 2], extensions={LIGHTS: {"light": 0}})
+    lens = {"xmag": 0.2, "ymag": 0.2, "znear": 0, "zfar": 9}
+    file.node(camera=file.add("cameras", {"type": "orthographic", "orthographic": lens}), translation=[0.5, 0.5, 3])
+    scene = load_gltf(file.save(tmp_path / "a.glb"), width=4, height=4)
+    assert set(scene.lights) and scene.environment is None
+    image = jd.render(scene, jax.random.key(0), 4, jd.PathTracer(3, None))
+    np.testing.assert_allclose(image, np.tile([0.5, 0.25, 1], (4, 4, 1)), rtol=1e-5)
+
+
+def test_unlit_with_textures_and_alpha(tmp_path):
+    file = File()
+    pixels = np.random.default_rng(6).integers(0, 256, (2, 2, 4), np.uint8)
+    factors = {"baseColorFactor": [1, 0.5, 0.25, 0.75], "baseColorTexture": {"index": file.texture(png(pixels))}}
+    file.square({"alphaMode": "BLEND", "pbrMetallicRoughness": factors, "extensions": {UNLIT: {}}})
+    shape = load(tmp_path, file)
+    assert isinstance(shape.bsdf, Mask) and isinstance(shape.bsdf.bsdf, Diffuse)
+    assert isinstance(shape.emitter.radiance, Product)
+    np.testing.assert_allclose(shape.emitter.radiance.second.pixels[..., 0], 0.75 * pixels[..., 3] / 255, rtol=1e-5)
+    file.json["materials"][0]["pbrMetallicRoughness"] = {"baseColorFactor": [0, 0, 0, 1]}
+    assert load(tmp_path, file).emitter is None
+
+
+def test_unlit_beside_lit_is_named(tmp_path):
+    file = File()
+    file.square({"name": "sign", "extensions": {UNLIT: {}}})
+    file.square({})
+    with pytest.warns(
+        UserWarning, match="material 'sign': unlit; it shines with its colour, so that it lights the other"
+    ):
+        load(tmp_path, file)
 
 
 def test_smooth_thick_glass_refracts_and_metals_transmit_nothing(tmp_path):

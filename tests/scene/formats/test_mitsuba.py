@@ -219,7 +219,8 @@ ERRORS = {
     ),
     "unknown bsdf": (CUBE % '\n<bsdf type="hair"/>', "3, <bsdf>: unknown type 'hair'; known: diffuse, twosided"),
     "unused unknown bsdf": ('<bsdf type="hair" id="p"/>', "2, <bsdf>: unknown type 'hair'"),
-    "unknown emitter": ('<emitter type="sunsky"/>', "2, <emitter>: unknown type 'sunsky'; known: constant"),
+    "unknown emitter": ('<emitter type="glow"/>', "2, <emitter>: unknown type 'glow'; known: constant"),
+    "sky": ('<emitter type="sunsky"/>', "2, <emitter>: unknown type 'sunsky'; .*write the sky into an image and give"),
     "unknown sensor": ('<sensor type="fisheye"/>', "2, <sensor>: unknown type 'fisheye'; known: perspective, thinlens"),
     "unknown integrator": ('<integrator type="stokes"/>', "2, <integrator>: unknown type 'stokes'; known: path, "),
     "hidden emitters": (

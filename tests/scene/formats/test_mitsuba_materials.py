@@ -13,6 +13,7 @@ from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.formats.mitsuba.materials import MATERIALS
 from jaxdr.scene.formats.mitsuba.xml import Properties
+from tests.scene.bsdf.checks import call, random_directions
 
 FILE = Path("scene.xml")
 SCENE = '<sensor type="perspective"/><shape type="cube" id="c">%s</shape>'
@@ -94,6 +95,8 @@ def test_parameters_and_defaults(kind, values, expected):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
 
+MIXTURE = '<bsdf type="mixturebsdf"><string name="weights" value="%s"/>%s</bsdf>'
+PLAIN = '<bsdf type="diffuse"/>'
 BLEND = '<bsdf type="blendbsdf"><float name="weight" value="0.2"/>'
 NESTED = {
     f'{BLEND}<bsdf type="phong"/><bsdf type="plastic"/></bsdf>': jd.Blend(0.2, jd.Phong(), jd.Plastic()),
@@ -102,9 +105,21 @@ NESTED = {
     '<bsdf type="mask"><rgb name="opacity" value="0.3, 0.3, 0.3"/><bsdf type="diffuse"/></bsdf>': jd.Mask(
         0.3, jd.Diffuse(0.5)
     ),
+    MIXTURE % ("0.2, 0.3 0.5", PLAIN + '<bsdf type="phong"/><bsdf type="plastic"/>'): jd.Blend(
+        0.5, jd.Blend(0.6, jd.Diffuse(0.5), jd.Phong()), jd.Plastic()
+    ),
+    MIXTURE % ("0.25", f'<bsdf type="twosided">{PLAIN}</bsdf>'): jd.TwoSided(
+        jd.Blend(0.75, jd.Diffuse(0.5), jd.Diffuse(0.0))
+    ),
+    MIXTURE % ("0, 1", PLAIN + '<bsdf type="phong"/>'): jd.Blend(1.0, jd.Diffuse(0.5), jd.Phong()),
+    MIXTURE % ("2, 2", PLAIN + '<bsdf type="phong"/>'): jd.Blend(0.5, jd.Diffuse(0.5), jd.Phong()),
+    '<bsdf type="principledthin"><float name="sheen" value="0.3"/><float name="eta" value="1.7"/></bsdf>': jd.TwoSided(
+        jd.Principled(0.5, 0.0, 0.5, 0.0, sheen=0.3)
+    ),
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*weights add up to 4")
 @pytest.mark.parametrize("content", NESTED)
 def test_nested(scene_file, content):
     made, expected = load_mitsuba(scene_file(SCENE % content)).shapes["c"].bsdf, NESTED[content]
@@ -122,9 +137,11 @@ def test_what_is_said(scene_file):
     with pytest.warns(UserWarning, match="opacity is one number for all colours here: the mean of"):
         mask = load_mitsuba(scene_file(SCENE % holes)).shapes["c"].bsdf
     np.testing.assert_allclose(mask.opacity, 0.5)
+    with pytest.warns(UserWarning, match="the weights add up to 4; they are made smaller to add up to 1"):
+        load_mitsuba(scene_file(SCENE % MIXTURE % ("2, 2", 2 * PLAIN)))
     one = '<bsdf type="blendbsdf"><float name="weight" value="0.2"/><bsdf type="twosided"><bsdf type="phong"/></bsdf>'
     one += '<bsdf type="plastic"/></bsdf>'
-    with pytest.raises(ValueError, match="of a blend one BSDF is twosided and the other is not"):
+    with pytest.raises(ValueError, match="of a blend one BSDF is twosided and another is not"):
         load_mitsuba(scene_file(SCENE % one))
 
 
@@ -154,7 +171,39 @@ WRONG = {
     '<bsdf type="pplastic"/>': "unknown type 'pplastic'; polarisation is not supported",
     '<bsdf type="principled"><float name="gloss" value="1"/></bsdf>': "unknown parameter 'gloss'",
     '<bsdf type="hair"/>': "unknown type 'hair'",
+    MIXTURE % ("0.5", 2 * PLAIN): "needs a weight of at least 0 for each of its 2 <bsdf>, got '0.5'",
+    MIXTURE % ("-0.5, 1", 2 * PLAIN): "needs a weight of at least 0",
+    '<bsdf type="principledthin"><float name="diff_trans" value="1"/></bsdf>': (
+        r"a sheet that lets light through \(diff_trans other than 0\) is not supported; .*it lets none through"
+    ),
 }
+
+
+LOBES_OF_A_SHEET = {"sheen": 0.7, "sheen_tint": 0.4, "flatness": 0.6}
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.4, 1.0])
+def test_a_sheet_is_mitsubas(scene_file, roughness):
+    """`principledthin` without transmission, seen from both sides."""
+    mi = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (extra `peers`)")
+    mi.set_variant("scalar_rgb")
+    values = {"roughness": roughness, "spec_tint": 0.3, "anisotropic": 0.5, **LOBES_OF_A_SHEET}
+    base = '<rgb name="base_color" value="0.7, 0.3, 0.2"/>'
+    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in values.items())
+    content = f'<bsdf type="principledthin">{base}{numbers}</bsdf>'
+    ours = load_mitsuba(scene_file(SCENE % content)).shapes["c"].bsdf
+    theirs = mi.load_dict({"type": "principledthin", "base_color": {"type": "rgb", "value": [0.7, 0.3, 0.2]}, **values})
+    assert isinstance(ours, jd.TwoSided)
+    wi, wo = np.asarray(random_directions(100, 0, -1.0)), np.asarray(random_directions(100, 1))
+    expected = []
+    for a, b in zip(wi, wo, strict=True):
+        si = mi.SurfaceInteraction3f()
+        si.wi, si.sh_frame = a.tolist(), mi.Frame3f([0, 0, 1])
+        expected.append(list(theirs.eval(mi.BSDFContext(), si, b.tolist())))
+    assert (np.asarray(expected) > 0).any(1).sum() > 20
+    upwards = np.where(wi[:, 2:] < 0, -1.0, 1.0)  # what `TwoSided` does
+    found = call(ours.bsdf, "eval", upwards * wi, upwards * wo)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("content", WRONG)

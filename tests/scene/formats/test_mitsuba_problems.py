@@ -22,14 +22,15 @@ UNSUPPORTED = """<shape type="cube" id="a"><bsdf type="twosided"><bsdf type="vel
     <bsdf type="diffuse"><texture type="noise" name="reflectance"/></bsdf></shape>"""
 MESSAGES = [
     "line 2, <bsdf>: unknown type 'velvet'; known: diffuse, twosided, mask, normalmap, bumpmap, blendbsdf, "
-    "roughconductor, roughdielectric, roughplastic, principled, conductor, dielectric, thindielectric, phong, plastic; "
+    "mixturebsdf, roughconductor, roughdielectric, roughplastic, principled, principledthin, conductor, dielectric, "
+    "thindielectric, phong, plastic; "
     "with ignore_unsupported a grey diffuse BSDF",
     "line 3, <shape>: unknown type 'hair'; known: obj, ply, serialized,",
     "line 4, <float>: unknown parameter 'aperture' of sensor 'perspective'; known: ",
     "line 5, <rfilter>: unknown type 'lanczos'; known: box, gaussian, tent; with ignore_unsupported a Gaussian",
     "line 5, <integer>: unknown parameter 'widht' of film 'hdrfilm'; did you mean 'width'?; with ignore_unsupported it",
     "line 6, <sensor>: a second one in one <scene>; with ignore_unsupported the first one counts",
-    "line 7, <emitter>: unknown type 'sunsky'; known: constant, envmap, point, spot, directional, projector; with",
+    "line 7, <emitter>: unknown type 'sunsky'; models of the sky are not supported; write the sky into",
     "line 8, <integrator>: unknown type 'depth'",
     "line 9, <medium>: participating media are not supported; with ignore_unsupported it is left out: space is empty",
     "line 10, <emitter>: unknown type 'beam'; known: area; with ignore_unsupported the shape does not glow",

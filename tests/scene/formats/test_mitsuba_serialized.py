@@ -1,5 +1,7 @@
 """Mitsuba's own mesh format: what is in a file, beside Mitsuba's loader, and what is wrong with one."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,31 @@ def test_every_mesh_of_a_file(tmp_path, version, kind):
             np.testing.assert_array_equal(found.uvs, mesh["uvs"].astype(kind))
         if "colors" in mesh:
             np.testing.assert_array_equal(found.stored["vertex"]["g"], mesh["colors"][:, 1].astype(kind))
+
+
+def bent(degrees):
+    """A flat grid whose normals lean to one side, all by the same angle."""
+    flat, angle = hill(4), np.radians(degrees)
+    flat["vertices"][:, 2] = 0
+    return {**flat, "normals": np.tile([np.sin(angle), 0, np.cos(angle)], (16, 1))}
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"), [(bent(10), "10.0"), (bent(1), None), (hill(9), "3.1"), (hill(65), None), (BARE, None)]
+)
+def test_stored_normals_that_do_not_count_are_named(load, tmp_path, mesh, said):
+    (tmp_path / "m.serialized").write_bytes(serialized([mesh]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load(SENSOR + SHAPE.format(""))
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == (said is not None)
+    if said is not None:
+        assert f"the stored normals are {said} degrees from those of the triangles, on average" in messages[0]
+    smooth = SENSOR + SHAPE.format('<boolean name="face_normals" value="true"/>')
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(smooth)
 
 
 CASES = {

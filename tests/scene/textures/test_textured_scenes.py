@@ -103,6 +103,8 @@ def test_textures_that_do_not_fit():
         jd.Scene({"bare": jd.Shape(BARE, jd.TwoSided(inner))}, CAMERA)
     with pytest.raises(ValueError, match=r"q\.bsdf\.reflectance, a VertexColors, has 3 values, .* 'q' has 4 vertices"):
         scene(q=jd.Diffuse(jd.VertexColors(np.ones(3))))
+    with pytest.raises(ValueError, match=r"q\.bsdf\.reflectance, a VertexColors, has 3 values"):
+        scene(q=jd.Diffuse(jd.Product(jd.Checkerboard(), jd.VertexColors(np.ones(3)))))
 
 
 def test_textures_of_one_kind_and_size_share_a_group():

@@ -152,6 +152,29 @@ def test_vertex_colors():
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
+def test_products():
+    """An image times colours of vertices, and their derivatives; an image times numbers is times grey."""
+    rng = np.random.default_rng(7)
+    colors, weights, corners = rng.uniform(size=(5, 3)), rng.dirichlet(np.ones(3), 200), rng.integers(0, 5, (200, 3))
+    at = points(UVS, weights, corners)
+    image, of_vertices, grey = jd.Bitmap(PIXELS), jd.VertexColors(colors), jd.Bitmap(PIXELS[..., 0])
+    expected = np.asarray(values(image, at)) * np.asarray(values(of_vertices, at))
+    np.testing.assert_allclose(values(jd.Product(image, of_vertices), at), expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        values(jd.Product(image, of_vertices).times([0.5, 1, 2]), at), expected * [0.5, 1, 2], 1e-5
+    )
+    tinted = jd.Diffuse(jd.Product(of_vertices, grey)).reflectance
+    np.testing.assert_allclose(
+        values(tinted, at), np.asarray(values(of_vertices, at)) * np.asarray(values(grey, at))[:, None], rtol=1e-5
+    )
+    slope = jax.grad(lambda t: values(t, at).sum())(jd.Product(image, of_vertices))
+    np.testing.assert_allclose(slope.second.colors.sum(), (np.asarray(values(image, at))).sum(), rtol=1e-5)
+    with pytest.raises(ValueError, match=r"metallic must be in .* from 0 to 4"):
+        jd.Principled(metallic=jd.Product(jd.Bitmap([[0.0, 2.0]]), jd.VertexColors([0.5, 2.0])))
+    low, high = jd.Product(jd.Bitmap([[-1.0, 2.0]]), jd.VertexColors([-3.0, 1.0])).extremes()
+    assert (low[0], high[0]) == (-6, 3)
+
+
 def test_numbers_and_colours():
     """One channel gives numbers; as a colour it becomes grey; a colour can't be a number."""
     number = jd.Bitmap(PIXELS[..., 0])

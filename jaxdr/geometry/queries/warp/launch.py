@@ -11,7 +11,8 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 import warp as wp
 
-THREADS = os.cpu_count() or 1
+# Those of this process: schedulers and containers give it a part of the machine.
+THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 # Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
 SLICE = 8192
 

@@ -11,7 +11,7 @@ from jaxdr.scene.emitters import ConstantEnvironment
 from jaxdr.scene.formats.gltf.cameras import read_camera
 from jaxdr.scene.formats.gltf.extensions import name_unread
 from jaxdr.scene.formats.gltf.lights import light_at, read_light
-from jaxdr.scene.formats.gltf.materials import unsupported_at, unsupported_in
+from jaxdr.scene.formats.gltf.materials import is_unlit, unsupported_at, unsupported_in
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.shapes import Names, Shapes, material_of, shared_color
 from jaxdr.scene.lights import DeltaLight
@@ -35,7 +35,8 @@ def load_gltf(
       "file").
     - Base colour, metallic and roughness become a `Principled` BSDF, with their textures or vertex colours. It is
       two-sided where the material is, in a `NormalMap` where there is one, and in a `Mask` where alpha has holes. What
-      transmits all light becomes glass.
+      transmits light is glass, or a `Blend` with glass where it does so in part. What is unlit shines with its base
+      colour and reflects nothing.
     - Emissive factors become area emitters, with their textures; lights become lights. The file's photometric numbers
       are kept. Where nothing shines, there is a constant environment of radiance 1.
     - Animated, skinned and morphed files are loaded in their default pose, with a warning.
@@ -93,6 +94,9 @@ def _find_problems(document: Document, nodes: list[Node], problems: Problems) ->
                 _find_primitive_problems(document, primitive, name, number, problems)
                 if "material" in primitive and is_triangles(primitive):
                     materials[primitive["material"]] = material_of(document, primitive)
+    if materials and any(map(is_unlit, materials.values())) and not all(map(is_unlit, materials.values())):
+        unlit = ", ".join(document.label("materials", index) for index, of in materials.items() if is_unlit(of))
+        problems.note(f"{unlit}: unlit; it shines with its colour, so that it lights the other materials")
     for index, material in materials.items():
         label = document.label("materials", index)
         with document.at(label):

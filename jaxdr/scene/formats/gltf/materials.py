@@ -3,13 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
-from jaxdr.arrays import as_array, on_host
 from jaxdr.geometry.gltf.document import Document, numbers
-from jaxdr.scene.bsdf import BSDF, Dielectric, Mask, NormalMap, Principled, RoughDielectric, ThinDielectric, TwoSided
-from jaxdr.scene.bsdf.parameters import SMOOTHEST
+from jaxdr.scene.bsdf import BSDF, Blend, Diffuse, Mask, NormalMap, Principled, TwoSided
 from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.textures import (
@@ -20,12 +17,20 @@ from jaxdr.scene.formats.gltf.textures import (
     texture_infos,
     usable_textures,
 )
-from jaxdr.scene.textures import Texture, VertexColors
+from jaxdr.scene.formats.gltf.transmission import (
+    IOR,
+    SPECULAR,
+    TRANSMISSION,
+    VOLUME,
+    glass_bsdf,
+    glass_of,
+    unsupported_glass,
+)
+from jaxdr.scene.textures import Product, Texture, VertexColors
 
 STRENGTH = "KHR_materials_emissive_strength"
-IOR, SPECULAR = "KHR_materials_ior", "KHR_materials_specular"
-TRANSMISSION, VOLUME = "KHR_materials_transmission", "KHR_materials_volume"
-READ = (STRENGTH, IOR, SPECULAR, TRANSMISSION, VOLUME)
+UNLIT = "KHR_materials_unlit"
+READ = (STRENGTH, IOR, SPECULAR, TRANSMISSION, VOLUME, UNLIT)
 # Lobes that are not read, with the value at which they have no effect.
 LOBES = {
     "KHR_materials_clearcoat": ("clearcoatFactor", 0),
@@ -36,7 +41,9 @@ LOBES = {
     "KHR_materials_diffuse_transmission": ("diffuseTransmissionFactor", 0),
 }
 INSTEAD = {
-    "KHR_materials_unlit": "light falls on it as on others",
+    # Burley's are others: a coat with 0.6 (head on) to 0.1 (grazing) of the light of glTF's, a sheen of another shape.
+    "KHR_materials_clearcoat": "there is no coat; that of Principled is another one",
+    "KHR_materials_sheen": "there is no sheen; that of Principled is another one",
     "KHR_materials_pbrSpecularGlossiness": "its metallic-roughness values count",
     "KHR_materials_dispersion": "one index counts for all colours",
 }
@@ -46,6 +53,8 @@ BRIGHTEST = 0.08  # reflectance at normal incidence that `Principled` can have: 
 def unsupported_in(material: dict) -> Iterator[str]:
     """What is not supported about a material, and what happens instead."""
     extensions = material.get("extensions", {})
+    if is_unlit(material):
+        return
     for name, extension in extensions.items():
         if name in LOBES:
             key, neutral = LOBES[name]
@@ -61,18 +70,16 @@ def unsupported_in(material: dict) -> Iterator[str]:
         yield f"{SPECULAR}: specularColorFactor is not supported; white counts"
     if _reflectance(material) > BRIGHTEST:
         yield f"{IOR}: an index of {extensions[IOR]['ior']:g} is not supported; 1.79 counts"
-    if (obstacle := _transmission_obstacle(material)) is not None:
-        yield obstacle
-    if _transmits(material) and extensions.get(VOLUME, {}).get("attenuationDistance", np.inf) != np.inf:
-        if extensions[VOLUME].get("attenuationColor", [1, 1, 1]) != [1, 1, 1]:
-            yield f"{VOLUME}: absorption inside is not supported; it is left out"
+    yield from unsupported_glass(material, texture_infos(material))
 
 
 def unsupported_at(document: Document, material: dict, attributes: dict, colors_vary: bool) -> Iterator[str]:
     """What is not supported about a material at a primitive with these attributes, and what happens instead."""
     yield from left_out_textures(document, material, attributes)
-    if colors_vary and "baseColorTexture" in usable_textures(document, material, attributes):
-        yield "vertex colours on a base colour texture are not supported; the texture alone counts"
+    if colors_vary and material.get("alphaMode") == "MASK":
+        has_alpha = document.item("accessors", attributes["COLOR_0"], "COLOR_0")["type"] == "VEC4"
+        if has_alpha and "baseColorTexture" in usable_textures(document, material, attributes):
+            yield "alphaMode MASK: alpha of vertices on a texture is not supported; the texture's alone counts"
 
 
 class Materials:
@@ -114,16 +121,13 @@ class Materials:
         base: Any = factor[:3]
         if (info := infos.get("baseColorTexture")) is not None:
             base = self.textures.bitmap(info, linear(self.textures.pixels(info, label), base), label)
+            if colors is not None:
+                base = Product(base, VertexColors(colors[:, :3]))
         elif colors is not None:
             base = VertexColors(colors[:, :3] * base.astype(np.float32))
-        metallic, roughness = factors.get("metallicFactor", 1.0), factors.get("roughnessFactor", 1.0)
-        if (info := infos.get("metallicRoughnessTexture")) is not None:
-            pixels = self.textures.pixels(info, label)
-            metallic, roughness = (
-                self.textures.bitmap(info, pixels[..., channel] * np.float32(number), label)
-                for channel, number in ((2, metallic), (1, roughness))
-            )
-        bsdf: BSDF = self._surface(label, material, base, metallic, roughness)
+        if is_unlit(material):
+            return self._unlit(label, material, base, opacity)
+        bsdf: BSDF = self._surface(label, material, infos, base)
         if (info := infos.get("normalTexture")) is not None:
             pixels = normals(self.textures.pixels(info, label), float(info.get("scale", 1.0)), flip)
             bsdf = NormalMap(self.textures.bitmap(info, pixels, label), bsdf)
@@ -133,23 +137,43 @@ class Materials:
         both_sides = material.get("doubleSided", False) and not bsdf.transmissive
         return TwoSided(bsdf) if both_sides else bsdf, emitter
 
-    def _surface(self, label: str, material: dict, base: Any, metallic: Any, roughness: Any) -> BSDF:
-        """Glass, or metallic and roughness as the principled model has them."""
-        if _transmits(material):
-            index, thick = material["extensions"].get(IOR, {}).get("ior", 1.5), _is_thick(material)
-            if thick and float(roughness) ** 2 > SMOOTHEST and index != 1:
-                return RoughDielectric(float(roughness) ** 2, index, 1.0, specular_transmittance=base)
-            if not thick:
-                self.problems.note(
-                    f"{label}: {TRANSMISSION}: a thin pane has two surfaces here: it reflects 2 R / (1 + R) where one "
-                    "reflects R"
-                )
-            model: Any = Dielectric if thick else ThinDielectric
-            return model(index, 1.0, specular_transmittance=base)
+    def _surface(self, label: str, material: dict, infos: dict, base: Any) -> BSDF:
+        """Metallic and roughness as the principled model has them, and glass; a mixture where there are both."""
+        factors = material.get("pbrMetallicRoughness", {})
+        metallic, roughness = float(factors.get("metallicFactor", 1.0)), float(factors.get("roughnessFactor", 1.0))
+        if (info := infos.get("metallicRoughnessTexture")) is not None:
+            pixels = self.textures.pixels(info, label)
+            metallic, roughness = (
+                self.textures.bitmap(info, pixels[..., channel] * np.float32(number), label)
+                for channel, number in ((2, metallic), (1, roughness))
+            )
+        glass = glass_of(material, infos, self.textures, label)
+        if glass.whole:
+            return glass_bsdf(label, material, base, roughness, self.problems)
+        if glass.there:
+            metallic = glass.metallic
         strength = material.get("extensions", {}).get(SPECULAR, {}).get("specularFactor", 1.0)
         if strength not in (0, 1):
             self.problems.note(f"{label}: {SPECULAR}: specularFactor scales the reflection at normal incidence alone")
-        return Principled(base, metallic, roughness, min(_reflectance(material) / BRIGHTEST, 1.0) * strength)
+        opaque = Principled(base, metallic, roughness, min(_reflectance(material) / BRIGHTEST, 1.0) * strength)
+        if not glass.there:
+            return opaque
+        return Blend(glass.share, opaque, glass_bsdf(label, material, base, roughness, self.problems))
+
+    def _unlit(self, label: str, material: dict, base: Any, opacity: Any) -> tuple[BSDF | TwoSided, AreaEmitter | None]:
+        """A surface that shines with its base colour and reflects nothing."""
+        bsdf: BSDF = Diffuse(0.0) if isinstance(opacity, float) and opacity == 1 else Mask(opacity, Diffuse(0.0))
+        two_sided = TwoSided(bsdf) if material.get("doubleSided", False) else bsdf
+        if isinstance(base, np.ndarray) and not base.any():
+            return two_sided, None
+        self._name_back(label, material)
+        if isinstance(base, np.ndarray):
+            return two_sided, AreaEmitter(opacity.times(base) if isinstance(opacity, Texture) else opacity * base)
+        return two_sided, AreaEmitter(Product(base, opacity) if isinstance(opacity, Texture) else base.times(opacity))
+
+    def _name_back(self, label: str, material: dict) -> None:
+        if material.get("doubleSided", False):
+            self.problems.note(f"{label}: it is double-sided, and shines from its front only")
 
     def _opacity(self, label: str, material: dict, infos: dict, factor: float, colors: np.ndarray | None) -> Any:
         """The share of the surface that is there: a number, or a texture."""
@@ -173,6 +197,8 @@ class Materials:
                     "instead of ending at the cutoff"
                 )
             alpha = there
+        if info is not None and cutoff is None and colors is not None and colors.shape[1] == 4:
+            return Product(self.textures.bitmap(info, alpha, label), VertexColors(colors[:, 3]))
         if np.min(alpha) == np.max(alpha):
             return float(np.min(alpha))
         if info is None:
@@ -190,13 +216,9 @@ class Materials:
         if not radiance.any():
             return None
         info = infos.get("emissiveTexture")
-        if material.get("doubleSided", False):
-            self.problems.note(f"{label}: it is double-sided, and shines from its front only")
+        self._name_back(label, material)
         if isinstance(opacity, Texture) and info is None:
-            shares = opacity.data()
-            return AreaEmitter(
-                eqx.tree_at(lambda t: t.data(), opacity, tuple(as_array(s * radiance) for s in map(on_host, shares)))
-            )
+            return AreaEmitter(opacity.times(radiance))
         if isinstance(opacity, Texture):
             self.problems.note(f"{label}: its emissive texture shines where its alpha has holes, too")
         else:
@@ -212,43 +234,6 @@ def _reflectance(material: dict) -> float:
     return ((index - 1) / (index + 1)) ** 2
 
 
-def _is_thick(material: dict) -> bool:
-    """Whether the surface is the border of a volume, so that it refracts."""
-    return material.get("extensions", {}).get(VOLUME, {}).get("thicknessFactor", 0) > 0
-
-
-def _wants_transmission(material: dict) -> bool:
-    extension = material.get("extensions", {}).get(TRANSMISSION, {})
-    # All light that enters a metal is absorbed.
-    metal = _factor(material, "metallicFactor") == 1 and "metallicRoughnessTexture" not in texture_infos(material)
-    return extension.get("transmissionFactor", 0) != 0 and not metal
-
-
-def _transmits(material: dict) -> bool:
-    """Whether a material becomes glass."""
-    extension = material.get("extensions", {}).get(TRANSMISSION, {})
-    return (
-        _wants_transmission(material)
-        and extension["transmissionFactor"] == 1
-        and "transmissionTexture" not in extension
-        and _factor(material, "metallicFactor") == 0
-        and "metallicRoughnessTexture" not in texture_infos(material)
-    )
-
-
-def _transmission_obstacle(material: dict) -> str | None:
-    """What is not supported about light that goes through a material, and what happens instead."""
-    if not _wants_transmission(material):
-        return None
-    if not _transmits(material):
-        return (
-            f"{TRANSMISSION}: only what is all glass is supported (transmissionFactor 1, metallicFactor 0, no textures "
-            "of these); it is opaque"
-        )
-    if not _is_thick(material) and _factor(material, "roughnessFactor") ** 2 > SMOOTHEST:
-        return f"{TRANSMISSION}: a thin rough pane is not supported; it is smooth"
-    return None
-
-
-def _factor(material: dict, name: str) -> float | int:
-    return material.get("pbrMetallicRoughness", {}).get(name, 1.0)
+def is_unlit(material: dict) -> bool:
+    """Whether a material shows its colour in whatever light."""
+    return UNLIT in material.get("extensions", {})

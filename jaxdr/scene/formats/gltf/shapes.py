@@ -131,7 +131,7 @@ def material_of(document: Document, primitive: dict) -> dict:
 def _color_channels(document: Document, primitive: dict, material: dict, label: str) -> int:
     """How many channels of COLOR_0 vary over a primitive and count."""
     attributes = primitive["attributes"]
-    if "COLOR_0" not in attributes or "baseColorTexture" in usable_textures(document, material, attributes):
+    if "COLOR_0" not in attributes:
         return 0
     if shared_color(document, primitive, label) is not None:
         return 0

@@ -12,7 +12,8 @@ from jaxdr.image_formats import png
 from jaxdr.images import from_srgb
 from jaxdr.scene.textures import Bitmap
 
-READ = ("baseColorTexture", "normalTexture", "metallicRoughnessTexture", "emissiveTexture")  # not occlusion: traced
+# Not occlusion: it is traced.
+READ = ("baseColorTexture", "normalTexture", "metallicRoughnessTexture", "emissiveTexture", "transmissionTexture")
 TRANSFORM = "KHR_texture_transform"
 IMAGES = ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")  # other images of a texture that Pillow reads
 WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
@@ -22,7 +23,8 @@ NEAREST = 9728
 def texture_infos(material: dict) -> dict[str, dict]:
     """The references of a material to textures that count, by name."""
     found = {}
-    for owner in (material, material.get("pbrMetallicRoughness", {})):
+    transmission = material.get("extensions", {}).get("KHR_materials_transmission", {})
+    for owner in (material, material.get("pbrMetallicRoughness", {}), transmission):
         found.update({name: owner[name] for name in READ if name in owner})
     return {name: found[name] for name in READ if name in found}
 

@@ -8,9 +8,12 @@ from jaxdr.scene.bsdf import BSDF, Blend, BumpMap, Diffuse, Mask, NormalMap, Two
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.materials import MATERIALS
 from jaxdr.scene.formats.mitsuba.textures import any_texture, as_number, opacity, textured_color, textured_number
+from jaxdr.scene.formats.mitsuba.values import floats
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
 from jaxdr.scene.scene import unwrap
 from jaxdr.scene.textures import Texture
+
+ROUNDING = 1e-5  # of weights that are meant to add up to 1
 
 
 def _diffuse(element: Element) -> Diffuse:
@@ -83,14 +86,41 @@ def _blend(element: Element) -> Blend | TwoSided:
     elements = properties.objects("bsdf")
     if len(elements) != 2:
         raise ValueError(f"needs two <bsdf> inside, got {len(elements)}")
-    first, second = (read_bsdf(inner) for inner in elements)
-    if not isinstance(first, TwoSided) and not isinstance(second, TwoSided):
-        return Blend(weight, first, second)
-    if not isinstance(first, TwoSided) or not isinstance(second, TwoSided):
+    two_sided, (first, second) = _mixed(element, elements)
+    blend = Blend(weight, first, second)
+    return TwoSided(blend) if two_sided else blend
+
+
+def _mixture(element: Element) -> BSDF | TwoSided:
+    """Any number of BSDFs with a weight each (Mitsuba 0.x): blends in blends. The rest to 1 is black."""
+    properties = Properties(element)
+    elements, text = properties.objects("bsdf"), properties.value("weights", "string", "")
+    weights = floats(text, *range(1, len(elements) + 1))
+    if len(weights) != len(elements) or min(weights) < 0:
+        raise ValueError(f"needs a weight of at least 0 for each of its {len(elements)} <bsdf>, got {text!r}")
+    total = sum(weights)
+    if total > 1 + ROUNDING:
+        element.harmless(f"the weights add up to {total:g}; they are made smaller to add up to 1, as in Mitsuba 0.x")
+        weights, total = [weight / total for weight in weights], 1.0
+    two_sided, parts = _mixed(element, elements)
+    if total < 1 - ROUNDING:
+        weights, parts = [*weights, 1 - total], [*parts, Diffuse(0.0)]
+    mixture, mass = parts[0], weights[0]
+    for part, weight in zip(parts[1:], weights[1:], strict=True):
+        mass += weight
+        mixture = Blend(weight / mass if mass else 1.0, mixture, part)
+    return TwoSided(mixture) if two_sided else mixture
+
+
+def _mixed(element: Element, elements: list[Element]) -> tuple[bool, list[BSDF]]:
+    """(whether they are two-sided, the BSDFs) of a mixture."""
+    bsdfs = [read_bsdf(inner) for inner in elements]
+    sides = {isinstance(bsdf, TwoSided) for bsdf in bsdfs}
+    if len(sides) > 1:
         element.unsupported(
-            "of a blend one BSDF is twosided and the other is not; put twosided around the blend", "both are"
+            "of a blend one BSDF is twosided and another is not; put twosided around the blend", "all are"
         )
-    return TwoSided(Blend(weight, unwrap(first), unwrap(second)))
+    return True in sides, [unwrap(bsdf) for bsdf in bsdfs]
 
 
 def _inner(properties: Properties) -> tuple[Element, BSDF | TwoSided]:
@@ -108,6 +138,7 @@ BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
     "normalmap": _normal_map,
     "bumpmap": _bump_map,
     "blendbsdf": _blend,
+    "mixturebsdf": _mixture,
     **{name: lambda element, make=make: make(Properties(element)) for name, make in MATERIALS.items()},
 }
 

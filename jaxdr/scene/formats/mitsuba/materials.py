@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from jaxdr.scene.bsdf import (
@@ -21,6 +20,7 @@ from jaxdr.scene.bsdf import (
     RoughDielectric,
     RoughPlastic,
     ThinDielectric,
+    TwoSided,
 )
 from jaxdr.scene.bsdf.materials import METALS
 from jaxdr.scene.bsdf.parameters import rgb
@@ -31,6 +31,9 @@ from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties
 from jaxdr.scene.textures import Texture
 
 SAMPLING = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate")
+SAMPLING_OF_THIN = tuple(
+    f"{lobe}_{way}_sampling_rate" for lobe in ("diffuse", "specular") for way in ("reflectance", "transmittance")
+)
 # Of Principled: what has no effect without the lobe that it belongs to.
 DETAILS = {"sheen_tint": "sheen", "clearcoat_gloss": "clearcoat"}
 
@@ -90,14 +93,11 @@ def _phong(properties: Properties) -> Phong:
     if total is not None and total > 1.0:
         message = f"the two reflectances add up to {total:.3g}; both are made darker, so that they reflect 0.99 at most"
         warnings.warn(properties.element.place(message), stacklevel=2)
-        diffuse, specular = (_darker(value, 0.99 / total) for value in (diffuse, specular))
+        diffuse, specular = (
+            value.times(0.99 / total) if isinstance(value, Texture) else 0.99 / total * np.asarray(value)
+            for value in (diffuse, specular)
+        )
     return Phong(diffuse, specular, exponent)
-
-
-def _darker(value: Any, factor: float) -> Any:
-    if not isinstance(value, Texture):
-        return factor * np.asarray(value)
-    return eqx.tree_at(lambda t: t.data(), value, tuple(factor * array for array in value.data()))
 
 
 def _base(properties: Properties) -> dict[str, Any]:
@@ -114,11 +114,16 @@ def _two_lobes(properties: Properties) -> dict[str, Any]:
     return {**_interface(properties, "bk7"), **_colors(properties, "specular_reflectance", "specular_transmittance")}
 
 
+def _lobes(properties: Properties, names: tuple[str, ...]) -> dict[str, Any]:
+    """Those of the principled model that have an effect."""
+    lobes = {name: textured_number(properties, name, 0.0) for name in names}
+    lobes = {name: value for name, value in lobes.items() if isinstance(value, Texture) or value != 0}
+    return {name: value for name, value in lobes.items() if DETAILS.get(name, name) in lobes}
+
+
 def _principled(properties: Properties) -> Principled:
     properties.ignore(*SAMPLING)
-    lobes = {name: textured_number(properties, name, 0.0) for name in OPTIONAL}
-    lobes = {name: value for name, value in lobes.items() if isinstance(value, Texture) or value != 0}
-    lobes = {name: value for name, value in lobes.items() if DETAILS.get(name, name) in lobes}
+    lobes = _lobes(properties, OPTIONAL)
     specular, eta = textured_number(properties, "specular", None), properties.value("eta", NUMBER)
     if specular is not None and eta is not None:
         raise ValueError("give either specular or eta, not both")
@@ -133,11 +138,24 @@ def _principled(properties: Properties) -> Principled:
     )
 
 
-MATERIALS: dict[str, Callable[[Properties], BSDF]] = {
+def _thin(properties: Properties) -> TwoSided:
+    """A sheet. Where no light goes through, it reflects as both sides of a principled surface without facets."""
+    properties.ignore(*SAMPLING_OF_THIN)
+    for name in _lobes(properties, ("spec_trans", "diff_trans")):
+        message = f"a sheet that lets light through ({name} other than 0) is not supported"
+        properties.element.unsupported(message, "it lets none through")
+    for name in ("anisotropic", "spec_tint", "eta"):  # of light that goes through and its reflection
+        textured_number(properties, name, None)
+    base, roughness = textured_color(properties, "base_color", 0.5), textured_number(properties, "roughness", 0.5)
+    return TwoSided(Principled(base, 0.0, roughness, 0.0, **_lobes(properties, ("sheen", "sheen_tint", "flatness"))))
+
+
+MATERIALS: dict[str, Callable[[Properties], BSDF | TwoSided]] = {
     "roughconductor": lambda properties: RoughConductor(**_metal(properties), **_roughness(properties)),
     "roughdielectric": lambda properties: RoughDielectric(**_two_lobes(properties), **_roughness(properties)),
     "roughplastic": lambda properties: RoughPlastic(**_base(properties), **_isotropic(properties)),
     "principled": _principled,
+    "principledthin": _thin,
     "conductor": lambda properties: Conductor(**_metal(properties)),
     "dielectric": lambda properties: Dielectric(**_two_lobes(properties)),
     "thindielectric": lambda properties: ThinDielectric(**_two_lobes(properties)),

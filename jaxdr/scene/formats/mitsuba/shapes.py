@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxdr.geometry.load import Triangles, joined_arrays, read_parts
+from jaxdr.geometry.load import Triangles, joined_arrays, normals_apart, read_parts
 from jaxdr.geometry.mesh import MeshArrays, weld
 from jaxdr.geometry.shapes import sphere
 from jaxdr.scene.formats.mitsuba.attributes import Attributes, mesh_attributes
@@ -25,6 +25,7 @@ from jaxdr.scene.formats.mitsuba.values import tangent
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties
 
 SPHERE_SUBDIVISIONS = 4  # 5120 triangles, within 0.1 % of the radius
+BENT = 2.0  # degrees between stored normals and those of the triangles, on average, from which on it is said
 CIRCLE_SEGMENTS = 128  # within 0.03 % of the radius
 # Corners 4 x + 2 y + z of the cube, x, y and z 0 or 1: where UVs are (0, 0), (1, 0), (1, 1) and (0, 1) on every side.
 CUBE_SIDES = np.array([[4, 5, 1, 0], [6, 2, 3, 7], [4, 6, 7, 5], [5, 7, 3, 1], [1, 3, 2, 0], [6, 4, 0, 2]])
@@ -73,7 +74,7 @@ def _mesh_file(element: Element) -> Plan:
     is_upright = properties.value("flip_tex_coords", "boolean", element.type == "obj")
 
     def make() -> Source:
-        return _source(read_parts(path), face_normals, is_upright)
+        return _source(element, read_parts(path), face_normals, is_upright)
 
     return _planned(properties, make)
 
@@ -94,7 +95,7 @@ def _serialized(element: Element) -> Plan:
                 "the file asks for flat shading, which Mitsuba 3 does not read: the shape is smooth, as there; give "
                 "face_normals to make it flat"
             )
-        return _source([mesh.triangles], face_normals, is_upright=False)
+        return _source(element, [mesh.triangles], face_normals, is_upright=False)
 
     return _planned(properties, make)
 
@@ -106,13 +107,21 @@ def _path(properties: Properties) -> Path:
     return properties.element.find_file(filename)
 
 
-def _source(parts: Sequence[Triangles], face_normals: bool, is_upright: bool) -> Source:
+def _source(element: Element, parts: Sequence[Triangles], face_normals: bool, is_upright: bool) -> Source:
     for part in parts:
         if part.uvs is not None and not is_upright:
             part.uvs = part.uvs * (1, -1) + (0, 1)
     arrays, rows = joined_arrays(parts, "flat" if face_normals else "vertex")
+    stored = [part for part in parts if part.normals is not None]
+    if arrays.normal_faces is not None and len(stored) == len(parts):
+        apart = normals_apart(arrays, np.concatenate([part.corner_normals() for part in parts]))
+        if apart > BENT:
+            element.harmless(
+                f"the stored normals are {apart:.1f} degrees from those of the triangles, on average; the shading "
+                "follows the triangles, so that it moves with them"
+            )
     # Stored normals keep their side when the shape is mirrored.
-    return Source(arrays, any(part.normals is not None for part in parts), mesh_attributes(parts, rows))
+    return Source(arrays, bool(stored), mesh_attributes(parts, rows))
 
 
 def _rectangle(element: Element) -> Plan:

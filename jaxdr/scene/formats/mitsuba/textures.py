@@ -97,9 +97,7 @@ def _scale(element: Element) -> ArrayLike | Texture:
     """A texture times a number (Mitsuba 0.x)."""
     properties = Properties(element)
     factor = properties.value("scale", NUMBER, 1.0)
-    inner = any_texture(properties, "any kind")
-    scaled = tuple(as_array(factor * np.asarray(array)) for array in inner.data())
-    return eqx.tree_at(lambda t: t.data(), inner, scaled)
+    return any_texture(properties, "any kind").times(factor)
 
 
 CONSTANTS: dict[str, Callable[[Element], ArrayLike]] = {"uniform": _uniform, "d65": _d65}

@@ -29,7 +29,11 @@ COLOR = f"rgb spectrum {NUMBER}"
 
 # Why some types are not supported, and what they are.
 REASONS = {
-    "null": "a surface that rays pass through is not supported",
+    "null": "a surface that rays pass through is the border of a medium, and media are not supported",
+    **dict.fromkeys(
+        ("sunsky", "sky", "sun"),
+        "models of the sky are not supported; write the sky into an image and give that as an 'envmap'",
+    ),
     **dict.fromkeys(("homogeneous", "heterogeneous"), "participating media are not supported"),
     **dict.fromkeys(("bsplinecurve", "linearcurve"), "curves are not supported; convert them to meshes"),
     **dict.fromkeys(("sdfgrid", "ellipsoids", "ellipsoidsmesh"), "only meshes are supported; convert it to one"),

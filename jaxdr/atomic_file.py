@@ -1,0 +1,108 @@
+"""Files that appear complete or not at all, also where the process is killed, the power fails or the disk is full."""
+
+import contextlib
+import errno
+import os
+import shutil
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+PARTIAL = ".partial-"  # what names of files begin with that are not complete
+
+
+class CannotWrite(OSError):
+    """A file could not be written; the message says which and why. What was there before is still there, whole."""
+
+    @classmethod
+    def of(cls, path: Path, problem: OSError) -> "CannotWrite":
+        """The same problem, of this file."""
+        reason = problem.strerror or str(problem)
+        if problem.errno is None and _full(path.parent):  # NumPy and other libraries count bytes only
+            reason = os.strerror(errno.ENOSPC)
+        return cls(problem.errno or errno.EIO, reason, str(path))
+
+    def __str__(self) -> str:
+        return f"{self.filename}: can't be written ({self.strerror})"
+
+
+class atomic_path:
+    """Context manager: a temporary path beside `path` that takes its place when the block ends without an error.
+
+    The contents are on the disk before the name is, so a power failure leaves the old file or the new one. Raises
+    `CannotWrite` for every OSError, those of the block included.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __enter__(self) -> Path:
+        try:
+            with NamedTemporaryFile(
+                dir=self.path.parent, suffix=self.path.suffix, prefix=PARTIAL, delete=False
+            ) as file:
+                self.temporary = Path(file.name)
+        except OSError as problem:
+            raise CannotWrite.of(self.path, problem) from problem
+        return self.temporary
+
+    def __exit__(self, kind, value, traceback) -> None:
+        try:
+            if kind is None:
+                _flush(self.temporary)
+                self.temporary.chmod(0o666 & ~_umask())
+                os.replace(self.temporary, self.path)
+                _flush_names(self.path.parent)
+        except OSError as problem:
+            kind, value = type(problem), problem
+        told = CannotWrite.of(self.path, value) if isinstance(value, OSError) else None
+        if kind is not None:
+            with contextlib.suppress(OSError):  # the folder may be gone, or read-only by now
+                self.temporary.unlink()
+        if told is not None:
+            raise told from value
+
+
+def append_text(path: Path, text: str) -> None:
+    """Add to the end of a file. Raises `CannotWrite`; then a part of the text may be there."""
+    try:
+        with open(path, "a", newline="") as file:
+            file.write(text)
+    except OSError as problem:
+        raise CannotWrite.of(path, problem) from problem
+
+
+def remove_partial(folder: Path) -> None:
+    """Delete what a killed process left half written in a folder and its subfolders."""
+    for path in folder.rglob(f"{PARTIAL}*"):
+        path.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    with open(path, "rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _flush_names(folder: Path) -> None:
+    if os.name != "posix":
+        return  # elsewhere a folder can't be opened
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as problem:
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems of networks may not know how
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def _full(folder: Path) -> bool:
+    try:
+        return shutil.disk_usage(folder).free < 1 << 16
+    except OSError:
+        return False
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current

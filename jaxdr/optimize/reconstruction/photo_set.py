@@ -1,0 +1,53 @@
+"""The fitted photographs of a run: what all levels ask them for, in bounded memory."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from jaxdr.optimize.reconstruction.pictures import Photographs, Pose, object_bounds
+from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop
+from jaxdr.views.reading import Kept
+from jaxdr.views.record import View
+
+SOME = 256  # photographs that tell the first paint and the sky: more of them change a median and a mean little
+
+
+class PhotoSet:
+    """Photographs with a `pose` of the object, for levels of some `resolutions`; `keep` bytes of reduced ones are kept.
+
+    All photographs are read once when this is made, so that a bad one is told before anything else is done. Raises
+    ValueError as `object_bounds` does.
+    """
+
+    def __init__(self, views: Sequence[View], resolutions: Iterable[int], keep: int):
+        self.views, self.resolutions = views, tuple(resolutions)
+        self.bounds = object_bounds(views, self.resolutions)
+        self.kept = Kept(keep)
+        self.pose = Pose(np.zeros(3), 1.0)  # until the first surface tells
+        self._current: Photographs | None = None
+        self._backdrops: dict[int, Backdrop | None] = {}
+
+    @property
+    def masked(self) -> bool:
+        """Whether every photograph says where the object is."""
+        return all(view.masked for view in self.views)
+
+    def at(self, resolution: int) -> Photographs:
+        """The photographs for a resolution. Those of another one that were kept are let go."""
+        if self._current is None or self._current.resolution != resolution:
+            if self._current is not None:
+                self._current.expect(())
+            self.kept.clear()
+            self._current = Photographs(self.views, self.bounds[resolution], self.pose, resolution, self.kept)
+        return self._current
+
+    def paint(self) -> Photographs:
+        """The largest ones, or some of them: what the first colours are taken from."""
+        return self.at(max(self.resolutions)).spread(SOME)
+
+    def backdrop(self, rows: int) -> Backdrop | None:
+        """The sky behind the object in them, or in some of them; see `find_backdrop`."""
+        if rows not in self._backdrops:
+            some = np.linspace(0, len(self.views) - 1, min(SOME, len(self.views))).round()
+            self._backdrops[rows] = find_backdrop([self.views[int(i)] for i in some], rows)
+        return self._backdrops[rows]

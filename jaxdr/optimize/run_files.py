@@ -1,0 +1,153 @@
+"""What the folders of all runs have, and what is said when a file in one can't be written."""
+
+import copy
+import csv
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import PyTree
+
+from jaxdr.atomic_file import CannotWrite, append_text, atomic_path
+from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, checkpoint_kind, load_checkpoint, save_checkpoint
+from jaxdr.optimize.progress import Stopped
+from jaxdr.optimize.results_folder import open_results, settled
+from jaxdr.views.pictures import CannotRead
+
+
+class RunFiles:
+    """A folder with `config.json`, `metrics.csv` (a line a step), `checkpoint.npz`, and in the end `metrics.json`.
+
+    - `kind`: of run, in words; `folder_kind`: the same, of its folder; `free`: fields of the config that may differ
+      where a run goes on, for they do not change the result.
+    - `columns`: of `metrics.csv`; the first is the number of steps done. `subfolders`: made at the start.
+    """
+
+    kind = "run"
+    folder_kind = "run"
+    free: Sequence[str] = ("output", "report")
+    subfolders: Sequence[str] = ()
+
+    def __init__(self, config: Any, columns: Sequence[str]):
+        self.path, self.config, self.columns = Path(config.output), config, tuple(columns)
+
+    def at(self, path: Path) -> "RunFiles":
+        """The same files in another folder."""
+        there = copy.copy(self)
+        there.path = path
+        return there
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the checkpoint is."""
+        return self.path / "checkpoint.npz"
+
+    @property
+    def owner(self) -> Owner:
+        """Whose the checkpoint is."""
+        return Owner(self.kind, settled(self.config, self.free))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return (self.path / "metrics.json").exists()
+
+    def open(self, resume: bool, overwrite: bool) -> None:
+        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
+        found = checkpoint_kind(self.checkpoint) if resume and not overwrite else None
+        if found is not None and found != self.kind:
+            raise ValueError(f"output {self.path}: holds a {found}, this is a {self.kind}; choose another output")
+        open_results(self.path, self.config, resume, overwrite, kind=self.folder_kind, free=self.free)
+        for name in self.subfolders:
+            (self.path / name).mkdir(exist_ok=True)
+
+    def save_checkpoint(self, place: Place, state: PyTree) -> None:
+        """Replace the checkpoint; see `jaxdr.optimize.checkpoint`."""
+        save_checkpoint(self.checkpoint, self.owner, place, state)
+
+    def load_checkpoint(self) -> Checkpoint | None:
+        """The last checkpoint; None where the run was stopped before its first step.
+
+        Raises ValueError where the run is finished, where steps are done and the checkpoint is missing, and as
+        `jaxdr.optimize.checkpoint.load_checkpoint` does.
+        """
+        if self.finished:
+            raise ValueError(f"output {self.path}: this run is finished; there is nothing to resume")
+        if not self.checkpoint.exists():
+            if done := len(self._lines()):
+                raise ValueError(
+                    f"{self.checkpoint}: there is no checkpoint to resume from, though {done} steps are done; put it "
+                    "back, or start again with --overwrite"
+                )
+            return None
+        return load_checkpoint(self.checkpoint, self.owner)
+
+    def start_metrics(self, done: int) -> None:
+        """Begin `metrics.csv`, or drop the lines of steps from `done` on, which will be done again."""
+        kept = [line for line in self._lines() if int(line.partition(",")[0]) <= done] if done > 0 else []
+        self.write_text("metrics.csv", "\n".join([",".join(self.columns), *kept]) + "\n")
+
+    def add_metrics(self, row: dict) -> None:
+        """Append a line to `metrics.csv`; columns without a value stay empty. Raises `CannotWrite`."""
+        line = io.StringIO()
+        csv.DictWriter(line, self.columns, lineterminator="\n").writerow(row)
+        append_text(self.path / "metrics.csv", line.getvalue())
+
+    def save_summary(self, summary: dict) -> None:
+        """Write `metrics.json`."""
+        self.write_text("metrics.json", json.dumps(summary, indent=2) + "\n")
+
+    def write_text(self, name: str, text: str) -> None:
+        """A file of text that appears complete or not at all."""
+        with atomic_path(self.path / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+    def _lines(self) -> list[str]:
+        """Whole lines of `metrics.csv`; a full disk or a killed process may have left a part of the last one."""
+        try:
+            text = (self.path / "metrics.csv").read_text()
+        except FileNotFoundError:
+            return []
+        whole = text[: text.rfind("\n") + 1].splitlines()[1:]
+        return [line for line in whole if line.count(",") == len(self.columns) - 1 and line.partition(",")[0].isdigit()]
+
+
+def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], None] | None = None) -> None:
+    """Save what only shows how a run goes on: where it can't be written that is said, and the run goes on.
+
+    Checkpoints, metrics and results are not saved this way: without them there would be nothing to go on from.
+    """
+    try:
+        save()
+    except CannotWrite as problem:
+        (say or _say)(f"after step {done}: {problem}; it only shows the progress, so the run goes on without it")
+
+
+@contextmanager
+def faults_told(folder: RunFiles) -> Iterator[None]:
+    """Inside the block a file that can't be written or read ends the run with `Stopped`: what, where, what is left."""
+    try:
+        yield
+    except (CannotWrite, CannotRead) as problem:
+        raise Stopped(f"{problem}; {_left(folder)}") from problem
+
+
+def _left(folder: RunFiles) -> str:
+    """What is left of a run whose disk is full or gone."""
+    try:
+        if not folder.path.is_dir():
+            return f"the folder {folder.path} is gone, and its checkpoint with it: put back a copy, or start again"
+        if not folder.checkpoint.exists():
+            return "there is no checkpoint yet; a run that is resumed begins again"
+        step = load_checkpoint(folder.checkpoint, folder.owner).place.step
+    except (OSError, ValueError) as problem:
+        return f"the checkpoint can't be read now ({problem})"
+    return f"the checkpoint of step {step} in {folder.checkpoint} is whole"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,124 @@
+"""Light that goes through glTF materials: how much of them is glass, and which glass.
+
+KHR_materials_transmission mixes the light below the reflection of what is not metal: a share t of it goes through, the
+rest is diffuse. With metallic m a share t (1 - m) of the whole is glass, and of what is left m / (1 - t (1 - m)) metal.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxdr.arrays import as_array, on_host
+from jaxdr.scene.bsdf import BSDF, Dielectric, RoughDielectric, ThinDielectric
+from jaxdr.scene.bsdf.parameters import SMOOTHEST
+from jaxdr.scene.formats.gltf.problems import Problems
+from jaxdr.scene.formats.gltf.textures import Textures
+
+IOR, SPECULAR = "KHR_materials_ior", "KHR_materials_specular"
+TRANSMISSION, VOLUME = "KHR_materials_transmission", "KHR_materials_volume"
+TEXTURE, METAL_TEXTURE = "transmissionTexture", "metallicRoughnessTexture"
+
+
+class Glass(NamedTuple):
+    """The share of a surface that is glass, and the metallic share of the rest; numbers or textures."""
+
+    share: Any
+    metallic: Any
+
+    @property
+    def there(self) -> bool:
+        return not isinstance(self.share, float) or self.share > 0
+
+    @property
+    def whole(self) -> bool:
+        return isinstance(self.share, float) and self.share == 1
+
+
+def glass_of(material: dict, infos: dict, textures: Textures, label: str) -> Glass:
+    """How much of a material is glass; none where that is not supported."""
+    factors = material.get("pbrMetallicRoughness", {})
+    metal, through = float(factors.get("metallicFactor", 1.0)), _factor(material)
+    metal_info = infos.get(METAL_TEXTURE) if metal else None
+    info = infos.get(TEXTURE) if through else None
+    if metal_info is not None and info is not None and not _same_place(metal_info, info):
+        through, info = 0.0, None
+    metals = metal if metal_info is None else textures.pixels(metal_info, label)[..., 2] * np.float32(metal)
+    glass = through if info is None else textures.pixels(info, label)[..., 0] * np.float32(through)
+    shares = np.asarray(glass * (1 - metals))
+    others = np.where(shares < 1, 1 - shares, 1)
+
+    def made(values: np.ndarray) -> Any:
+        if np.ptp(values) == 0:
+            return float(values.flat[0])
+        placed = info or metal_info
+        assert placed is not None
+        return textures.bitmap(placed, values.astype(np.float32), label)
+
+    return Glass(made(shares), made(np.where(shares < 1, metals / others, 0)))
+
+
+def glass_bsdf(label: str, material: dict, base: Any, roughness: Any, problems: Problems) -> BSDF:
+    """The glass: of a volume's border or of a thin pane."""
+    index = material["extensions"].get(IOR, {}).get("ior", 1.5)
+    if not _is_thick(material):
+        problems.note(
+            f"{label}: {TRANSMISSION}: a thin pane has two surfaces here: it reflects 2 R / (1 + R) where one "
+            "reflects R"
+        )
+        return _smooth(ThinDielectric, index, base)
+    if index == 1 or (isinstance(roughness, float) and roughness**2 <= SMOOTHEST):
+        return _smooth(Dielectric, index, base)
+    return RoughDielectric(_alpha(roughness), index, 1.0, specular_transmittance=base)
+
+
+def _smooth(model: Any, index: float, base: Any) -> BSDF:
+    return model(index, 1.0, specular_transmittance=base)
+
+
+def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
+    """What is not supported about light that goes through a material, and what happens instead."""
+    factors, extensions = material.get("pbrMetallicRoughness", {}), material.get("extensions", {})
+    metal = factors.get("metallicFactor", 1.0)
+    if not _factor(material) or (metal == 1 and METAL_TEXTURE not in infos):  # a metal absorbs what enters it
+        return
+    both = [infos[name] for name in (METAL_TEXTURE, TEXTURE) if name in infos and (name == TEXTURE or metal)]
+    if len(both) == 2 and not _same_place(*both):
+        yield f"{TRANSMISSION}: {TEXTURE} and {METAL_TEXTURE} of different images are not supported; it is opaque"
+        return
+    thick = _is_thick(material)
+    if not thick and (factors.get("roughnessFactor", 1.0) ** 2 > SMOOTHEST):
+        yield f"{TRANSMISSION}: a thin rough pane is not supported; it is smooth"
+    if not thick and material.get("doubleSided", False) and (_factor(material) < 1 or both or metal):
+        yield f"{TRANSMISSION}: a pane that is glass in part is not supported on two sides; behind the rest is black"
+    if extensions.get(SPECULAR, {}).get("specularFactor", 1.0) != 1:
+        yield f"{SPECULAR}: specularFactor of glass is not supported; its index alone counts"
+    volume = extensions.get(VOLUME, {})
+    if volume.get("attenuationDistance", np.inf) != np.inf and volume.get("attenuationColor", [1, 1, 1]) != [1, 1, 1]:
+        yield f"{VOLUME}: absorption inside is not supported; it is left out"
+
+
+def _factor(material: dict) -> float:
+    return float(material.get("extensions", {}).get(TRANSMISSION, {}).get("transmissionFactor", 0))
+
+
+def _is_thick(material: dict) -> bool:
+    """Whether the surface is the border of a volume, so that it refracts."""
+    return material.get("extensions", {}).get(VOLUME, {}).get("thicknessFactor", 0) > 0
+
+
+def _same_place(one: dict, other: dict) -> bool:
+    """Whether two references to textures show the same texels."""
+    return (one["index"], one.get("texCoord", 0), one.get("extensions", {})) == (
+        other["index"],
+        other.get("texCoord", 0),
+        other.get("extensions", {}),
+    )
+
+
+def _alpha(roughness: Any) -> Any:
+    """Of microfacets; what is too smooth in a texture is made as smooth as it can be."""
+    if isinstance(roughness, float):
+        return roughness**2
+    return eqx.tree_at(lambda t: t.pixels, roughness, as_array(np.maximum(on_host(roughness.pixels) ** 2, SMOOTHEST)))

@@ -1,0 +1,47 @@
+"""One value for every vertex or every face of a mesh."""
+
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxdr.geometry.vector import interpolate
+from jaxdr.scene.textures.base import Texture, channels_last
+
+
+class MeshColors(Texture):
+    """`colors` [n] or [n, C] (C = 1 or 3) in the order of a mesh's vertices or faces."""
+
+    colors: Float[Array, "*k n C"]
+    uses_uv = False
+
+    def __init__(self, colors: ArrayLike):
+        self.colors = channels_last(colors, f"{type(self).__name__}: colors [n, C]", 1)
+
+    @property
+    def continuous(self) -> bool:
+        return True
+
+    def data(self):
+        return (self.colors,)
+
+
+class VertexColors(MeshColors):
+    """`colors` [V] or [V, C] (C = 1 or 3) of a mesh's V vertices, interpolated over its faces."""
+
+    def __init__(self, colors: ArrayLike):
+        super().__init__(colors)
+
+    def lookup(self, row, point):
+        return interpolate(self.colors[row[:, None], point.vertices], point.barycentric)
+
+
+class FaceColors(MeshColors):
+    """`colors` [F] or [F, C] (C = 1 or 3) of a mesh's F faces, each the same all over its face."""
+
+    uses_faces = True
+
+    def __init__(self, colors: ArrayLike):
+        super().__init__(colors)
+
+    def lookup(self, row, point):
+        assert point.face is not None
+        return self.colors[row, point.face]
