@@ -28,11 +28,6 @@ CUT = Expected(
     "by nature: strips of the kernel end at faces larger than it and at lamps of up to 16 faces; over small faces "
     "they go on beyond the lamp's border; `jd.EstimatorWarning`",
 )
-SHORT = Expected(
-    "noisy",
-    "chords end at faces of lamps that have more than 16 (as two triangles `tiny_light` has a quarter of the spread): "
-    "join faces of a flat lamp",
-)
 
 
 def glowing(light: jd.Mesh, blocker: jd.Mesh, radiance: float, view=None) -> jd.Scene:
@@ -125,7 +120,7 @@ def lamp_of_many_faces() -> Case:
         {"blocker.vertices": (1.0, 0.4, 0.2)},
         0.02,
         reference_spp=512,
-        expected={"KernelDensity": CUT, "LineSampling": SHORT} | BOTH,
+        expected={"KernelDensity": CUT} | BOTH,
     )
 
 

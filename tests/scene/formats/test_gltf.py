@@ -161,7 +161,10 @@ def unsupported(header):
     header["meshes"][0]["primitives"][0]["extensions"] = {"EXT_primitive": {}}
     material = header["materials"][0]
     material["name"] = "glass"
-    material["extensions"] = {"KHR_materials_unlit": {}, "KHR_materials_clearcoat": {"clearcoatFactor": 1}}
+    material["extensions"] = {
+        "KHR_materials_pbrSpecularGlossiness": {},
+        "KHR_materials_clearcoat": {"clearcoatFactor": 1},
+    }
     material["pbrMetallicRoughness"]["extensions"] = {"EXT_inside": {}}
 
 
@@ -171,8 +174,10 @@ UNSUPPORTED = [
     "mesh 'a mesh': extension EXT_primitive is not supported; it has no effect",
     "material 'glass': extension EXT_inside is not supported; it has no effect",
     "extension EXT_other is required; what it changes is left out",
-    "material 'glass': extension KHR_materials_unlit is not supported; light falls on it as on others",
-    "material 'glass': extension KHR_materials_clearcoat is not supported; it has no effect",
+    "material 'glass': extension KHR_materials_pbrSpecularGlossiness is not supported; its metallic-roughness values "
+    "count",
+    "material 'glass': extension KHR_materials_clearcoat is not supported; there is no coat; that of Principled is "
+    "another one",
 ]
 NOTES = [
     "node 'a': extension MSFT_lod is not supported; the finest level counts",

@@ -223,6 +223,15 @@ def test_unlit_with_textures_and_alpha(tmp_path):
     assert load(tmp_path, file).emitter is None
 
 
+def test_unknown_extensions_of_unlit_materials_are_named(tmp_path):
+    """Lobes are not: an unlit material has none."""
+    file = File()
+    coat = {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}
+    file.square({"name": "sign", "extensions": {UNLIT: {}, "EXT_other": {}, **coat}})
+    with pytest.raises(ValueError, match="only: material 'sign': extension EXT_other is not supported"):
+        load(tmp_path, file)
+
+
 def test_unlit_beside_lit_is_named(tmp_path):
     file = File()
     file.square({"name": "sign", "extensions": {UNLIT: {}}})

@@ -53,15 +53,15 @@ BRIGHTEST = 0.08  # reflectance at normal incidence that `Principled` can have: 
 def unsupported_in(material: dict) -> Iterator[str]:
     """What is not supported about a material, and what happens instead."""
     extensions = material.get("extensions", {})
-    if is_unlit(material):
-        return
     for name, extension in extensions.items():
         if name in LOBES:
             key, neutral = LOBES[name]
-            if extension.get(key, neutral) == neutral:
+            if is_unlit(material) or extension.get(key, neutral) == neutral:
                 continue
         if name not in READ:
             yield f"extension {name} is not supported; {INSTEAD.get(name, 'it has no effect')}"
+    if is_unlit(material):  # reflects nothing
+        return
     specular = extensions.get(SPECULAR, {})
     for name in ("specularTexture", "specularColorTexture"):
         if name in specular:
