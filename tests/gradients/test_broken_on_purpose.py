@@ -38,16 +38,16 @@ def test_concave_edges_counted():
 
 def test_stale_geometry(monkeypatch):
     """Queries that still see the blocker where it was a step ago."""
-    fresh = api._discrete
+    fresh = api._asked
 
-    def stale(records):
-        (geometry, *fixed), rows = records
+    def stale(query, fixed, rows=(), **options):
         if not rows:  # not rays: the rays that ask what is visible are stale enough
-            return fresh(records)
+            return fresh(query, fixed, rows, **options)
+        geometry, *others = fixed
         blocker = (geometry.vertices[:, 2] > 0.3) & (geometry.vertices[:, 2] < 0.9)
         moved = geometry.vertices + jnp.where(blocker[:, None], jnp.asarray([0.08, 0.0, 0.0]), 0.0)
-        return fresh(((geometry._replace(vertices=moved), *fixed), rows))
+        return fresh(query, (geometry._replace(vertices=moved), *others), rows, **options)
 
-    monkeypatch.setattr(api, "_discrete", stale)
+    monkeypatch.setattr(api, "_asked", stale)
     with pytest.raises(AssertionError, match="is off"):
         check_derivatives(sheet(HALF_PLANE, 0.1), SHEET, spp=127)  # a number of its own: traced afresh

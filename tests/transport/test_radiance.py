@@ -64,7 +64,7 @@ def test_more_bounces_agree_in_the_mean(mis):
 
 def test_blocks_do_not_matter(monkeypatch):
     expected = both(KEY, 6)[0]
-    monkeypatch.setattr(radiance, "BLOCK", 100)
+    monkeypatch.setattr(radiance, "CPU_BLOCK", 100)
     traced.clear_cache()
     np.testing.assert_allclose(both(KEY, 6)[0], expected, rtol=1e-5, atol=1e-6)
     traced.clear_cache()

@@ -59,7 +59,8 @@ def _call(query: _Query, batched: tuple[bool, ...]) -> Callable:
         results = once(*map(flat, leaves, batched, query.is_row))
         return jax.tree.map(lambda r: r.reshape(size, -1, *r.shape[1:]), results)
 
-    function = custom_vmap(_divided(batch, batched) if any(batched) else once)
+    several = _divided(batch, batched) if jax.device_count() > 1 else batch
+    function = custom_vmap(several if any(batched) else once)
 
     @function.def_vmap
     def more(size, added, *leaves):

@@ -117,7 +117,7 @@ def test_jacobian_is_that_of_the_residuals(config, monkeypatch):
 
     monkeypatch.setattr(problem, "render", noiseless)
     made = build_problem(config)
-    steps = LeastSquaresSteps(config, LevenbergMarquardt(blur=(1.0,)), made, jax.random.key(0))
+    steps = LeastSquaresSteps(config, LevenbergMarquardt(blur=(1.0,)), made, jax.random.key(0), jax.devices()[:1])
     targets = np.asarray(noiseless(made.target, jax.random.key(0), 1, None))[None]
     arguments = steps._arguments(targets, jnp.full_like(steps.start, 3.0), 0)
     found = jax.jacfwd(lambda x: steps.residuals(x, arguments))(3.0 * steps.start)
