@@ -1,7 +1,8 @@
 """The views of a step divided over devices: a view each, or a share of the samples of a view each.
 
 A program works on as many views at once as there are rows of devices, and on one view on each device. So what one
-device computes does not depend on how many there are: without shares a step has the same bits on any number of devices.
+device computes does not depend on how many there are: without shares a step has the same bits on two devices and on
+more. The program of a single one rounds differently.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -24,11 +25,6 @@ class Division(NamedTuple):
 
     rows: int = 1
     shares: int = 1
-
-    @property
-    def single(self) -> bool:
-        """Whether there is nothing to divide."""
-        return self.rows * self.shares == 1
 
     def samples(self, spp: int) -> int:
         """Samples per pixel of each share."""
@@ -93,11 +89,6 @@ class Divided:
         # Each process has the results of all; within one they stay where they are until they are asked for.
         settings = {"out_shardings": self._on(PartitionSpec())} if jax.process_count() > 1 else {}
         self.program = jit(mapped, **settings)
-
-    @property
-    def exchanges(self) -> bool:
-        """Whether devices wait for one another: such programs must not run side by side."""
-        return self.several and (self.division.shares > 1 or jax.process_count() > 1)
 
     def __call__(self, common: Any, items: Sequence[Any]) -> list[Any]:
         """The results of all items, in their order."""
