@@ -15,6 +15,7 @@ from jaxdr.geometry.vector import norm
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
+from jaxdr.transport.keys import inner_key
 from jaxdr.transport.primary import PrimarySamples, primary_samples
 from jaxdr.transport.shading import Scatterer
 
@@ -81,7 +82,7 @@ def render_aovs(
             raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render_aovs: spp must be a positive whole number of samples per pixel, got {spp}")
-    found = _render(_Settings(names, int(spp), rays), scene, key)
+    found = _render(_Settings(names, int(spp), rays), scene, inner_key(key))
     return {name: found[name] for name in names}
 
 

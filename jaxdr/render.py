@@ -24,6 +24,7 @@ from jaxdr.integrators.known_failures import warn_of_known_failure
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
+from jaxdr.transport.keys import inner_key
 
 
 class Program(NamedTuple):
@@ -68,7 +69,7 @@ def render(
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
     arrays, static = eqx.partition(integrator, eqx.is_array)
-    return _render(Program(structure, is_float, int(spp), static, by_default), floats, others, arrays, key)
+    return _render(Program(structure, is_float, int(spp), static, by_default), floats, others, arrays, inner_key(key))
 
 
 def derivative_terms(
@@ -91,7 +92,7 @@ def derivative_terms(
     if integrator is None:
         integrator = default_integrator(scene, moving)
         _say_default(scene, integrator, moving)
-    return _estimate(unfolded(scene), key, spp, integrator, moving)
+    return _estimate(unfolded(scene), inner_key(key), spp, integrator, moving)
 
 
 def _split(leaves, is_float):

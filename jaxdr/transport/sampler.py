@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray
 
+from jaxdr.transport.keys import hashed
+
 FIRST_DIMENSIONS = 6  # film point, then emitter and BSDF at the first hit
 LENS_DIMENSIONS = 2  # after those, with an aperture
 
@@ -42,24 +44,12 @@ def lattice(
 def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
     """Four uniform numbers for every path at a bounce, [n, 4]: functions of the path's number, wherever its row is.
 
-    The hash pcg4d of Jarzynski and Olano 2020, "Hash functions for GPU rendering", of number, bounce and two words from
-    the key.
+    The hash of number, bounce and two words from the key.
     """
     words = jax.random.bits(key, (2,), jnp.uint32)
-    v = [number.astype(jnp.uint32), jnp.asarray(bounce).astype(jnp.uint32) ^ jnp.zeros_like(number, jnp.uint32)]
-    v = [x * jnp.uint32(1664525) + jnp.uint32(1013904223) for x in (*v, words[0], words[1])]
-    v = _mixed(v)
-    v = _mixed([x ^ (x >> 16) for x in v])
-    return _to_unit(jnp.stack(v, -1), jnp.dtype(dtype).type)
-
-
-def _mixed(v: list) -> list:
-    x, y, z, w = v
-    x = x + y * w
-    y = y + z * x
-    z = z + x * y
-    w = w + y * z
-    return [x, y, z, w]
+    bounce = jnp.asarray(bounce).astype(jnp.uint32) ^ jnp.zeros_like(number, jnp.uint32)
+    found = hashed([number.astype(jnp.uint32), bounce, words[0], words[1]])
+    return _to_unit(jnp.stack(found, -1), jnp.dtype(dtype).type)
 
 
 def seed_of(key: PRNGKeyArray) -> Int[Array, ""]:

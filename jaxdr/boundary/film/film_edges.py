@@ -20,6 +20,7 @@ from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
+from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe, PathSettings
 from jaxdr.transport.radiance import Answers, request
@@ -80,7 +81,7 @@ class FilmEdges:
         if not any(context.moving.seen) or not self._kinds(context.form):
             return None
         del key  # a key of its own: apart or not, the same edges are drawn
-        return edge_distribution(context.packed, context.moving.seen, jax.random.key(0))
+        return edge_distribution(context.packed, context.moving.seen, fixed_key(0))
 
     def _kinds(self, form: str) -> tuple[str, ...]:
         return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != "material")

@@ -34,6 +34,7 @@ from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted, has_emitters
+from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import lattice, path_numbers
@@ -149,7 +150,7 @@ class GuidedEdges(eqx.Module):
             order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
             lunes = edge_lunes(packed, moving, order)
         # A key of its own, whatever the image's.
-        key_maps, *keys = jax.random.split(jax.random.key(0), 3)
+        key_maps, *keys = jax.random.split(fixed_key(0), 3)
         lines = None
         if self.guide == "projective":
             key_paths = jax.random.fold_in(key_maps, 1)
