@@ -1,9 +1,11 @@
 """Keys inside of a rendering: JAX keys whose generator is a hash of four words.
 
-A program derives some fifty keys. With JAX's default generator, Threefry, each derivation is a loop of its own on CPUs: a
-quarter of all kernels to compile, and slow for the numbers of all paths. Inside of a rendering keys are those of the hash
-pcg4d; `jax.random` works on them as on all keys.
+A program derives some fifty keys. With JAX's default generator, Threefry, each derivation is a loop of its own on CPUs,
+a third of all kernels to compile. Inside of a rendering keys are those of the hash pcg4d; `jax.random` works on them as
+on all keys.
 """
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -69,8 +71,8 @@ def _split(key: UInt32[Array, " 4"], shape: tuple[int, ...]) -> UInt32[Array, "*
     return _derived(key, _numbers(shape), _SPLIT)
 
 
-def _fold_in(key: UInt32[Array, " 4"], number: UInt32[Array, ""]) -> UInt32[Array, " 4"]:
-    return _derived(key, number.astype(jnp.uint32), _FOLD_IN)
+def _fold_in(key: UInt32[Array, " 4"], number: Any) -> UInt32[Array, " 4"]:
+    return _derived(key, jnp.asarray(number, jnp.uint32), _FOLD_IN)
 
 
 def _random_bits(key: UInt32[Array, " 4"], width: int, shape: tuple[int, ...]) -> Array:

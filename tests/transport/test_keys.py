@@ -65,7 +65,11 @@ def test_jit_and_vmap_change_no_number():
 
     def draw(key):
         a, b = jax.random.split(key)
-        return jax.random.bits(a, (5,)), jax.random.bits(b, (2, 3), jnp.uint8), jax.random.uniform(jax.random.fold_in(a, 3))
+        return (
+            jax.random.bits(a, (5,)),
+            jax.random.bits(b, (2, 3), jnp.uint8),
+            jax.random.uniform(jax.random.fold_in(a, 3)),
+        )
 
     one_by_one = jax.tree.map(lambda *x: jnp.stack(x), *(draw(key) for key in keys))
     for ours, expected in zip(jax.jit(jax.vmap(draw))(keys), one_by_one, strict=True):

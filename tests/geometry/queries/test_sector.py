@@ -109,7 +109,8 @@ def reference(mesh, apex, first, last):
     Doubtful are crossings so close to another one, or to an end, that rounding may change them.
     """
     vertices, edges = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.edges.vertices)
-    corners = vertices[np.asarray(mesh.faces)]
+    faces = np.asarray(mesh.faces)
+    corners = vertices[faces]
     certain, doubtful = set(), set()
     for i in range(len(apex)):
         a, u0, u1 = apex[i].astype(float), first[i].astype(float) - apex[i], last[i].astype(float) - apex[i]
@@ -127,7 +128,9 @@ def reference(mesh, apex, first, last):
             continue
         step = 1e-6
         at = np.concatenate([place[candidates] - step, place[candidates] + step])
-        counts = layers(corners, a, (1 - at)[:, None] * u0 + at[:, None] * u1)
+        above = ((vertices - a) @ normal > 0)[faces]
+        in_plane = above.any(1) & ~above.all(1)  # no other face has an inner point in the plane of the sector
+        counts = layers(corners[in_plane], a, (1 - at)[:, None] * u0 + at[:, None] * u1)
         before, after = np.split(counts, 2)
         changes = (before == 0) != (after == 0)
         gap = np.diff(place[candidates], prepend=-1, append=2)
