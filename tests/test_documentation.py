@@ -251,14 +251,57 @@ def messages(without: tuple[str, ...] = ()) -> list[str]:
 
 
 def listed_messages() -> list[str]:
-    """First column of the tables of docs/errors.md."""
-    rows = re.findall(r"^\| `([^`]+)`(?! \(from JAX\))", (DOCS / "errors.md").read_text(), re.MULTILINE)
-    return [row for row in rows if not row.startswith("OpenEXR")]
+    """Code in the first column of the tables of docs/errors.md: a row may have several messages of one remedy."""
+    first = re.findall(r"^\| (`.*?) \| ", (DOCS / "errors.md").read_text(), re.MULTILINE)
+    rows = [row for column in first for row in re.findall(r"`([^`]+)`(?! \(from JAX\))", column)]
+    return [row for row in rows if not row.startswith("jd.")]  # the class of a warning
 
 
 def contains(message: str, row: str) -> bool:
-    """Whether the words of a row are in a message, in their order, with anything in the place of …."""
+    """Whether the words of a row are in a message, in their order, with anything in the place of ….
+
+    A row that begins with … has few words of its own: it is the whole message.
+    """
+    if row.startswith("…"):
+        return message == row
     return re.search(".*".join(re.escape(part.strip()) for part in row.split("…")), message, re.DOTALL) is not None
+
+
+def template(node: ast.expr) -> str:
+    """A string of the code as docs/errors.md writes it: … for what is filled in."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else "…"
+    if isinstance(node, ast.JoinedStr):
+        return "".join(template(value) for value in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return template(node.left) + template(node.right)
+    return "…"
+
+
+def refusals() -> list[tuple[str, str]]:
+    """Where the library raises, and with which words: `raise`, `require(…, words, …)`, `place.error(…, words)`."""
+    found = []
+    for path in sorted((ROOT / "jaxdr").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            told: list[ast.expr] = []
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                told = node.exc.args[-1:]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "error":
+                told = node.args[-1:]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id.endswith("require"):
+                told = node.args[-2:-1]
+            for words in map(template, told):
+                # What is left of "name: …" are the words of another message, which has its own place.
+                if re.search(r"[a-z]{2}", re.sub(r"^([\w. …]+: )+…$", "", words)):
+                    found.append((f"{path.relative_to(ROOT)}:{node.lineno}", words))
+    return found
+
+
+def test_every_refusal_is_listed():
+    rows, found = listed_messages(), refusals()
+    assert len(found) > 500
+    unlisted = [place for place in found if not any(contains(place[1], row) for row in rows)]
+    assert unlisted == [], "add a row to docs/errors.md: the message, and what to do"
 
 
 def test_listed_messages_exist():
