@@ -28,7 +28,9 @@ from tests.views.folders import write_nerf
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES]
+STUDIES = sorted((ROOT / "experiments").glob("*/README.md"))
+TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES, *STUDIES]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MOST_WORDS = 900
 
 MAIN_JOB = "python3 -m venv .venv && . .venv/bin/activate\npip install -e . && jaxdr optimize configs/quickstart.toml\n"
@@ -170,13 +172,47 @@ def test_commands_have_known_options(page):
                 assert cli._parser().parse_args(words[1:])
 
 
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_commands_name_what_is_there(page):
+    text = page.read_text()
+    blocks = "\n".join(fenced(page, "sh"))
+    for module in re.findall(r"python -m ((?:experiments|docs)\.[\w.]+)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module
+    for file in re.findall(r"(?<![\w/])((?:configs|examples)/\w+\.(?:toml|py))", text):
+        assert (ROOT / file).is_file(), file
+    for extras in re.findall(r"pip install [^\n]*\[([\w,-]+)\]", text):
+        assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"]), extras
+    # Commands that are only indented are not found by these tests, and have no button that copies them.
+    indented = re.findall(r"^ {4}(?:jaxdr|pip|python) .*", text, re.MULTILINE)
+    assert [line for line in indented if line not in blocks] == []
+
+
+def test_every_extra_is_listed():
+    listed = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "install.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(PROJECT["optional-dependencies"])
+
+
 # Links
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as the site makes them."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S), re.MULTILINE)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=id_of)
 def test_relative_links_lead_somewhere(page):
-    targets = re.findall(r"\]\(([^)#\s:]+)(?:#[^)\s]*)?\)", page.read_text())
-    assert [target for target in targets if not (page.parent / target).exists()] == []
+    for target, anchor in re.findall(r"\]\(([^)#\s:]*)(?:#([^)\s]*))?\)", page.read_text()):
+        path = page.parent / target if target else page
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path), (target, anchor)
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_no_path_of_a_machine(page):
+    assert re.findall(r"(?<![\w.])/(?:home|root|tmp|work|Users)/\S*", page.read_text()) == []
 
 
 # Names
