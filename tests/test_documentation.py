@@ -229,6 +229,20 @@ def test_every_public_name_says_what_it_is(name):
     assert len((inspect.getdoc(getattr(jd, name)) or "").split()) >= 5
 
 
+RAISES = r"\braise \w+Error|\b(?:as_rgb|rgb|number|vector)\("  # the latter check a parameter
+
+
+@pytest.mark.parametrize("name", public_names())
+def test_every_public_name_says_what_it_raises(name):
+    value = getattr(jd, name)
+    made = ("__init__", "__check_init__", "__post_init__")
+    own = (
+        [value] if inspect.isfunction(value) else [vars(value)[m] for m in made if m in getattr(value, "__dict__", {})]
+    )
+    if any(re.search(RAISES, inspect.getsource(function)) for function in own):
+        assert "Raises" in inspect.getdoc(value)
+
+
 def test_docs_name_nothing_that_is_not_public():
     known = {*public_names(), "__version__"}
     for page in [README, *PAGES]:
