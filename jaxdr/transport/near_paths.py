@@ -15,7 +15,7 @@ from jaxdr.transport.shading import Scatterer
 
 
 def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRecord) -> Float[Array, "N 3"]:
-    """Zero in value; its derivative is that of the share s of first hits' light that is in material form.
+    """Zero in value. Its derivative is that of the share s of first hits' light in material form.
 
     `record` is of first hits on fixed rays. Let f and f' be what they scatter in the fixed and in the material form;
     both are equal in value. Let w be the importance of the material form. The term is s w f' - s f. To first order that

@@ -40,16 +40,19 @@ from jaxdr.transport.shading import Scatterer
 
 
 class Segments(NamedTuple):
-    """Path segments from an apex (nearer to the camera) to a target, [B, N, ...]: B bounces of N paths; all detached.
+    """Path segments from an apex, nearer to the camera, to a target: [B, N, ...] of B bounces of N paths; detached.
 
-    `apex` and `target` are (face, barycentric) material points; the apex of bounce 0 is the first hit instead. Where
-    `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
-    without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
-    over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples, and `unlit`,
-    the weight without the radiance, where that of the environment depends on the direction or that of a surface on the
-    point; `lobe`, of BSDF-sampled segments, is the throughput over the density of `direction` (solid angle), whatever
-    lies there.
+    - `apex`, `target`: (face, barycentric) material points. The apex of bounce 0 is the first hit instead.
+    - `infinite`: whether the target is the environment, in `direction`.
+    - `weight`: f / pdf (RGB) of all paths through the segment, without its own BSDF value at the apex and without its
+      geometric term. It is the throughput to the apex times the radiance that arrives, over the density of the target
+      (per area; at infinity per solid angle).
+    - `visible`: off where an emitter sample is occluded. Its weight is then that of an unoccluded one.
+    - `throughput`: to the apex; with emitter samples only.
+    - `unlit`: the weight without the radiance. It is there where the radiance of the environment depends on the
+      direction, or that of a surface on the point.
+    - `lobe`: of BSDF-sampled segments, the throughput over the density of `direction` (solid angle), whatever lies
+      there.
     """
 
     apex_face: Int[Array, "B N"]
