@@ -16,12 +16,14 @@ CPU_OPTIONS = {
 
 
 def jit(function: Callable, **settings: Any) -> Any:
-    """``jax.jit(function, **settings)``, compiled for speed on the CPU; elsewhere ``jax.jit`` itself.
+    """``jax.jit(function, **settings)``, compiled for speed on the CPU. Elsewhere it is ``jax.jit`` itself.
 
-    Results agree with those of ``jax.jit`` to rounding. For the outermost function, ``jit(jax.grad(loss))``: JAX takes
-    compiler options nowhere else, and raises ValueError ("can only be passed to top-level `jax.jit`") where the result
-    is called inside of another `jax.jit`, `jax.grad` or `jax.vmap`. For a whole process
-    `XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_cpu_experimental_ynn_fusion_type=dot"` does the same.
+    Results agree with those of ``jax.jit`` up to rounding. Use it for the outermost function: ``jit(jax.grad(loss))``.
+    JAX takes compiler options nowhere else. It raises ValueError ("can only be passed to top-level `jax.jit`") where
+    the result is called inside another `jax.jit`, `jax.grad` or `jax.vmap`.
+
+    For a whole process, `XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_cpu_experimental_ynn_fusion_type=dot"`
+    does the same.
     """
     return jax.jit(function, compiler_options=compiler_options(jax.default_backend()), **settings)
 

@@ -15,8 +15,8 @@ PLACES = ("position", "direction", "to_world", "fov")
 class Moving(NamedTuple):
     """Which parts of a scene move in a derivative. Static: known when the program is traced.
 
-    - `shapes`: one flag for each of `scene.shapes`, in their order. A shape counts as moving, too, where the index of
-      its smooth glass or the normals of its mirror are differentiated.
+    - `shapes`: one flag for each of `scene.shapes`, in their order. A shape also counts as moving where the index of
+      its smooth glass, or the normals of its mirror, are differentiated.
     - `camera`: whether the camera moves.
     - `lights`: one flag for each of `scene.lights`.
     - `environment`: whether the environment turns.

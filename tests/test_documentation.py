@@ -10,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -28,7 +29,9 @@ from tests.views.folders import write_nerf
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES]
+STUDIES = sorted((ROOT / "experiments").glob("*/README.md"))
+TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES, *STUDIES]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MOST_WORDS = 900
 
 MAIN_JOB = "python3 -m venv .venv && . .venv/bin/activate\npip install -e . && jaxdr optimize configs/quickstart.toml\n"
@@ -170,13 +173,47 @@ def test_commands_have_known_options(page):
                 assert cli._parser().parse_args(words[1:])
 
 
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_commands_name_what_is_there(page):
+    text = page.read_text()
+    blocks = "\n".join(fenced(page, "sh"))
+    for module in re.findall(r"python -m ((?:experiments|docs)\.[\w.]+)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module
+    for file in re.findall(r"(?<![\w/])((?:configs|examples)/\w+\.(?:toml|py))", text):
+        assert (ROOT / file).is_file(), file
+    for extras in re.findall(r"pip install [^\n]*\[([\w,-]+)\]", text):
+        assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"]), extras
+    # Commands that are only indented are not found by these tests, and have no button that copies them.
+    indented = re.findall(r"^ {4}(?:jaxdr|pip|python) .*", text, re.MULTILINE)
+    assert [line for line in indented if line not in blocks] == []
+
+
+def test_every_extra_is_listed():
+    listed = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "install.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(PROJECT["optional-dependencies"])
+
+
 # Links
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as the site makes them."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S), re.MULTILINE)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=id_of)
 def test_relative_links_lead_somewhere(page):
-    targets = re.findall(r"\]\(([^)#\s:]+)(?:#[^)\s]*)?\)", page.read_text())
-    assert [target for target in targets if not (page.parent / target).exists()] == []
+    for target, anchor in re.findall(r"\]\(([^)#\s:]*)(?:#([^)\s]*))?\)", page.read_text()):
+        path = page.parent / target if target else page
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path), (target, anchor)
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+def test_no_path_of_a_machine(page):
+    assert re.findall(r"(?<![\w.])/(?:home|root|tmp|work|Users)/\S*", page.read_text()) == []
 
 
 # Names
@@ -191,6 +228,25 @@ def test_every_public_name_is_in_the_reference():
 @pytest.mark.parametrize("name", public_names())
 def test_every_public_name_says_what_it_is(name):
     assert len((inspect.getdoc(getattr(jd, name)) or "").split()) >= 5
+
+
+RAISES = r"\braise \w+Error|\b(?:as_rgb|rgb|number|vector)\("  # the latter check a parameter
+
+
+def called_code(value) -> str:
+    """What runs when a function or a class is called, as far as it is in its own definition."""
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(value))).body
+    if isinstance(definition, ast.FunctionDef):
+        return ast.unparse(definition)
+    made = ("__init__", "__check_init__", "__post_init__")
+    functions = [node for node in getattr(definition, "body", []) if getattr(node, "name", "") in made]
+    return "\n".join(map(ast.unparse, functions))
+
+
+@pytest.mark.parametrize("name", [name for name in public_names() if not inspect.ismodule(getattr(jd, name))])
+def test_every_public_name_says_what_it_raises(name):
+    value = getattr(jd, name)
+    assert not re.search(RAISES, called_code(value)) or "Raises" in inspect.getdoc(value)
 
 
 def test_docs_name_nothing_that_is_not_public():
@@ -251,14 +307,57 @@ def messages(without: tuple[str, ...] = ()) -> list[str]:
 
 
 def listed_messages() -> list[str]:
-    """First column of the tables of docs/errors.md."""
-    rows = re.findall(r"^\| `([^`]+)`(?! \(from JAX\))", (DOCS / "errors.md").read_text(), re.MULTILINE)
-    return [row for row in rows if not row.startswith("OpenEXR")]
+    """Code in the first column of the tables of docs/errors.md: a row may have several messages of one remedy."""
+    first = re.findall(r"^\| (`.*?) \| ", (DOCS / "errors.md").read_text(), re.MULTILINE)
+    rows = [row for column in first for row in re.findall(r"`([^`]+)`(?! \(from JAX\))", column)]
+    return [row for row in rows if not row.startswith("jd.")]  # the class of a warning
 
 
 def contains(message: str, row: str) -> bool:
-    """Whether the words of a row are in a message, in their order, with anything in the place of …."""
+    """Whether the words of a row are in a message, in their order, with anything in the place of ….
+
+    A row that begins with … has few words of its own: it is the whole message.
+    """
+    if row.startswith("…"):
+        return message == row
     return re.search(".*".join(re.escape(part.strip()) for part in row.split("…")), message, re.DOTALL) is not None
+
+
+def template(node: ast.expr) -> str:
+    """A string of the code as docs/errors.md writes it: … for what is filled in."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else "…"
+    if isinstance(node, ast.JoinedStr):
+        return "".join(template(value) for value in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return template(node.left) + template(node.right)
+    return "…"
+
+
+def refusals() -> list[tuple[str, str]]:
+    """Where the library raises, and with which words: `raise`, `require(…, words, …)`, `place.error(…, words)`."""
+    found = []
+    for path in sorted((ROOT / "jaxdr").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            told: list[ast.expr] = []
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                told = node.exc.args[-1:]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "error":
+                told = node.args[-1:]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id.endswith("require"):
+                told = node.args[-2:-1]
+            for words in map(template, told):
+                # What is left of "name: …" are the words of another message, which has its own place.
+                if re.search(r"[a-z]{2}", re.sub(r"^([\w. …]+: )+…$", "", words)):
+                    found.append((f"{path.relative_to(ROOT)}:{node.lineno}", words))
+    return found
+
+
+def test_every_refusal_is_listed():
+    rows, found = listed_messages(), refusals()
+    assert len(found) > 500
+    unlisted = [place for place in found if not any(contains(place[1], row) for row in rows)]
+    assert unlisted == [], "add a row to docs/errors.md: the message, and what to do"
 
 
 def test_listed_messages_exist():

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from examples import take_photographs
 from examples.your_own_bsdf import Minnaert
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,7 +49,7 @@ def test_script_is_short_and_in_the_tutorials(name):
     path = ROOT / "examples" / f"{name}.py"
     assert len(path.read_text().splitlines()) <= MOST_LINES
     assert f'--8<-- "examples/{name}.py"' in (ROOT / "docs/tutorials.md").read_text()
-    assert f"def test_{name}(" in Path(__file__).read_text()
+    assert re.search(rf"def test_(\w+_and_)?{name}(_and_\w+)?\(", Path(__file__).read_text())
 
 
 def test_many_devices(printed):
@@ -124,3 +125,19 @@ def test_mesh_from_views(printed, tmp_path):
     before, after = numbers(printed("mesh_from_views"))
     assert after < before / 4
     assert jd.load_mesh(tmp_path / "figure.glb").closed
+
+
+@pytest.mark.slow
+def test_take_photographs_and_from_photographs(printed, tmp_path):
+    printed("take_photographs")
+    before, after = numbers(printed("from_photographs"))
+    assert after > 24 and after > before + 8
+    assert jd.load_mesh(tmp_path / "found.glb").closed
+
+
+def test_the_photographs_of_the_tutorial_are_read(tmp_path):
+    take_photographs.main(str(tmp_path), count=3, pixels=8, samples=1)
+    views = jd.load_views(tmp_path).views
+    assert len(views) == 3 and all(0.05 < view.alpha.mean() < 0.6 for view in views)
+    poses = [view.to_world for view in views]
+    np.testing.assert_allclose(poses, take_photographs.poses(3), atol=1e-6)

@@ -22,7 +22,7 @@ def call(*command: object, cwd: Path) -> str:
 
 
 @pytest.mark.slow
-def test_a_wheel_runs_the_example_of_the_readme(tmp_path):
+def test_a_wheel_runs_the_example_of_the_readme_and_the_quickstart(tmp_path):
     call(sys.executable, "-m", "build", "--outdir", tmp_path, ROOT, cwd=tmp_path)
     (wheel,) = tmp_path.glob("jaxdr-*.whl")
     inside = zipfile.ZipFile(wheel).namelist()
@@ -42,3 +42,10 @@ def test_a_wheel_runs_the_example_of_the_readme(tmp_path):
     gradient = call(programs / "python", "example.py", cwd=tmp_path).strip().splitlines()[-1]
     assert re.fullmatch(r"\[ *-?\d\S*( +-?\d\S*){2}\]", gradient), gradient
     assert "optimize" in call(programs / "jaxdr", "--help", cwd=tmp_path)
+
+    config = ROOT / "configs/quickstart.toml"
+    few = ["--set", "optimizer.iterations=2", "--set", "output=quickstart"]
+    call(programs / "jaxdr", "optimize", config, *few, cwd=tmp_path)
+    assert (tmp_path / "quickstart/meshes").is_dir() and (tmp_path / "quickstart/metrics.json").is_file()
+    call(programs / "jaxdr", "view", "quickstart", cwd=tmp_path)
+    assert "model-viewer" in (tmp_path / "quickstart/view.html").read_text()

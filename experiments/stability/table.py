@@ -16,7 +16,9 @@ HEAD = """# Stability
 This page has known failures of differentiable renderers. Each is a small scene, a *case*. The tables say what every
 boundary estimator makes of it.
 
-    python -m experiments.stability.run
+```sh
+python -m experiments.stability.run
+```
 
 writes the page, from the numbers in `experiments/stability/results`. `pytest tests/stability` asserts the same; with
 `-m slow` it measures all cells. All settings are the defaults, but for one: `RednerWAS` is

@@ -21,9 +21,12 @@ from jaxdr.optimize.progress import Interruption, NotFinite, deferred_interrupt
 def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
     """Measure everything that a config asks for, write it to `output`, and return the summary.
 
-    What is there is not measured again on `resume`, and gives the same rows. Raises ValueError for a config that can't
-    be run or a folder in use, ImportError before the start when matplotlib or Mitsuba is missing, `Interrupted` after
-    Ctrl-C, and `NotFinite` for references, or at the end when estimates were: the chart is complete then.
+    With `resume`, what is there is not measured again, and gives the same rows.
+
+    - Raises ValueError for a config that can't be run, or a folder in use.
+    - Raises ImportError before the start, where matplotlib or Mitsuba is missing.
+    - Raises `Interrupted` after Ctrl-C.
+    - Raises `NotFinite` for references. For estimates it does so at the end, when the chart is complete.
     """
     require_matplotlib()
     if config.peers:

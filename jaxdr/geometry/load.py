@@ -19,19 +19,23 @@ SHADINGS = ("flat", "smooth", "file", "vertex")
 
 
 def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
-    """Read all triangles of a file as one mesh, in the file's units.
+    """All triangles of a file as one mesh, in the units of the file.
 
-    Vertices at the same position are welded; UVs keep their own indices, so a seam does not split a vertex. The meshes
-    of a GLB are joined, each at its node's place in the scene and in the file's default pose; where only some have UVs,
-    the others get (0, 0). Materials are not read.
+    Vertices at the same position are welded. UVs keep their own indices, so a seam does not split a vertex. The meshes
+    of a GLB are joined, each at the place of its node in the scene, in the default pose of the file. Where only some
+    have UVs, the others get (0, 0). Materials are not read.
 
-    `shading`: "flat"; "smooth", one normal per vertex; "file", where corners with the same position and the same
-    stored normal share one normal, which is then computed from the triangles (flat where nothing is stored); or
-    "vertex", the same, but where nothing is stored one normal per vertex of the file, so that edges at which the file
-    splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
+    `shading` is one of these:
 
-    Raises `ValueError` for an unknown extension or shading, a missing or unreadable file, one without triangles, and
-    for whatever `Mesh` rejects.
+    - "flat": the normal of the face.
+    - "smooth": one normal per vertex.
+    - "file": corners with the same position and the same stored normal share one normal, computed from the triangles.
+      It is flat where nothing is stored.
+    - "vertex": as "file". Where nothing is stored, there is one normal per vertex of the file. So edges at which the
+      file splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
+
+    Raises ValueError for an unknown extension or shading, a missing or unreadable file, one without triangles, and
+    whatever `Mesh` rejects.
     """
     if shading not in SHADINGS:
         raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")

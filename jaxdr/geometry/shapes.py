@@ -123,9 +123,11 @@ def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> 
 def revolved(profile: Vector, segments: int = 64) -> Mesh:
     """Solid of revolution around the z axis from a profile of (distance from the axis, height) rows [n, 2].
 
-    The profile may run up or down. Where an end is off the axis, a flat cap closes it. Raises `ValueError` for fewer
-    than two rows, fewer than three segments, numbers that are not finite, a negative distance, a zero distance other
-    than at the ends, and a profile that encloses no area with the axis.
+    The profile may run up or down. Where an end is off the axis, a flat cap closes it.
+
+    Raises ValueError for a profile with fewer than two rows, with numbers that are not finite, with a distance that is
+    negative or (except at the ends) zero, and for one that encloses no area with the axis. Raises ValueError for fewer
+    than three segments.
     """
     profile = np.asarray(profile, float)
     _require(profile.ndim == 2 and profile.shape[1] == 2, "revolved: profile must have shape [n, 2]", profile.shape)

@@ -36,7 +36,7 @@ def remesh_field_aligned(mesh: Mesh, vertices: int) -> Mesh:
     result. UVs are dropped. A mesh with interpolated normals gets one per vertex.
 
     Raises ImportError without pyinstantmeshes. Raises ValueError for fewer than 16 vertices, for a mesh that is not
-    finite or not manifold, and where no result is manifold and, for a closed mesh, closed.
+    finite or not manifold, and where no result is manifold (and closed, if the mesh is).
     """
     require_pyinstantmeshes()
     if vertices < LEAST:

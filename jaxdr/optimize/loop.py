@@ -37,11 +37,14 @@ def optimize(
 ) -> dict:
     """Run a config to its end and return the summary that `metrics.json` holds.
 
-    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every random number
-    derives from the seed and the iteration, so a run that was interrupted and is resumed ends with the same bits.
-    Raises ValueError for a config that can't be run, an output folder in use or too few devices, ImportError before the
-    start when remeshing is asked for and not installed, `Interrupted` after Ctrl-C or SIGTERM, `Stopped` when a
-    checkpoint or result can't be written, `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    `devices`: how many of JAX's devices share the work, by default all, those of other processes too. Every random
+    number derives from the seed and the iteration. So a run that was interrupted and is resumed ends with the same
+    bits.
+
+    - Raises ValueError for a config that can't be run, an output folder in use, or too few devices.
+    - Raises ImportError before the start, where remeshing is asked for and not installed.
+    - Raises `Interrupted` after Ctrl-C or SIGTERM, and `Stopped` where a checkpoint or result can't be written.
+    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     run = _Run(config, chosen_devices(devices))
     with run_in(run, resume, overwrite):

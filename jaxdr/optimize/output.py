@@ -32,9 +32,10 @@ COLUMNS = (
 class RunFolder(RunFiles):
     """Names and formats of everything that a run of `jaxdr optimize` writes.
 
-    `metrics.csv` has a line for every step, `pictures/` grids and `meshes/` GLB files of the state after so many
-    steps, `checkpoint.npz` and `plan.json` (where the integrator was left to `jaxdr.plan`) what `resume` needs,
-    `metrics.json` the summary of a finished run.
+    - `metrics.csv`: a line for every step.
+    - `pictures/`, `meshes/`: grids, and GLB files of the state after so many steps.
+    - `checkpoint.npz`: what `resume` needs; `plan.json` too, where the integrator was left to `jaxdr.plan`.
+    - `metrics.json`: the summary of a finished run.
     """
 
     subfolders = ("pictures", "meshes")

@@ -55,12 +55,13 @@ def checked_result(mesh: Mesh, vertices: np.ndarray, faces: np.ndarray, what: st
 
 
 def remesh_to(mesh: Mesh, vertices: int, iterations: int = 10) -> Mesh:
-    """A mesh of the same surface with just so many `vertices`, all edges about as long as one another.
+    """A mesh of the same surface with exactly `vertices` vertices, whose edges are all about equally long.
 
-    `remesh` with an edge length that leaves a few too few, then the longest edges are split in their middle. Closed
-    meshes of the same genus and as many vertices have as many faces and edges: JAX compiles nothing anew for them.
+    An edge length for `remesh` is looked for that leaves a few vertices too few. Then the longest edges are split in
+    their middle. Closed meshes of the same genus and number of vertices have the same number of faces and edges, so JAX
+    compiles nothing anew for them.
 
-    Raises what `remesh` raises, and ValueError for fewer than 4 vertices and where no edge length leaves about as many.
+    Raises what `remesh` raises, and ValueError for fewer than 4 vertices, or where no edge length is found.
     """
     if vertices < 4:
         raise ValueError(f"remesh_to: needs at least 4 vertices, got {vertices}")

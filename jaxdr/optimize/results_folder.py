@@ -22,9 +22,10 @@ def open_results(
 ) -> None:
     """Make the folder of a `kind` of results, or check that it is the one to go on with.
 
-    `config` is a dataclass, kept as JSON in the file `marker`; its fields `free` may differ where a run goes on. Raises
-    ValueError when the folder holds results and neither `resume` nor `overwrite` is given, when it is another thing's,
-    and on `resume` when there is nothing to resume or the config differs.
+    `config` is a dataclass, kept as JSON in the file `marker`. Its fields `free` may differ where a run goes on.
+
+    Raises ValueError where the folder holds results and neither `resume` nor `overwrite` is given, and where it is the
+    folder of something else. With `resume`, raises ValueError where there is nothing to resume, or the config differs.
     """
     if resume and overwrite:
         raise ValueError("--resume and --overwrite exclude each other: one keeps the results, one deletes them")

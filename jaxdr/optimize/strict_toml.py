@@ -57,9 +57,11 @@ def split_assignment(text: str) -> tuple[str, Any]:
 
 
 def build(kind: type[Config], table: dict, source: str) -> Config:
-    """A dataclass from a table. Fields may be numbers, strings, booleans, `Literal`s, tuples, dicts with free keys,
-    other dataclasses, and unions of these, which of dataclasses the `Literal` field `kind` tells apart; a ValueError
-    from `__post_init__` is placed.
+    """A dataclass from a table.
+
+    Fields may be numbers, strings, booleans, `Literal`s, tuples, dicts with free keys, other dataclasses, and unions of
+    these. In a union of dataclasses the `Literal` field `kind` tells which one is meant. A ValueError from
+    `__post_init__` gets its place in the file.
 
     Raises ValueError that names `source`, the key, and what was expected there.
     """

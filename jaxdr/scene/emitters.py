@@ -104,7 +104,7 @@ class UniformDirections(DirectionSampler):
 
 
 class ConstantEnvironment(Environment):
-    """The same RGB `radiance` from every direction."""
+    """Light of the same RGB `radiance` (W / m^2 sr) from every direction. Raises ValueError for another shape."""
 
     radiance: Float[Array, "3"]
     uniform = True

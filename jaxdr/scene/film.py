@@ -40,7 +40,10 @@ class ReconstructionFilter(Protocol):
 
 
 class Gaussian(eqx.Module):
-    """Gaussian filter, standard deviation in pixels, cut at four standard deviations as in Mitsuba."""
+    """Gaussian pixel filter, the default. It is cut at four standard deviations, as in Mitsuba.
+
+    `stddev` is in pixels. Raises ValueError unless it is positive.
+    """
 
     stddev: float = eqx.field(static=True, default=0.5)
 
@@ -74,7 +77,10 @@ class Gaussian(eqx.Module):
 
 
 class Box(eqx.Module):
-    """Box filter; `radius` 0.5 is one pixel."""
+    """Box pixel filter: constant within `radius` pixels; the default 0.5 is one pixel.
+
+    Raises ValueError unless the radius is positive.
+    """
 
     radius: float = eqx.field(static=True, default=0.5)
 
@@ -105,7 +111,10 @@ class Box(eqx.Module):
 
 
 class Tent(eqx.Module):
-    """Tent filter of the given radius (pixels)."""
+    """Tent pixel filter: it falls linearly to zero at `radius` pixels.
+
+    Raises ValueError unless the radius is positive.
+    """
 
     radius: float = eqx.field(static=True, default=1.0)
 
@@ -137,9 +146,10 @@ class Tent(eqx.Module):
 
 
 class Film(eqx.Module):
-    """Film of `width` x `height` pixels; `crop` = (x0, y0, width, height) renders a window of it.
+    """The pixels of an image: `width` x `height`, and the pixel filter.
 
-    Film points are in pixels from the top left corner of the uncropped film.
+    `crop` = (x0, y0, width, height) renders a window of them. Film points are in pixels, from the top left corner of
+    the uncropped film. Raises ValueError for no pixels, or a window that does not lie inside.
     """
 
     width: int = eqx.field(static=True)

@@ -55,12 +55,12 @@ def emitter_choice(
     surfaces: Float[Array, ""] | None,
     lights: tuple[LightGroup, ...],
 ) -> Float[Array, " K"]:
-    """Cumulative probabilities of environment, surfaces and every light, those that there are, by power.
+    """Cumulative probabilities of environment, surfaces and lights, as far as there are any, by power. Detached.
 
-    Detached. `surfaces` is the area of the emitting surfaces times the luminance of their radiance. Their power is pi
-    times that; that of an environment of mean radiance L counts as pi R^2 L, R being the radius of the scene. Through
-    the scene's bounding sphere comes 4 pi times as much, but most of it meets nothing: that way a panel of area A at a
-    distance of R / 2 and a sky that light a surface alike count about alike.
+    `surfaces` is the area of the emitting surfaces times the luminance of their radiance. Their power is pi times that.
+    An environment of mean radiance L counts as pi R^2 L, with R the radius of the scene. The light through the scene's
+    bounding sphere is 4 pi times as much, but most of it meets nothing. With this choice, a sky and a panel of area A
+    at a distance of R / 2 count about alike if they light a surface alike.
     """
     lights = jax.tree.map(stop_gradient, lights)
     radius = 0.5 * size

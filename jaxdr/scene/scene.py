@@ -20,7 +20,14 @@ RESERVED = ("camera", "environment")
 
 
 class Shape(eqx.Module):
-    """A mesh with its BSDF (default: grey diffuse) and, if it glows, its emitter. Raises ValueError for other kinds."""
+    """A mesh with its material and, if it glows, its emitter.
+
+    - `mesh`: a `Mesh`.
+    - `bsdf`: how it scatters light; by default grey `Diffuse`.
+    - `emitter`: an `AreaEmitter`, or None.
+
+    Raises ValueError for objects of another kind.
+    """
 
     mesh: Mesh
     bsdf: BSDF | TwoSided = eqx.field(default_factory=Diffuse)
@@ -39,10 +46,16 @@ def _sorted_by_id(members: Mapping) -> dict:
 
 
 class Scene(eqx.Module):
-    """Shapes by id, one camera, an environment or None, and lights without area by id.
+    """Shapes, a camera and lights: what `render` draws.
 
-    Raises ValueError for an id that is empty, has a dot, is `camera` or `environment`, or names both a shape and a
-    light; and for textures that do not fit the mesh of their shape.
+    - `shapes`: `Shape`s by id; at least one.
+    - `camera`: a `Perspective`, `ThinLens` or `Orthographic`, with its film.
+    - `environment`: light from infinitely far away, or None for black.
+    - `lights`: lights without area, by id.
+
+    Ids begin the names of `parameters`. Raises ValueError for an id that is empty, has a dot, is `camera` or
+    `environment`, or names both a shape and a light. Raises ValueError for textures that do not fit the mesh of their
+    shape.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)

@@ -35,10 +35,12 @@ class BidirectionalSettings(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """What N pairs of subpaths are made of: vertices x_1, x_2, ... from the camera [B, N] and from emitters [I, N].
+    """What N pairs of subpaths are made of.
 
-    `start` are the emitter samples [N] behind the latter, `direct` those [I, N] that the first I vertices from the
-    camera are joined with, `lens` the numbers [I, N, 2] of lens points, None without an aperture.
+    - Vertices x_1, x_2, ... from the camera [B, N] and from emitters [I, N].
+    - `start`: the emitter samples [N] from which the latter begin.
+    - `direct`: the emitter samples [I, N] that the first I vertices from the camera are joined with.
+    - `lens`: uniform numbers of lens points [I, N, 2]; None without an aperture.
     """
 
     camera: Subpath
@@ -51,9 +53,9 @@ class Drawn(NamedTuple):
 class Strategies(NamedTuple):
     """What N pairs of subpaths contribute by each strategy, [C, N, ...]; weights are detached.
 
-    `names` are (s, t). The first ones contribute to the subpath's own pixel; the last `film_points.shape[0]` ones, of
-    t = 1, to the film around `film_points`, per square pixel and as if there were one such path for every pixel.
-    `drawn` is None where no vertices are joined.
+    `names` are (s, t). The first strategies contribute to the pixel of the subpath itself. The last
+    `film_points.shape[0]` ones have t = 1. They contribute to the film around `film_points`, per square pixel, as if
+    every pixel had one such path. `drawn` is None where no vertices are joined.
     """
 
     names: tuple[tuple[int, int], ...]

@@ -1,7 +1,7 @@
-"""The emitters' end of the paths: rays that leave emitters, and with which densities.
+"""The emitters' end of paths: rays that leave emitters, and their densities.
 
-From surfaces by the cosine law, from lights without area as their kind says, from infinitely far away through a disk
-across the direction that covers the scene.
+Rays leave surfaces by the cosine law, and lights without area as their kind says. From infinitely far away they come
+through a disk across the direction, which covers the scene.
 """
 
 import math

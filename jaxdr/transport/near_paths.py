@@ -15,11 +15,12 @@ from jaxdr.transport.shading import Scatterer
 
 
 def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRecord) -> Float[Array, "N 3"]:
-    """Zero in value; its derivative is that of the share s of first hits' light that is in material form.
+    """Zero in value. Its derivative is that of the share s of first hits' light in material form.
 
-    `record` is of first hits on fixed rays. With f and f' what they scatter in the fixed and the material form, equal
-    in value, and w the importance of the latter, that is s w f' - s f: to first order f with the point moved by s
-    times the difference of the forms, and f times the changes of s and w. Light that arrives is the same in both.
+    `record` is of first hits on fixed rays. Let f and f' be what they scatter in the fixed and in the material form;
+    both are equal in value. Let w be the importance of the material form. The term is s w f' - s f. To first order that
+    is f with its point moved by s times the difference of the forms, and f times the changes of s and w. The light that
+    arrives is the same in both forms.
     """
     assert primary.near is not None and record.near is not None  # there where first hits have two forms
     assert record.direct is not None and record.scattered is not None

@@ -40,16 +40,19 @@ from jaxdr.transport.shading import Scatterer
 
 
 class Segments(NamedTuple):
-    """Path segments from an apex (nearer to the camera) to a target, [B, N, ...]: B bounces of N paths; all detached.
+    """Path segments from an apex, nearer to the camera, to a target: [B, N, ...] of B bounces of N paths; detached.
 
-    `apex` and `target` are (face, barycentric) material points; the apex of bounce 0 is the first hit instead. Where
-    `infinite`, the target is the environment in `direction`. `weight` is f / pdf (RGB) of all paths through the segment
-    without its own BSDF value at the apex and geometric term: throughput to the apex times radiance that arrives,
-    over the density of the target (per area, at infinity per solid angle). `visible` is off where an emitter sample is
-    occluded; its weight is that of an unoccluded one. `throughput` to the apex comes with emitter samples, and `unlit`,
-    the weight without the radiance, where that of the environment depends on the direction or that of a surface on the
-    point; `lobe`, of BSDF-sampled segments, is the throughput over the density of `direction` (solid angle), whatever
-    lies there.
+    - `apex`, `target`: (face, barycentric) material points. The apex of bounce 0 is the first hit instead.
+    - `infinite`: whether the target is the environment, in `direction`.
+    - `weight`: f / pdf (RGB) of all paths through the segment, without its own BSDF value at the apex and without its
+      geometric term. It is the throughput to the apex times the radiance that arrives, over the density of the target
+      (per area; at infinity per solid angle).
+    - `visible`: off where an emitter sample is occluded. Its weight is then that of an unoccluded one.
+    - `throughput`: to the apex; with emitter samples only.
+    - `unlit`: the weight without the radiance. It is there where the radiance of the environment depends on the
+      direction, or that of a surface on the point.
+    - `lobe`: of BSDF-sampled segments, the throughput over the density of `direction` (solid angle), whatever lies
+      there.
     """
 
     apex_face: Int[Array, "B N"]
@@ -149,11 +152,12 @@ def trace_paths(
     settings: PathSettings,
     near: NearField | None = None,
 ) -> PathRecord:
-    """Trace paths on from first hits; `direction` is that of the rays which found them, `u` the first bounce's numbers.
+    """Paths that go on from first hits, by next-event estimation and BSDF sampling.
 
-    Next-event estimation and BSDF sampling are combined by the balance heuristic (Veach 1997), unless `settings.mis`
-    is off: then emitters are reached by next-event estimation alone, but for delta lobes, whose light only they find.
-    `near` is the other form of the first hits: the radiance is that of the fixed one, see `near_field_term`.
+    `direction` is that of the rays that found the hits, `u` are the uniform numbers of the first bounce. Both are
+    combined by the balance heuristic (Veach 1997). With `settings.mis` off, only next-event estimation reaches
+    emitters. Delta lobes are an exception: only BSDF samples find their light. `near` is the other form of the first
+    hits. The radiance is that of the fixed form, see `near_field_term`.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
@@ -231,9 +235,9 @@ def scatter(
 ) -> tuple[Vertex | None, Bounce]:
     """(next vertex, what this vertex adds): light by emitter sampling, and BSDF sampling where it goes `onwards`.
 
-    With `seen`, the footprint of a pixel at points that have two forms (of size zero at others), the shares of the
-    material form are found as well. `apart` is where that form is, relative to the points: the path goes on from the
-    mixture. `given` takes the place of BSDF samples. Without `records` there are no segments.
+    `seen` is the footprint of a pixel at points that have two forms, of size zero at others. With it, the shares of the
+    material form are found as well. `apart` is the place of that form, relative to the points; the path goes on from
+    the mixture. `given` takes the place of BSDF samples. Without `records` there are no segments.
     """
     scatterer = Scatterer(packed, at.point, at.wi)
     light, light_share, direct = _connect(packed, at, scatterer, u[:, :2], settings, seen, records)

@@ -16,12 +16,14 @@ FORMS = ("fixed", "near", "material")
 
 
 class PrimarySamples(NamedTuple):
-    """First hits of N = pixels x samples camera rays, the samples of a pixel in a row.
+    """First hits of N = pixels x samples camera rays; the samples of a pixel follow each other.
 
-    `view` is the camera as the samples see through it (with an aperture, through lens points of their own), `direction`
-    that of the rays, `u` numbers for the first bounce. `weight` is one in value: its derivative is that of the filter,
-    the geometric term and the area where all first hits are material points. `near`: first hits in material form beside
-    fixed ones, for the near field.
+    - `view`: the camera as the samples see through it; with an aperture, through lens points of their own.
+    - `direction`: of the rays.
+    - `u`: uniform numbers for the first bounce.
+    - `weight`: one in value. Where all first hits are material points, its derivative is that of the filter, the
+      geometric term and the area.
+    - `near`: first hits in material form beside fixed ones, for the near field.
     """
 
     view: View

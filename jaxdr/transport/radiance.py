@@ -32,13 +32,17 @@ GPU_BLOCK = 1 << 19
 
 
 class Requests(NamedTuple):
-    """Radiance requests: what R material points send in the unit directions `wi`; detached.
+    """Requests for radiance: what R material points send in the directions `wi`. All of it is detached.
 
-    Where not `valid`, what the environment sends there. Paths scatter at most `bounces` times; `u` are the numbers of
-    the first bounce, those of later ones are functions of `stream`: paths of the same stream share them. `emission` is
-    the share of the point's own emission that counts. `seen`: footprints of a pixel at points whose radiance has two
-    forms (of size zero at others). `given` directions take the place of the first BSDF samples where their density is
-    positive.
+    - `face` [R], `barycentric` [R, 3]: the points.
+    - `valid` [R]: whether there is a point. If not, the request is for what the environment sends from there.
+    - `wi` [R, 3]: unit directions, world space.
+    - `u` [R, 4]: uniform numbers of the first bounce.
+    - `bounces` [R]: how often a path scatters at most.
+    - `stream` [R]: numbers of later bounces are functions of it. Paths of one stream share them.
+    - `emission` [R]: share of the point's own emission that counts.
+    - `seen`: footprints of a pixel, at points whose radiance has two forms; of size zero at others.
+    - `given`: directions that take the place of the first BSDF samples where their density is positive.
     """
 
     face: Int[Array, " R"]
@@ -54,7 +58,10 @@ class Requests(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """Radiance of requests, and what of it is taken in material form (nothing without footprints); detached."""
+    """Answers to `Requests`, detached: RGB radiance `total` [R, 3].
+
+    `near` [R, 3] is the part of it that is taken in material form: zero without footprints.
+    """
 
     total: Float[Array, "R 3"]
     near: Float[Array, "R 3"]

@@ -39,9 +39,9 @@ def _either(condition: Bool[Array, " N"], one: Rim, two: Rim) -> Rim:
 class Scatterer:
     """The BSDFs at N surface points for the directions `wi` towards the previous vertex (world space).
 
-    Two-sided surfaces are turned to the side of `wi`. Which side that is, the geometric normal decides: where an
-    interpolated normal faces away from a visible surface, `wi` is mirrored into its hemisphere, or a black fringe would
-    border silhouettes and move over the faces without any edge.
+    Two-sided surfaces are turned to the side of `wi`. The geometric normal decides which side that is. Where an
+    interpolated normal faces away from a visible surface, `wi` is mirrored into the hemisphere of that normal.
+    Otherwise a black fringe would border silhouettes, and would move over the faces without any edge.
     """
 
     def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
@@ -165,8 +165,8 @@ class Scatterer:
     def above_horizon(self, position: Float[Array, "N 3"]) -> Bool[Array, " N"]:
         """Whether positions are above the tangent planes by more than rounding.
 
-        Edges of the surface itself are not, and what rounding makes of their cosine, times the speed at which an edge
-        close by moves across the view, would be noise. Below is as good as above where light goes through.
+        Edges of the surface itself are not. Their cosine is rounding error. Times the speed at which a near edge moves
+        across the view, it would be noise. Where light passes through the surface, below is as good as above.
         """
         height = self.cosine(position - stop_gradient(self.point.position)) * jnp.sign(z_of(self.wi))
         through = self.spreads_through()

@@ -34,14 +34,17 @@ LARGEST = 1e18
 class Subpath(NamedTuple):
     """Vertices of N subpaths, all material points: [N, ...] each, or [B, N, ...] of x_1 to x_B.
 
-    `back` is the unit direction to the previous vertex, `throughput` the contribution of the subpath over its density,
-    without the BSDF at the vertex: with a subpath from an emitter, it times the BSDF f_s |cos| for light from `back` is
-    the radiance that the vertex sends on, per subpath and area. `density` is that of the vertex from the one before it
-    (per area; per solid angle of a direction that met nothing), detached. `shorter`, detached: the sum over the
-    strategies that end a subpath of this kind before this vertex, of their densities over that of the strategy that
-    ends it here, all to the power of the heuristic; divided by the density (to that power, solid angle at this vertex)
-    with which the previous vertex is sampled from here. `joined`: the segment to the previous vertex may be a
-    connection, since no delta lobe leads along it; None in scenes without.
+    - `back`: unit direction to the previous vertex.
+    - `throughput`: contribution of the subpath over its density, without the BSDF at the vertex. For a subpath from an
+      emitter, it times the BSDF f_s |cos| for light from `back` is the radiance that the vertex sends on, per subpath
+      and area.
+    - `density`: of the vertex from the one before it (per area; per solid angle of a direction that met nothing);
+      detached.
+    - `shorter`: detached. A sum over the strategies that end a subpath of this kind before this vertex: their densities
+      over that of the strategy that ends it here, to the power of the heuristic. The sum is divided by the density (to
+      that power, solid angle at this vertex) with which the previous vertex is sampled from here.
+    - `joined`: whether the segment to the previous vertex may be a connection: no delta lobe leads along it. None in
+      scenes without delta lobes.
     """
 
     point: SurfacePoint
@@ -167,9 +170,9 @@ def extend(
 ) -> Subpath:
     """Subpaths with one more vertex, or what they meet at infinity where `following` is not valid.
 
-    It was found in the detached `direction`, drawn with density `forward` (solid angle) by `scatterer`, that of the
-    vertex seen from `back`, or in the delta lobe `lobe` (a `DeltaSample`; None in scenes without) where it has a
-    probability, which then is `forward`.
+    The vertex was found in the detached `direction`. `scatterer`, the last vertex seen from `back`, drew it with
+    density `forward` (solid angle). Where the delta lobe `lobe` has a probability, the lobe drew it, and `forward` is
+    that probability. `lobe` is a `DeltaSample`, or None in scenes without delta lobes.
     """
     point, hit = vertex.point, following.valid
     offset = following.position - point.position

@@ -11,7 +11,7 @@ SUFFIXES = (".html", ".htm")
 
 
 def write_page(folder: Path, output: Path | None = None) -> Path:
-    """Write the page of a folder of results, by default as `view.html` in it; returns where it is.
+    """Write the page of a folder of results, by default as `view.html` in it. Returns its path.
 
     An earlier page is replaced. Raises ValueError for a folder that is no run or has nothing to show, for files in it
     that can't be read, and for an output that is another file.

@@ -52,12 +52,16 @@ def evaluate_views(
     match_channels: bool = False,
     integrator: Integrator | None = None,
 ) -> Evaluation:
-    """Scores of a scene rendered from the cameras of photographs: of `Views` those held out, or of a list all.
+    """Scores of a scene, rendered from the cameras of photographs: PSNR, SSIM, and overlap of masks.
 
-    `spp`: samples per pixel. With `match_channels` the renderings are first multiplied by one factor a colour channel,
-    the same in all views: for another sky, whose brightness nothing tells. Put the sky into the scene (`environment`).
+    - `views`: `Views`, of which the held-out ones are taken, or a list, of which all are.
+    - `spp`: samples per pixel.
+    - `match_channels`: first multiply the renderings by one factor a colour channel, the same in all views. Use it for
+      another sky, whose brightness nothing tells.
+    - `integrator`: default as in `render`.
 
-    Raises ValueError without any view, and ImportError without scikit-image.
+    Put the sky into the scene (`environment`). `to_dict()` of the result has mean and worst of every figure. Raises
+    ValueError without any view, and ImportError without scikit-image.
     """
     chosen = views.held_out if isinstance(views, Views) else tuple(views)
     require_skimage()

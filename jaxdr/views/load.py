@@ -22,22 +22,26 @@ KEEP = 1.0  # GiB of pictures
 def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP) -> Views:
     """Photographs with known cameras, from a folder.
 
-    Layouts: `transforms_train.json` and `transforms_test.json` of the NeRF synthetic scenes, `transforms.json` of
-    instant-ngp (intrinsics of all frames or of each), and COLMAP models, text or binary, in `sparse/0`, `sparse`, or
-    the folder itself, with the pictures in `images`. PNG and JPEG hold sRGB, EXR, HDR and PFM linear RGB. Masks (white:
-    the object) are in `masks` under the pictures' names, or named by `mask_path`; else alpha says where the object is.
+    These layouts are known:
 
-    Held out are the frames of `transforms_test.json`, pictures of a COLMAP model called `test_*`, and those whose name
-    matches the pattern `holdout` ("*_7", "test/*"). Where there are none of these, it is every eighth picture, the
-    first of each eight, if there are at least eight.
+    - NeRF synthetic scenes: `transforms_train.json` and `transforms_test.json`.
+    - instant-ngp: `transforms.json`, with intrinsics of all frames or of each.
+    - COLMAP: a model, text or binary, in `sparse/0`, `sparse` or the folder itself; pictures in `images`.
 
-    All pictures are of one size. Their headers are read now, their pixels when `View.image` or `View.alpha` are asked
-    for; as many as fit into `keep` GiB are kept, others are read again each time.
+    PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
+    under the names of the pictures, or `mask_path` names them. Without masks, alpha says where the object is.
 
-    Raises ValueError that names file, fault and remedy for a folder of another kind, for missing pictures and damaged
+    Some photographs are held out: frames of `transforms_test.json`, pictures of a COLMAP model called `test_*`, and
+    names that match the pattern `holdout` ("*_7", "test/*"). Where there are none and there are at least eight
+    pictures, the first of every eight is held out.
+
+    All pictures have one size. Their headers are read now. Their pixels are read when `View.image` or `View.alpha` is
+    asked for. As many as fit into `keep` GiB are kept; others are read again each time.
+
+    Raises ValueError that names file, fault and remedy: for a folder of another kind, missing pictures, damaged
     headers, masks without pictures or pictures without masks, sizes that differ, lenses that are no pinhole, and
-    cameras that look away from each other; ImportError for a COLMAP model without pycolmap. Where the pixels are
-    damaged, not finite, or a mask is empty, `View.image` and `View.alpha` raise it.
+    cameras that look away from each other. Raises ImportError for a COLMAP model without pycolmap. `View.image` and
+    `View.alpha` raise ValueError where pixels are damaged or not finite, or a mask is empty.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -50,8 +50,11 @@ class Pixels:
 
 @dataclass(frozen=True, eq=False)
 class PictureFile:
-    """A picture in a file, with a mask in another one or none: `width`, `height` and whether it is `masked` are known
-    from the headers, the rest is read when it is asked for, and `kept` as far as there is room."""
+    """A picture in a file, with a mask in another file or none.
+
+    `width`, `height`, and whether it is `masked` are known from the headers. Pixels are read when they are asked for,
+    and `kept` as far as there is room.
+    """
 
     path: Path
     mask: Path | None

@@ -77,10 +77,11 @@ def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integ
 def render_views(
     scene: Scene, views: Sequence[View], *, spp: int = 64, seed: int = 0, integrator: Integrator | None = None
 ) -> list[Float[np.ndarray, "H W 4"]]:
-    """Pictures of the scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
+    """Pictures [H, W, 4] of a scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
 
-    What is behind the object is left out, but for photographs without alpha, which show it. `spp`: samples per pixel.
-    `integrator`: default as in `render`. All views of one size share a program. Raises ValueError for spp < 1.
+    What is behind the object is left out; but photographs without alpha show it, so their pictures do. `spp`: samples
+    per pixel. `integrator`: default as in `render`. All views of one size share a program. Raises ValueError for spp <
+    1.
     """
     return list(each_rendered(scene, views, spp, seed, integrator))
 

@@ -31,14 +31,21 @@ class Shown(NamedTuple):
     addresses: list[str]
 
 
-def show(path: Path, ready: str, profile: Path) -> Shown:
-    """The page when the JavaScript expression `ready` is true; `profile` is an empty folder of the browser's own."""
+def show(page: Path | str, ready: str, profile: Path, size: tuple[int, int] | None = None) -> Shown:
+    """The page of a file or an address, when the JavaScript expression `ready` is true.
+
+    `profile` is an empty folder of the browser's own; `size` is that of the picture in pixels.
+    """
+    address = page if isinstance(page, str) else page.resolve().as_uri()
     with _Pipe(profile) as pipe:
         target = pipe.call("Target.createTarget", {"url": "about:blank"})["targetId"]
         pipe.session = pipe.call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
         for domain in ("Runtime", "Network", "Page", "Log"):
             pipe.call(f"{domain}.enable", {})
-        pipe.call("Page.navigate", {"url": path.resolve().as_uri()})
+        if size:
+            metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+            pipe.call("Emulation.setDeviceMetricsOverride", metrics)
+        pipe.call("Page.navigate", {"url": address})
         while not pipe.call("Runtime.evaluate", {"expression": ready})["result"].get("value"):
             time.sleep(0.2)
             assert time.monotonic() < pipe.end, f"the page is not ready: {pipe.events}"

@@ -39,21 +39,25 @@ from jaxdr.transport.emission import environment_radiance
 
 
 class RednerWAS(eqx.Module):
-    """Direct light in spherical form with warped areas (Xu et al. 2023, Eq. 55-57), for comparison; all fields static.
+    """Direct light by warped areas on the sphere of directions (Xu et al. 2023, Eq. 55-57), for comparison.
 
-    The discontinuous velocity of a direction is that of the material point seen in it, on the emitter and on whatever
-    hides it (zero where nothing is seen), and B is that point's, Eq. 18. Every auxiliary direction costs one ray.
-    Prefer `WarpedArea`: there the emitter's outlines do not move, and need no warp.
+    Each direction has a velocity: that of the material point seen in it, on the emitter or on whatever hides it. It is
+    zero where nothing is seen. The boundary-test function B is that point's (Eq. 18). Every auxiliary direction costs
+    one ray. Prefer `WarpedArea`: there the outlines of emitters do not move, and need no warp.
 
-    - `distance`: "exponential" (Eq. 57), that of the original; or "path_space" (Eq. 16).
-    - `normal_edges`: whether B vanishes at silhouettes that are edges between two faces, where the normal jumps: all
-      outlines of a cube, seen from outside. Without, as the authors of Xu et al. found it in the public implementation
-      (Fig. 18), only cosines and open edges count: v does not reach the velocity of such an outline, and the derivative
-      is wrong. Edges that are no outline of what is seen never need a warp: F does not jump there.
+    All fields are static.
+
+    - `distance`: "exponential" (Eq. 57), that of the original, or "path_space" (Eq. 16).
+    - `normal_edges`: whether B vanishes at silhouettes that are edges between two faces, where the normal jumps. All
+      outlines of a cube are such edges. Without them only cosines and open edges count, as the authors of Xu et al.
+      found it in the public implementation (Fig. 18). Then the velocity field does not reach the velocity of such an
+      outline, and the derivative is wrong. An edge that is no outline of what is seen needs no warp.
     - `sigma0`, `power`, `samples`, `boundary_power`, `debias`, `spread`: as of `WarpedArea`, in radians on the sphere.
 
-    Take `PathTracer(max_depth=2, sampling="emitter")`: with "mis" the derivative is the same, but part of the interior
-    term is at other samples, does not cancel, and is noise.
+    Take `PathTracer(max_depth=2, sampling="emitter")`. With "mis" the derivative is the same, but noisier: a part of
+    the interior term is at other samples and does not cancel.
+
+    Raises ValueError for options out of range.
     """
 
     distance: Literal["path_space", "exponential"] = eqx.field(static=True, default="exponential")

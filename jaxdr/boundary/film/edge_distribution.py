@@ -30,12 +30,15 @@ PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an ed
 
 
 class EdgeDistribution(NamedTuple):
-    """What edge points are drawn from; detached. Its rows are the edges of the moving shapes, numbered by `edge`.
+    """What edge points are drawn from; detached. It has a row for each edge of the moving shapes.
 
-    `start`, `end` are the film points of the visible part of each edge, `clip` the fractions of the 3D edge at the ends
-    between near and far plane, `homogeneous` the denominators of the projection there, `range` the part of the
-    projected edge inside the film window. `importance` per unit length; the cdfs are of length x importance. Seen
-    through an aperture, an edge's `extent` bounds its length from all of it.
+    - `edge`: the number of the edge.
+    - `start`, `end`: film points of the visible part of the edge.
+    - `clip`: fractions of the 3D edge at the ends of the part between near and far plane.
+    - `homogeneous`: denominators of the projection there.
+    - `range`: the part of the projected edge inside the film window.
+    - `importance`: per unit length. The cdfs are of length x importance.
+    - `extent`: seen through an aperture, it bounds the edge's length from everywhere on the aperture.
     """
 
     edge: Int[Array, " E"]
@@ -114,9 +117,10 @@ def _inside_window(film, start, end, margin=None):
 def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
     """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
 
-    Creases: the difference of what the two faces would receive, unshadowed, from a few emitter samples, a share of
-    their fold that stands for all other light, and how much their textures differ. Silhouettes: what the visible face
-    receives, and a typical value for the background. Only the noise depends on these estimates.
+    The jump at a crease has three parts: the difference of what the two faces receive, unshadowed, from a few emitter
+    samples; a share of their fold, which stands for all other light; and how much their textures differ. The jump at a
+    silhouette is what the visible face receives, and a typical value for the background. Only the noise depends on
+    these estimates.
     """
     faces, row_of = packed.faces_of(moving)
     triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]

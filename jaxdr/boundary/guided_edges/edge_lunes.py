@@ -37,10 +37,11 @@ STILL = 0.25  # share of the samples that goes to edges that do not move, where 
 class EdgeLunes(NamedTuple):
     """All edges of a scene, in the order of the first primary number; detached.
 
-    Row k is edge `edge[k]` of the packed scene, from `start` to `start + side` between its two `vertices`. In the frame
-    (`first`, `second`) across it (unit), directions at angles from 0 to `width` and from pi to pi + `width` are those
-    of silhouettes, and the faces lie clockwise of 0. `cdf`: cumulative probabilities of the rows; `density`: per
-    length. `share` of what jumps at a row that counts: where a face has no area, its two long edges are one.
+    - `edge`: row k is this edge of the packed scene, from `start` to `start + side`, between its two `vertices`.
+    - `first`, `second`: a unit frame across the edge. In it, silhouettes have directions at angles from 0 to `width`
+      and from pi to pi + `width`. The faces lie clockwise of 0.
+    - `cdf`: cumulative probabilities of the rows; `density`: per length.
+    - `share`: how much of the jump at a row counts. Where a face has no area, its two long edges are one.
     """
 
     edge: Int[Array, " E"]

@@ -32,7 +32,10 @@ def guide_report(
     rays: str = "auto",
     moving: Collection[str] | None = None,
 ) -> GuideReport:
-    """Build the guides of a scene twice, for shapes of these names that move: all of them, unless `moving` says which.
+    """What the guides of a scene cost, and how much they are used: a `GuideReport`.
+
+    They are built twice, so that compiling and building are told apart. `boundary` says which guides, `moving` names
+    the shapes that move (None: all).
 
     Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does not cover.
     """

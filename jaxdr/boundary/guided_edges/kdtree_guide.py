@@ -116,8 +116,9 @@ def _basis(x) -> Float[Array, "*n 8"]:
 def build_kdtree(target: Target, borders: Float[Array, " R1"], leaves: int, samples: int, threshold: float) -> KdTree:
     """Fit the target with `samples` evaluations a node.
 
-    `borders`: of the roots' intervals, 0 and 1 included. Nodes are split while there are fewer than `leaves` leaves and
-    an error is above `threshold` times the mean one that as many leaves may have if their errors add up to the mass.
+    `borders` are those of the roots' intervals, 0 and 1 included. A node is split while there are fewer than `leaves`
+    leaves, and while its error is above `threshold` times a mean error. That mean is the error of each of `leaves`
+    leaves, if all errors add up to the mass.
     """
     roots = borders.shape[0] - 1
     lower = jnp.zeros((roots, 3), borders.dtype).at[:, 0].set(borders[:-1])

@@ -23,9 +23,10 @@ from jaxdr.transport.path import PathSettings
 
 
 class ReusedGuides(eqx.Module):
-    """`GuidedEdges` with guides that are there already, by `build_guides`: a boundary estimator for `PathTracer`.
+    """`GuidedEdges` with guides that `build_guides` has made: a boundary estimator for `PathTracer`.
 
-    A pytree: guides of the same sizes go through one compiled program. The order of sorted edges is kept with them.
+    It is a pytree. Guides of the same sizes go through one compiled program. The order of sorted edges is kept with
+    them.
     """
 
     boundary: GuidedEdges = eqx.field(static=True)
@@ -61,11 +62,13 @@ def build_guides(
     rays: str = "auto",
     moving: Collection[str] | None = None,
 ) -> ReusedGuides:
-    """Build the guides of a scene, for shapes of these names that move: all of them, unless `moving` says which.
+    """Guides of a scene that are kept: a boundary estimator for `PathTracer`.
 
-    Name those that are differentiated: the edges are spread over the first primary number by what moves, and guides for
-    others fit badly. Works under jit. Raises ValueError for names that the scene does not have, and for scenes that
-    `GuidedEdges` does not cover.
+    `boundary` says which guides, `max_depth` for which paths. `moving` names the shapes that move (None: all). Name
+    those that you differentiate by: edges are spread by what moves, and guides fit others badly.
+
+    Works under jit. Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does
+    not cover.
     """
     settings = PathSettings(max_depth, True, rays)
     guides, order = _built(scene, boundary, _flags(scene, moving), settings)
@@ -81,11 +84,12 @@ def refit_guides(
     rays: str = "auto",
     moving: Collection[str] | None = None,
 ) -> ReusedGuides:
-    """Guides of the same sizes, fitted to the scene as it is, for a part of what building them takes.
+    """Guides of the same sizes, fitted to the scene as it is now. It takes a part of the time of building them.
 
-    Boxes and leaves stay what they are, and so does the order of sorted edges. `max_depth` and `moving` as they were
-    built with; `key` chooses where the target is evaluated. Works under jit. Raises ValueError as `build_guides` does,
-    and for guides of another mesh or depth.
+    Boxes and leaves stay as they are, and so does the order of sorted edges. `max_depth` and `moving` must be those
+    that the guides were built with. `key` chooses where the target is evaluated.
+
+    Works under jit. Raises ValueError as `build_guides` does, and for guides of another mesh or depth.
     """
     settings = PathSettings(max_depth, True, rays)
     _same_edges(sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values()), guides.edges)

@@ -1,8 +1,8 @@
 """Candidates among fewer edges: what stands still, seen from where nothing moves, carries no derivative.
 
-The normal velocity of a boundary point is that of the edge's projection less that of the material point behind it. It
-is zero where the edge, the apex and the target stand still. So segments with two ends that stand still only meet moving
-edges, in a small tree of their own, and the edges of all that stands still are left to the others.
+The normal velocity of a boundary point is that of the edge's projection minus that of the material point behind it. It
+is zero where the edge, the apex and the target all stand still. So segments whose two ends stand still meet only moving
+edges, which have a small tree of their own. Other segments meet all edges.
 """
 
 from typing import Any, NamedTuple

@@ -39,10 +39,9 @@ from jaxdr.transport.shading import Scatterer
 class Centres(NamedTuple):
     """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
 
-    `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n].
-
-    A crossing is a boundary point and a chord's angle there. Shares depend on both, so both kinds must mean the same by
-    the integral over the angle: each has |sin(phi - phi_l)| dphi / 2 of its own measure, and what is integrated here is
+    `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. A crossing is a
+    boundary point and the angle of a chord there. Shares depend on both, so both kinds must mean the same by the
+    integral over the angle. Each kind has |sin(phi - phi_l)| dphi / 2 of its own measure. What is integrated here is
     their mean, with weights that depend on the boundary point alone.
     """
 

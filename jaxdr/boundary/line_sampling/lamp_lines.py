@@ -1,10 +1,10 @@
-"""Geodesic chords towards emitters of many faces, for their light alone.
+"""Geodesic chords towards emitters of many faces, for the light of these emitters alone.
 
-A chord on a face of such an emitter is as short as the face, and the noise grows as chords get short. Here a cluster of
-faces is chosen first (`EmitterClusters.cut`). All directions within the cone of its bounding sphere are equally likely
-as centres, and the chord is the whole great circle inside the cone: (pi / 2) k / p of `chords` with k = 1 / length, so
-that nothing depends on where the centre is, nor on how many faces there are. A crossing counts where what is behind it
-is a face of the cluster.
+A chord on a single face is as short as the face, and short chords are noisy. Here a cluster of faces is chosen first
+(`EmitterClusters.cut`). All directions within the cone of its bounding sphere are equally likely as centres. The chord
+is the whole great circle inside the cone. Its weight is (pi / 2) k / p of `chords` with k = 1 / length, so nothing
+depends on the place of the centre, nor on the number of faces. A crossing counts where a face of the cluster lies
+behind it.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Where chords go: a pilot finds the pixels where they cross something, and every pixel keeps a floor.
 
-Given a path, its pilot chords are independent of the chords that are used, so that any allocation leaves the estimate
-unbiased as long as every vertex that carries light has a positive expected number of chords.
+Given a path, its pilot chords are independent of the chords that are used. So every allocation leaves the estimate
+unbiased, as long as each vertex that carries light has a positive expected number of chords.
 """
 
 import jax

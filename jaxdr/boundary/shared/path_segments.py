@@ -21,13 +21,15 @@ from jaxdr.transport.shading import Scatterer
 
 
 class SegmentEnds(eqx.Module):
-    """Both ends of C segments; `apex`, on `apex_face`, and `target` are differentiable.
+    """Both ends of C segments.
 
-    `target` follows its material point; at infinity it stays in one direction from the apex, as far away as the scene
-    is large. `face` is the target's and `corners` are its vertices; `normal` is that of the plane at the target: its
-    face, or at infinity the plane across the segment. `turn`, the identity in value, is how directions to the
-    environment move, where they do. `attached` is the apex as a material point where it has both forms, `footprint`
-    that of a pixel there, of size zero where it has one form.
+    - `apex` (on `apex_face`) and `target`: their points, differentiable. The target follows its material point. At
+      infinity it stays in one direction from the apex, as far away as the scene is large.
+    - `face`, `corners`: the target's face and its vertices.
+    - `normal`: of the plane at the target: its face, or at infinity the plane across the segment.
+    - `turn`: the identity in value. It says how directions to the environment move, where they do.
+    - `attached`: the apex as a material point, where it has both forms.
+    - `footprint`: that of a pixel at the apex; of size zero where it has one form.
     """
 
     apex: Float[Array, "C 3"]

@@ -23,10 +23,13 @@ from jaxdr.transport.radiance import Answers, Requests
 
 
 class Context(NamedTuple):
-    """What all chunks of an image share.
+    """What all chunks of an image share. All but the scene is static.
 
-    `moving`: what is differentiated that moves. `form` of the first hits, see `primary_samples`. `edge_samples`: points
-    on edges in the image per path sample. All but the scene is static.
+    - `packed`: the scene as arrays.
+    - `moving`: what moves in the derivative.
+    - `settings`: depth, sampling and ray queries of the path tracer.
+    - `form`: how first hits move, see `primary_samples`.
+    - `edge_samples`: points on edges in the image, per path sample.
     """
 
     packed: PackedScene
@@ -37,9 +40,13 @@ class Context(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """n samples of every pixel: their numbers, what each counts in its pixel, first hits, and paths behind them.
+    """n samples of every pixel, and their paths.
 
-    `key` is the wavefront's, from which the numbers of requests' bounces are drawn.
+    - `samples` [n]: their numbers within the pixel.
+    - `weight` [n]: what each counts in its pixel.
+    - `primary`: film points, camera rays and first hits, N = pixels x n rows.
+    - `record`: the paths behind the first hits.
+    - `key`: that of the wavefront; the numbers of requests' bounces are drawn from it.
     """
 
     samples: Int[Array, " n"]
@@ -65,10 +72,10 @@ class Chunk(NamedTuple):
 
 @runtime_checkable
 class Term(Protocol):
-    """One term. `name` is its key in `derivative_terms`, and chooses its random numbers.
+    """One term of the derivative of an image. Any class with these members is a boundary estimator.
 
-    `draw` gets everything detached, so that nothing in it is differentiated; `image` gets the same context and chunk as
-    they move, and back what `draw` held.
+    `name` is its key in `derivative_terms`, and chooses its random numbers. `draw` gets everything detached, so nothing
+    in it is differentiated. `image` gets the same context and chunk as they move, and what `draw` held.
     """
 
     @property

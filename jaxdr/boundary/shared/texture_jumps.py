@@ -79,8 +79,8 @@ def _uv(packed, point):
 def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool) -> None:
     """Raise ValueError where a texture's jumps inside faces move in the image.
 
-    With `fixed_rays` first hits slide over the shapes that move relative to the camera, and over mirrors and smooth
-    glass that move, later ones over any shape. Points in material form take the jumps along.
+    With `fixed_rays`, first hits slide over the shapes that move relative to the camera. Behind mirrors and smooth
+    glass that move, later hits slide over any shape. Points in material form take the jumps along.
     """
     pairs = zip(scene.shapes.values(), moving, strict=True)
     delta = any(moves and unwrap(shape.bsdf).delta for shape, moves in pairs)

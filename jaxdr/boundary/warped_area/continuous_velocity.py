@@ -188,9 +188,10 @@ def velocity_field(
 ) -> Field:
     """Shares of the auxiliary points, and what the divergence makes of their velocities.
 
-    The gradient of a share follows from those of log w in two tangent directions, by forward mode (Eq. 58-62), the q
-    held fixed. With `debias` the change of their density with p is counted as well: then the divergence is, in
-    expectation, exactly that of the mean field E[v(p)], for any number of points, and not only in the limit of many.
+    The gradient of a share follows from the gradients of log w in two tangent directions, by forward mode with the q
+    held fixed (Eq. 58-62). With `debias` the change of the density of the q with p counts as well. Then the expected
+    divergence is exactly that of the mean field E[v(p)], for any number of points. Without it this holds only in the
+    limit of many.
     """
 
     def logs(point):

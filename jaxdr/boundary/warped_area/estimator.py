@@ -35,31 +35,35 @@ from jaxdr.transport.shading import Scatterer
 
 
 class WarpedArea(eqx.Module):
-    """Boundary term of every segment behind the first hit as an area integral (Eq. 38); every field is static.
+    """Boundary term as an area integral, for every segment behind the first hit (Xu et al. 2023, Eq. 38).
 
-    Over the surface at the far end of a segment, div (f v) = f div v + grad f . v, with v a continuous velocity that is
-    that of the boundary where it is approached: a convolution over `samples` auxiliary points. No edge is looked for.
+    Over the surface at the far end of a segment, div (f v) = f div v + grad f . v. Here v is a continuous velocity that
+    equals the boundary's where it is approached: a convolution over `samples` auxiliary points. No edge is looked for.
 
-    - `distance`: "path_space" (Eq. 16) or "exponential" (Eq. 57, of Bangaru et al. 2020), which has no small scale and
+    All fields are static.
+
+    - `distance`: "path_space" (Eq. 16), or "exponential" (Eq. 57, of Bangaru et al. 2020), which has no small scale and
       needs many more auxiliary points.
-    - `sigma0`: width of the kernel, that of Eq. 17, in lengths of the segment. Narrow ones are noisy; wide ones have
-      to tell more boundaries apart.
+    - `sigma0`: width of the kernel of Eq. 17, in lengths of the segment. Narrow kernels are noisy. Wide ones have to
+      tell more boundaries apart.
     - `power`: a of Eq. 16.
     - `samples`: auxiliary points N_q of every path vertex; each is one projection onto the surface and one ray.
-    - `projections`: room for projections of an auxiliary point onto its shape (further ones are reported).
+    - `projections`: room for projections of an auxiliary point onto its shape. A warning reports further ones.
 
-    Where this differs from the paper, each difference has a switch; the values in brackets are the paper's.
+    Where this differs from the paper, each difference has a switch. Values in brackets are the paper's.
 
     - `boundary_power` (1): power of the boundary-test function B in the kernel (Eq. 15). With 1 the kernel has no
       singularity at the boundary, and v does not reach the boundary's velocity.
-    - `debias` (False): the divergence is exactly that of the mean velocity for any number of auxiliary points. Without,
-      a quarter to three quarters of the term are missing with 8.
-    - `spread`: scale of the auxiliary points' density in kernel widths; the paper draws from a Gaussian of unnamed
+    - `debias` (False): the divergence is exactly that of the mean velocity, for any number of auxiliary points. Without
+      it, a quarter to three quarters of the term are missing with 8.
+    - `spread`: scale of the density of auxiliary points, in kernel widths. The paper draws from a Gaussian of unnamed
       width, whose tail is thinner than the kernel's.
 
-    The derivative is as good as v is at the boundary: behind a bumpy figure 2 % is missing with 8 auxiliary points
-    (0.4 % with 16), most of it at corners. With a `PathTracer` direct light is weighted by emitter sampling
-    alone, without MIS; with a `BidirectionalPathTracer` every strategy counts with its weight.
+    The derivative is as good as v is at the boundary: behind a bumpy figure 2 % is missing with 8 auxiliary points (0.4
+    % with 16), most of it at corners. With a `PathTracer` direct light is weighted by emitter sampling alone, without
+    MIS. With a `BidirectionalPathTracer` every strategy counts with its weight.
+
+    Raises ValueError for options out of range.
     """
 
     distance: Literal["path_space", "exponential"] = eqx.field(static=True, default="path_space")

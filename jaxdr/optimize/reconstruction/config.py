@@ -13,8 +13,12 @@ from jaxdr.optimize.strict_toml import build
 
 @dataclass(frozen=True)
 class Start:
-    """The first surface: the visual `hull` of the masks, on a grid of so many cells along its longest side, or a
-    `sphere` around the point at which the cameras look. "auto" is the hull where there are masks."""
+    """The first surface.
+
+    - `kind`: "hull" is the visual hull of the masks. "sphere" is a sphere around the point at which the cameras look.
+      "auto" is the hull where there are masks.
+    - `grid`: cells of the hull's grid along its longest side.
+    """
 
     kind: Literal["auto", "hull", "sphere"] = "auto"
     grid: int = 96
@@ -67,9 +71,14 @@ class Rates:
 
 @dataclass(frozen=True)
 class Level:
-    """A stage from coarse to fine: so many `steps`, with photographs of `resolution` pixels along their longer side
-    (never more than they have), a mesh of so many `vertices` with a preconditioner of strength `lam`, a sky of `sky`
-    rows, and the gradient of so many `views` a step."""
+    """A stage from coarse to fine.
+
+    - `steps`: how many.
+    - `resolution`: pixels along the longer side of the photographs, and never more than they have.
+    - `vertices`: of the mesh. `lam`: strength of its preconditioner.
+    - `sky`: rows of the sky.
+    - `views`: how many go into the gradient of a step.
+    """
 
     steps: int
     resolution: int
@@ -86,8 +95,13 @@ class Level:
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples per pixel: of the `image` in the loss, its `gradient`, and the `pictures` of the result (fewer of large
-    ones, so that none has more than 2^24 in all, but at least 16 per pixel)."""
+    """Samples per pixel.
+
+    - `image`: of the image in the loss.
+    - `gradient`: of its gradient.
+    - `pictures`: of the pictures of the result. Large ones get fewer, so that none has more than 2^24 samples in all,
+      but at least 16 per pixel.
+    """
 
     image: int = 4
     gradient: int = 4

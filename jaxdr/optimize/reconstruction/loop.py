@@ -38,12 +38,14 @@ def reconstruct(
 ) -> dict:
     """Find mesh, textures and light from photographs, write them, and return what `metrics.json` holds.
 
-    `devices`: how many of JAX's devices share the work, by default all, other processes' as well. Every random number
-    derives from the seed and the step, so a run that was interrupted and is resumed ends with the same bits. Raises
-    ValueError for photographs or settings that can't be used, an output folder in use or too few devices, ImportError
-    before the start where an optional package is missing, `Interrupted` after Ctrl-C or SIGTERM (checkpoint, asset and
-    light are written), `Stopped` when a checkpoint or result can't be written or a photograph can't be read any more,
-    `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    `devices`: how many of JAX's devices share the work, by default all, those of other processes too. Every random
+    number derives from the seed and the step. So a run that was interrupted and is resumed ends with the same bits.
+
+    - Raises ValueError for photographs or settings that can't be used, an output folder in use, or too few devices.
+    - Raises ImportError before the start, where an optional package is missing.
+    - Raises `Interrupted` after Ctrl-C or SIGTERM; checkpoint, asset and light are written before.
+    - Raises `Stopped` where a checkpoint or result can't be written, or a photograph can't be read any more.
+    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     require_gpytoolbox()
     require_skimage()

@@ -130,13 +130,13 @@ class Adam:
 class LevenbergMarquardt:
     """Least squares over all pixels of all views, with the same random numbers in every iteration.
 
-    An iteration renders the images and one derivative image for every number optimised. The run ends after
-    `iterations`, when an accepted step changes the images by less than `tolerance`, relative to the norm of the
-    targets, or when three steps in a row were rejected. `damping` at the start is relative to the squared norms of the
-    Jacobian's columns there.
+    An iteration renders the images, and one derivative image for every number that is optimised. The run ends after
+    `iterations`. It ends earlier when an accepted step changes the images by less than `tolerance`, relative to the
+    norm of the targets, and when three steps in a row were rejected.
 
-    Images are compared with a Gaussian filter of `blur` pixels (standard deviation), one after another: from coarse to
-    fine they are matched from further away. Each has its equal share of the iterations, and what others leave over.
+    - `damping`: at the start, relative to the squared norms of the columns of the Jacobian there.
+    - `blur`: standard deviations, in pixels, of Gaussian filters. Images are compared with one after another. Coarse
+      ones match from further away. Each has an equal share of the iterations, and what others leave over.
     """
 
     kind: Literal["levenberg_marquardt"] = "levenberg_marquardt"

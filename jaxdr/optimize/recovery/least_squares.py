@@ -53,11 +53,11 @@ class LeastSquaresState(NamedTuple):
 
 
 class LeastSquaresSteps:
-    """The method of a run.
+    """The method of a run. Residuals are the differences of all pixels, divided by the norm of all targets.
 
-    Residuals are the differences of all pixels, divided by the norm of all targets. Image and Jacobian use independent
-    keys, the same in all iterations: the residuals are a function that a trust region can judge, and the noise of one
-    is not in the other, so that where they end, J^T r = 0, has no bias to first order.
+    Image and Jacobian use independent keys, the same in all iterations. So the residuals are one function, which a
+    trust region can judge. The noise of one is not in the other. So where the iterations end, J^T r = 0 has no bias to
+    first order.
     """
 
     columns = ("loss", "trust")

@@ -34,12 +34,16 @@ def recover(
 ) -> dict:
     """Run a config to its end and return the summary that `metrics.json` holds.
 
-    `devices`: how many of JAX's devices share the work of Adam, by default all; least squares take one. `errors` there
-    has start and end of every measure that `Errors` knows, `loss_initial` and `loss_final` are mean squared differences
-    of all views. Every random number derives from the seed and the iteration, so a run that was interrupted and is
-    resumed ends with the same bits. Raises ValueError for a config that can't be run, a folder in use or too few
-    devices, `Interrupted` after Ctrl-C or SIGTERM, `Stopped` when a checkpoint or result can't be written, `NotFinite`
-    rather than go on with NaN, and `ProcessLost`.
+    The summary has start and end of every measure that `Errors` knows, in `errors`. `loss_initial` and `loss_final` are
+    mean squared differences of all views.
+
+    `devices`: how many of JAX's devices share the work of Adam, by default all; least squares take one. Every random
+    number derives from the seed and the iteration. So a run that was interrupted and is resumed ends with the same
+    bits.
+
+    - Raises ValueError for a config that can't be run, a folder in use, or too few devices.
+    - Raises `Interrupted` after Ctrl-C or SIGTERM, and `Stopped` where a checkpoint or result can't be written.
+    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
     run = _Run(config, chosen_devices(devices))
     with run_in(run, resume, overwrite):

@@ -44,10 +44,13 @@ def textured_object(
 ) -> Scene:
     """Shape `object` with a bitmap as its albedo, on a grey floor under a lamp and a constant sky.
 
-    `shape` is "duck", "sphere" or "displaced_sphere", centred at the origin, its longest side `size` long; `mesh` is a
-    mesh file in its place, `albedo` an image file in the place of the `texture` ("patches" of colours, or "plain" grey)
-    of `texture_height` x twice as many texels. UVs are those of the file, or longitude and latitude. Raises ValueError
-    for what can't be read and names that are not among these.
+    - `shape`: "duck", "sphere" or "displaced_sphere", centred at the origin; its longest side is `size`.
+    - `mesh`: a mesh file that takes its place.
+    - `texture`: "patches" of colours or "plain" grey, `texture_height` x twice as many texels.
+    - `albedo`: an image file that takes its place.
+
+    UVs are those of the file, or longitude and latitude. Raises ValueError for files that can't be read, and for other
+    names.
     """
     _choice("shape", shape, ROUND)
     _choice("texture", texture, TEXTURES)

@@ -147,7 +147,10 @@ def spreads_through(bsdf: BSDF) -> bool:
 
 
 class TwoSided(eqx.Module):
-    """Adapter: the BSDF acts alike on both sides of the surface. It does not appear in names of parameters."""
+    """Adapter: the BSDF acts alike on both sides of the surface. It does not appear in names of parameters.
+
+    Raises ValueError for a BSDF that lets light through, or is two-sided already.
+    """
 
     bsdf: BSDF
 

@@ -18,8 +18,10 @@ LEAST = 0.05  # probability of sampling either: at a weight of 0 or 1 the other 
 class Blend(BSDF):
     """A mixture of two BSDFs: 1 - `weight` of the `first` and `weight` of the `second` (Mitsuba 3's `blendbsdf`).
 
-    Of two-sided ones write `TwoSided(Blend(weight, first, second))`. One that lets light through can be mixed with one
-    that is black from behind.
+    `weight` is in [0, 1], and may be a texture. For two-sided BSDFs write `TwoSided(Blend(weight, first, second))`. A
+    BSDF that lets light through can be mixed with one that is black from behind.
+
+    Raises ValueError for two-sided BSDFs inside, and for two mirrors or smooth glasses of which one has a normal map.
     """
 
     weight: Number

@@ -13,6 +13,8 @@ class Conductor(DeltaBSDF):
 
     Give the name of a `material` ("Au", "Al", …), or `eta` and `k`. With neither it is a perfect mirror.
     `specular_reflectance` (RGB in [0, 1]) scales the reflection.
+
+    Raises ValueError for an unknown material, for `eta` without `k`, and for values out of range.
     """
 
     eta: Color

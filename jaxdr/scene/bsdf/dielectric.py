@@ -38,11 +38,13 @@ class SmoothInterface(DeltaBSDF):
 
 
 class Dielectric(SmoothInterface):
-    """Smooth glass or water: reflects and refracts. The normal points to the outside.
+    """Smooth glass or water: it reflects and refracts. The normal points to the outside.
 
     `eta` = int_ior / ext_ior, the index inside over the one outside. Each is a number or a name ("bk7", "water", …).
     `specular_reflectance` and `specular_transmittance` (RGB in [0, 1]) scale the two parts. Refracted radiance is
     scaled by the squared ratio of indices.
+
+    Raises ValueError for an unknown name, a texture as an index, and values out of range.
     """
 
     def sample_delta(self, wi, u):

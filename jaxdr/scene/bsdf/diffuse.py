@@ -11,7 +11,10 @@ from jaxdr.scene.sampling import cosine_hemisphere
 
 
 class Diffuse(BSDF):
-    """Lambertian reflection with RGB `reflectance` (a number means grey); black from behind."""
+    """Lambertian reflection; black from behind.
+
+    `reflectance` is RGB in [0, 1]; a number means grey. Raises ValueError for values outside.
+    """
 
     reflectance: Color
 

@@ -11,11 +11,13 @@ from jaxdr.scene.sampling import choose
 
 
 class Mask(BSDF):
-    """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
+    """A surface with holes: the BSDF acts on the share `opacity`. Through the rest, light goes straight on.
 
-    Both sides have the holes. For a two-sided BSDF write `TwoSided(Mask(opacity, bsdf))`. Holes are sampled in
-    proportion to 1 - opacity. So at an opacity of exactly 1 the derivative by it is missed, and at exactly 0 that of
-    the BSDF inside.
+    `opacity` is in [0, 1], and may be a texture. Both sides have the holes. For a two-sided BSDF write
+    `TwoSided(Mask(opacity, bsdf))`. Holes are sampled in proportion to 1 - opacity. So at an opacity of exactly 1 the
+    derivative by it is missed, and at exactly 0 the derivative of the BSDF inside.
+
+    Raises ValueError for a two-sided BSDF inside, and values out of range.
     """
 
     opacity: Number

@@ -97,6 +97,8 @@ class NormalMap(TurnedNormal):
 
     Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
     has no derivative.
+
+    Raises ValueError for a two-sided BSDF inside.
     """
 
     normal: Color

@@ -17,9 +17,13 @@ from jaxdr.scene.sampling import choose, cosine_hemisphere
 class Plastic(BSDF):
     """A diffuse base under a smooth clear coat; black from behind (Mitsuba 3's `plastic`).
 
-    `diffuse_reflectance` (RGB in [0, 1]) is that of the base. `eta` = int_ior / ext_ior of the coat, each a number or a
-    name. `specular_reflectance` (RGB in [0, 1]) scales the coat's reflection. Light bounces between base and coat any
-    number of times. With `nonlinear` that shifts colours; without it every colour gains as much as white would.
+    - `diffuse_reflectance` (RGB in [0, 1]): of the base.
+    - `int_ior`, `ext_ior`: indices of the coat and outside of it, each a number or a name; `eta` is their ratio.
+    - `specular_reflectance` (RGB in [0, 1]): scales the reflection of the coat.
+    - `nonlinear`: light bounces between base and coat any number of times. With it, that shifts colours; without it,
+      every colour gains as much as white would.
+
+    Raises ValueError for an unknown name, and values out of range.
     """
 
     diffuse_reflectance: Color

@@ -22,10 +22,14 @@ from jaxdr.scene.bsdf.parameters import (
 class RoughConductor(BSDF):
     """Rough metal: microfacets that are small mirrors (Walter et al. 2007, Eq. 20); black from behind.
 
-    `alpha` is the roughness of the `distribution` of facets ("ggx" or "beckmann"), the same in all directions. With
-    `alpha_v` it is that along increasing u, and `alpha_v` that across it: such a surface needs UVs. `material`, `eta`,
-    `k` and `specular_reflectance` are those of `Conductor`. Light scattered between facets is lost,
-    as in Mitsuba 3.
+    - `alpha`: roughness of the facets, the same in all directions.
+    - `alpha_v`: if given, `alpha` is the roughness along increasing u, and this the one across. Such a surface needs
+      UVs.
+    - `distribution`: of the facets, "ggx" or "beckmann".
+    - `material`, `eta`, `k`, `specular_reflectance`: as of `Conductor`.
+
+    Light scattered between facets is lost, as in Mitsuba 3. Raises ValueError as `Conductor` does, and for an unknown
+    distribution.
     """
 
     alpha: Number

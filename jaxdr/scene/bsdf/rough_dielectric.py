@@ -44,6 +44,8 @@ class RoughDielectric(BSDF):
 
     `alpha`, `alpha_v` and `distribution` are those of `RoughConductor`, the other parameters those of `Dielectric`.
     Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices.
+
+    Raises ValueError as these two do, and for equal indices inside and outside.
     """
 
     alpha: Number

@@ -23,6 +23,8 @@ class RoughPlastic(BSDF):
     `alpha` and `distribution` are those of `RoughConductor`, for the coat. int_ior / ext_ior is in [1, 2.5]. The other
     parameters are those of `Plastic`. What the coat lets in, lets out and reflects back inside are integrals over its
     facets (`jaxdr.scene.bsdf.coat`). Mitsuba's own integrals are 2 % off for small alpha.
+
+    Raises ValueError as `Plastic` does, and for an unknown distribution.
     """
 
     diffuse_reflectance: Color

@@ -12,7 +12,7 @@ class ThinDielectric(SmoothInterface):
     """A thin pane of glass: it reflects, and lets the rest go straight on.
 
     It stands for two parallel interfaces with nothing between them. With the reflectance R of one, 2 R / (1 + R) is
-    reflected: all orders of internal reflection are summed. Parameters are those of `Dielectric`.
+    reflected: all orders of internal reflection are summed. Parameters and errors are those of `Dielectric`.
     """
 
     def sample_delta(self, wi, u):

@@ -19,11 +19,14 @@ from jaxdr.scene.film import Film
 class View(eqx.Module):
     """A frame in the world, and how it is projected onto the film.
 
-    `matrix` [3, 3] takes directions of the frame to the world, `position` is its origin, `pixels` the number of pixels
-    per unit of x / z (pinhole) or x (parallel), `centre` the film point of the frame's axis. `position` and `centre`
-    may have one row for every point or film point that the methods are called with.
+    - `matrix` [3, 3]: takes directions of the frame to the world.
+    - `position`: origin of the frame.
+    - `pixels`: pixels per unit of x / z (pinhole) or of x (parallel).
+    - `centre`: film point of the frame's axis.
+    - `near`, `far`: depths z between which things are seen. Rays start on the plane z = 0.
+    - `film`: that of the camera.
 
-    Rays start on the plane z = 0; what they see lies at depths z from `near` to `far`. `film` is the camera's.
+    `position` and `centre` may have one row for every point, or film point, that the methods are called with.
     """
 
     matrix: Float[Array, "3 3"]

@@ -16,9 +16,8 @@ from jaxdr.scene.sampling import uniform_sphere
 class DeltaLight(eqx.Module):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
-    A light is `infinite` if it shines from infinitely far away, in one direction. Its methods are called with fields
-    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off the fields stay as
-    they are.
+    A light is `infinite` if it shines from infinitely far away, in one direction. `PackedScene` gathers the fields of
+    lights of one kind, so methods see one row for each point. With `stackable` off the fields stay as they are.
     """
 
     infinite: ClassVar[bool] = False

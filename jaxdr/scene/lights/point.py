@@ -11,7 +11,13 @@ from jaxdr.scene.lights.base import DeltaLight, vector
 
 
 class PointLight(DeltaLight):
-    """RGB `intensity` (W / sr) in all directions from `position`."""
+    """A point that shines alike in all directions.
+
+    - `position` [3]: world space, scene units.
+    - `intensity`: RGB, W / sr; a number means grey.
+
+    Raises ValueError for another shape of either.
+    """
 
     position: Float[Array, "*n 3"]
     intensity: Float[Array, "*n 3"]

@@ -94,12 +94,15 @@ class SpotLight(DeltaLight):
 
 
 class TexturedSpotLight(SpotLight):
-    """A spot whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
+    """A spot whose intensity is multiplied by an image, as by a slide in front of it.
 
-    The image fills the square around the cone's circle on a screen across the axis, its top row at negative y of the
-    frame: `up` (of any length, not along `direction`) is the y axis, less its part along the direction, and x completes
-    the right-handed frame with z along `direction`. Values are interpolated between texel centres and repeat beyond.
-    The other parameters are those of `SpotLight`, with a cutoff angle below 90 degrees.
+    - `texture` [H, W, 3]: linear RGB. Values are interpolated between texel centres and repeat beyond.
+    - `up` [3]: turns the image, of any length. The frame has z along `direction` and y along `up`, without the part of
+      `up` along the direction. x completes it to a right-handed frame.
+    - The other parameters are those of `SpotLight`, with a cutoff angle below 90 degrees.
+
+    Think of a screen across the axis. The cone meets it in a circle, and the image fills the square around that circle.
+    The top row of the image is at negative y of the frame.
 
     Raises ValueError for an image that is not RGB, for a wider cone, and for an `up` along the direction.
     """

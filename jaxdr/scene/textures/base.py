@@ -21,11 +21,12 @@ from jaxdr.geometry.vector import components, from_components, transform
 class TexturePoint(NamedTuple):
     """N points on surfaces, as textures see them. `uv` and `barycentric` are differentiable where points slide.
 
-    `uv`: texture coordinates, (0, 0) at an image's lower left; None in scenes whose textures use none. `barycentric`
-    coordinates in the face, and `vertices`, the rows of its corners in the vertices of its own mesh. Only where a
-    texture of the scene uses them: `face`, its row in the faces of its own mesh, and `axes` (`uses_slopes`): of the
-    derivatives of the position by u and by v, dp/du · x, dp/dv · x and dp/dv · y in the frame of the surface, whose x
-    axis is along increasing u; zero where the UVs tell no directions.
+    - `uv`: texture coordinates, (0, 0) at the lower left of an image. None in scenes whose textures use none.
+    - `barycentric`: coordinates in the face.
+    - `vertices`: rows of the corners of the face in the vertices of its own mesh.
+    - `face`: row of the face in the faces of its own mesh. Only where a texture of the scene uses it.
+    - `axes` (`uses_slopes`): dp/du · x, dp/dv · x and dp/dv · y of the position p, in the frame of the surface, whose x
+      axis is along increasing u. They are zero where the UVs tell no directions.
     """
 
     uv: Float[Array, "N 2"] | None

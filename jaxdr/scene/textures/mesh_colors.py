@@ -25,7 +25,10 @@ class MeshColors(Texture):
 
 
 class VertexColors(MeshColors):
-    """`colors` [V] or [V, C] (C = 1 or 3) of a mesh's V vertices, interpolated over its faces."""
+    """A colour for each vertex, interpolated over the faces: `colors` [V] or [V, C] (C = 1 or 3), linear floats.
+
+    Raises ValueError for another shape. V is the number of vertices of the mesh, which `Scene` checks.
+    """
 
     def __init__(self, colors: ArrayLike):
         super().__init__(colors)
@@ -35,7 +38,10 @@ class VertexColors(MeshColors):
 
 
 class FaceColors(MeshColors):
-    """`colors` [F] or [F, C] (C = 1 or 3) of a mesh's F faces, each the same all over its face."""
+    """A colour for each face, the same all over it: `colors` [F] or [F, C] (C = 1 or 3), linear floats.
+
+    Raises ValueError for another shape. F is the number of faces of the mesh, which `Scene` checks.
+    """
 
     uses_faces = True
 

@@ -1,0 +1,65 @@
+"""Draws docs/figures/site.png and view.png: `python -m docs.tools.screenshots RUN`, from the root of the checkout.
+
+RUN is the folder of a run of `jaxdr optimize`. It needs Chromium, and the extras docs and test.
+"""
+
+import argparse
+import functools
+import http.server
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tests.view.browser import show
+
+ROOT = Path(__file__).resolve().parents[2]
+FIGURES = ROOT / "docs/figures"
+SIZE = (1320, 760)
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """Files of a folder, without a line for each."""
+
+    def log_message(self, *_):
+        pass
+
+
+def draw(page: Path | str, ready: str, name: str, folder: Path) -> None:
+    """Writes what the browser shows of a page. Raises RuntimeError for errors in it, or where it asks others."""
+    shown = show(page, ready, folder / f"profile_{name}", SIZE)
+    own = ("file:", "data:", "blob:", "http://localhost:")
+    outside = [address for address in shown.addresses if not address.startswith(own)]
+    if shown.errors or outside:
+        raise RuntimeError(f"{page}: {shown.errors} {outside}")
+    # A palette is enough for flat colours, and a third of the size.
+    picture = Image.fromarray(shown.pixels.astype(np.uint8)).quantize(128)
+    picture.save(FIGURES / f"{name}.png", optimize=True)
+
+
+def main(run: str) -> None:
+    """Builds the site and the page of the run, and draws the top of each."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        site, page = folder / "site", folder / "view.html"
+        build = ["mkdocs", "build", "--quiet", "--site-dir", str(site)]
+        subprocess.run([sys.executable, "-m", *build], cwd=ROOT, check=True)
+        subprocess.run([sys.executable, "-m", "jaxdr.cli", "view", run, "-o", str(page)], cwd=ROOT, check=True)
+        serve = functools.partial(Quiet, directory=str(site))  # the search of a site needs a server
+        with http.server.ThreadingHTTPServer(("localhost", 0), serve) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            address = f"http://localhost:{server.server_port}/"
+            draw(address, 'document.readyState === "complete"', "site", folder)
+            server.shutdown()
+        drawn = "[...document.querySelectorAll('model-viewer')].every(viewer => viewer.modelIsVisible)"
+        draw(page, f'document.readyState === "complete" && {drawn}', "view", folder)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run")
+    main(parser.parse_args().run)
