@@ -29,7 +29,7 @@ from jaxdr.transport.shading import Scatterer
 KINDS = ("silhouettes", "creases")
 
 
-class EdgePoints(NamedTuple):
+class FilmEdgePoints(NamedTuple):
     """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
 
     The point is at the share `along` of its `edge`, seen through the point `lens` of the aperture (None without) at
@@ -54,7 +54,7 @@ class EdgePoints(NamedTuple):
 class _Held(NamedTuple):
     """Edge points; what is behind them: on which side, and which material point; and which count. `crease`: or not."""
 
-    points: EdgePoints
+    points: FilmEdgePoints
     behind: Int[Array, " n"]
     face: Int[Array, " n"]
     barycentric: Float[Array, "n 3"]
@@ -147,13 +147,13 @@ class FilmEdges:
         return chunk.share * splat(packed.camera.film, points.film_point, value)
 
 
-def _moved(points: EdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
+def _moved(points: FilmEdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
     """Displacement of a film point along the normal, zero in value."""
     along = dot(points.normal, position)
     return along - jax.lax.stop_gradient(along)
 
 
-def _view(packed: PackedScene, points: EdgePoints) -> View:
+def _view(packed: PackedScene, points: FilmEdgePoints) -> View:
     return packed.camera.view(points.lens)
 
 
@@ -162,7 +162,7 @@ def _of_side(x, side: Int[Array, " n"]):
     return jnp.where(side.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0])
 
 
-def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lobe:
+def _common_directions(packed: PackedScene, points: FilmEdgePoints, crease, u) -> Lobe:
     """At creases: directions from the BSDF of either side, and their mean density, for both sides; elsewhere none."""
     second = u[:, 2:3] >= 0.5
     rest = jnp.concatenate([2.0 * u[:, 2:3] - second, u[:, 3:]], -1)
@@ -178,7 +178,7 @@ def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lo
 
 def _edge_points(
     packed: PackedScene, distribution: EdgeDistribution, drawn, lens, settings: PathSettings
-) -> EdgePoints:
+) -> FilmEdgePoints:
     """`lens`: a point of the aperture each, None without."""
     camera, film = packed.camera, packed.camera.film
     row, fraction, weight = drawn
@@ -245,4 +245,4 @@ def _edge_points(
     clear = distance >= edge_distance - tolerance
     outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
     outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
-    return EdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)
+    return FilmEdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)

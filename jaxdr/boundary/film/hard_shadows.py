@@ -48,7 +48,7 @@ FLOOR = 0.25  # share of the points that goes to silhouettes by their length alo
 SAME_SURFACE = 0.7  # cosine between the normals of faces that may be one surface
 
 
-class Lines(NamedTuple):
+class ShadowLines(NamedTuple):
     """Points on lines that bound what lights reach.
 
     `light` sees the line between the `ends`, of which the point is `along`; differentiable. `dark` is the unit normal
@@ -64,7 +64,7 @@ class Lines(NamedTuple):
 
 
 class ShadowPoints(NamedTuple):
-    """Where the light past `Lines` arrives.
+    """Where the light past `ShadowLines` arrives.
 
     `position` is differentiable: the line's shadow. All else is detached: `point` of the receiver there, valid where
     light arrives at all; unit direction `towards` the light; `arriving`, RGB: its intensity over the squared distance.
@@ -171,7 +171,9 @@ def _borders(packed: PackedScene) -> _Borders | None:
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found) if found else None
 
 
-def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n"], used: Bool[Array, " n"]) -> Lines:
+def _lines(
+    packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n"], used: Bool[Array, " n"]
+) -> ShadowLines:
     """Points on the entries `index` of a `ShadowDistribution`."""
     count, borders = packed.edges.vertices.shape[0], _borders(packed)
     places, infinite = jax.tree.map(stop_gradient, light_places(packed))
@@ -191,10 +193,10 @@ def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n
         plane = normalize(cross(*corners(sides)))
         plane = scale(plane, -jnp.sign(dot(plane, borders.inside[number] - places[light])))
         dark = jnp.where(border[:, None], plane, dark)
-    return Lines(light, ends, along, dark, border, used)
+    return ShadowLines(light, ends, along, dark, border, used)
 
 
-def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> ShadowPoints:
+def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSettings) -> ShadowPoints:
     """Follow the light past lines; what hides the line from the light, or a miss, leaves the point invalid."""
     detached = jax.tree.map(stop_gradient, packed)
     places, infinite = light_places(packed)
@@ -402,7 +404,7 @@ def scattered_shadow_term(
     return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(index)].add(value)
 
 
-def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[Lines, Float[Array, " n"]]:
+def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[ShadowLines, Float[Array, " n"]]:
     """Points on lines, spread evenly, and 1 / density per unit of the line's parameter. Each could be anywhere."""
     u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)[0]
     total = cdf[-1]

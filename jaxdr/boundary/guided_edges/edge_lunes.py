@@ -56,7 +56,7 @@ class EdgeLunes(NamedTuple):
     share: Float[Array, " E"]
 
 
-class EdgePoints(NamedTuple):
+class LunePoints(NamedTuple):
     """Points on the rows of an `EdgeLunes`, at the share `along` of their edges."""
 
     row: Int[Array, " n"]
@@ -128,15 +128,15 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
     return EdgeLunes(number, pairs, start, side, tangent, first, second, width, cdf / total, density, share)
 
 
-def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> EdgePoints:
+def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> LunePoints:
     """Points on edges from the first primary number."""
     row = jnp.clip(jnp.searchsorted(lunes.cdf, u, side="right"), 0, lunes.cdf.shape[0] - 1)
     before = jnp.where(row > 0, lunes.cdf[row - 1], 0.0)
     mass = lunes.cdf[row] - before
-    return EdgePoints(row, jnp.clip((u - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0))
+    return LunePoints(row, jnp.clip((u - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0))
 
 
-def edge_number(lunes: EdgeLunes, points: EdgePoints) -> Float[Array, " n"]:
+def edge_number(lunes: EdgeLunes, points: LunePoints) -> Float[Array, " n"]:
     """The first primary number of points: the inverse of `edge_points`."""
     before = jnp.where(points.row > 0, lunes.cdf[points.row - 1], 0.0)
     return before + points.along * (lunes.cdf[points.row] - before)

@@ -62,7 +62,7 @@ class Crossings(NamedTuple):
 
 
 @runtime_checkable
-class Lines(Protocol):
+class ChordKind(Protocol):
     """One kind of chords. What `search` draws, `score` gets back.
 
     `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
@@ -81,7 +81,7 @@ class Lines(Protocol):
     def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]: ...
 
 
-def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:
+def draw_lobe_chords(lines: ChordKind, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:
     """(chords around BSDF-sampled directions, the apexes they are seen from); `reach` relative to the lobe's width."""
     u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, lines.packed.vertices.dtype)[0]
     scatterer = lines.paths.scatterer(jnp.maximum(chosen.vertex, 0))
@@ -94,7 +94,7 @@ def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
-def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
+def apex_moves(lines: ChordKind, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
     """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
     paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
     if paths.vertices is None:
@@ -104,7 +104,7 @@ def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
 
 
 def silhouette_crossings(
-    lines: Lines,
+    lines: ChordKind,
     chosen: Chosen,
     apex: Float[Array, "M 3"],
     chords: Chords,

@@ -12,9 +12,9 @@ from jaxdr.boundary.line_sampling.crossings import (
     BOUNDS,
     HIDES,
     MOVES,
+    ChordKind,
     Chosen,
     Crossings,
-    Lines,
     LineSamplingState,
     RankedEdges,
 )
@@ -41,7 +41,7 @@ ROW = 64  # crossings among which some are kept are rounded together
 class Spread(NamedTuple):
     """One kind of chords, how many are expected from every path vertex, and the share of crossings that is kept."""
 
-    lines: Lines
+    lines: ChordKind
     expected: Float[Array, "B P n"]
     kept: Float[Array, ""]
     key: PRNGKeyArray
@@ -171,7 +171,7 @@ class LineSampling(eqx.Module):
             on_emitters.both = around_lobes.both = both
         return emitters, [spread for spread in (lobes, skies, lamps) if spread is not None]
 
-    def _spread(self, lines: Lines, carries, key) -> Spread:
+    def _spread(self, lines: ChordKind, carries, key) -> Spread:
         """How many chords of one kind go where; `carries` is the importance of every path vertex."""
         paths = lines.paths
         _, _, width, height = paths.packed.camera.film.window
@@ -243,7 +243,7 @@ class LineSampling(eqx.Module):
         asked, behind = map_over_blocks(look, (found, weight), used)
         return asked, BehindEdges(behind, used)
 
-    def _kept(self, lines: Lines, drawn, found: Crossings, weight, used, key):
+    def _kept(self, lines: ChordKind, drawn, found: Crossings, weight, used, key):
         """Crossings drawn in proportion to what they should contribute, their weights, and their number.
 
         The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.
