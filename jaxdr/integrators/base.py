@@ -1,7 +1,7 @@
 """What integrators share: the interfaces of estimators, and sums over samples."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,20 @@ from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import nested, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.transport.bidirectional import Drawn
-from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import joined, radiance, split
+
+
+class Batch(NamedTuple):
+    """Samples that are traced together: their numbers, of `spp` of every pixel; those from `spp` on count zero."""
+
+    samples: Int[Array, " n"]
+    spp: int
+    key_film: PRNGKeyArray
+    key: PRNGKeyArray
+
+    def weights(self, dtype) -> Float[Array, " n"]:
+        """What they count in their pixels."""
+        return jnp.where(self.samples < self.spp, 1.0 / self.spp, 0.0).astype(dtype)
 
 
 @runtime_checkable
@@ -25,15 +36,7 @@ class ConnectedEstimator(Protocol):
     def prepare(self, context: Context, key: PRNGKeyArray) -> Any: ...
 
     def estimate_connected(
-        self,
-        packed: PackedScene,
-        prepared: Any,
-        primary: PrimarySamples,
-        drawn: Drawn,
-        weight: Float[Array, "C N"],
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        rays: str,
+        self, context: Context, state: Any, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]: ...
 
 
@@ -101,17 +104,9 @@ class Integrator(Protocol):
         ...
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Any,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
-        """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero.
+        """Share of the image from a batch of samples.
 
         By term, as in `derivative_terms`; without `moving` the interior's value alone.
         """
@@ -123,11 +118,6 @@ def edge_points_per_sample(integrator) -> float:
     if integrator.edge_samples is None:
         return 0.125 if integrator.max_depth <= 2 else 1.0
     return integrator.edge_samples
-
-
-def sample_weights(samples, spp: int, dtype) -> Float[Array, " n"]:
-    """What samples by their numbers count in their pixels."""
-    return jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
 
 
 def check_rough_glass(scene: Scene) -> None:

@@ -5,17 +5,17 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film.film_edges import FilmEdges
 from jaxdr.boundary.shared.term import Chunk, Context, Term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
+    Batch,
     ConnectedEstimator,
     check_rough_glass,
     edge_points_per_sample,
     prepare_terms,
-    sample_weights,
     term_images,
 )
 from jaxdr.moving import Moving
@@ -49,10 +49,8 @@ class _Connected:
         _, _, width, height = film.window
         if found.drawn is None or not has_emitters(packed):
             return jnp.zeros((height, width, 3), found.value.dtype)
-        index = jnp.tile(chunk.samples, width * height)
         weight = jnp.where((found.value != 0).any(-1), found.weight, 0.0)
-        options = weight, index, held, context.settings.rays
-        values = self.estimator.estimate_connected(packed, state, chunk.primary, found.drawn, *options)
+        values = self.estimator.estimate_connected(context, state, chunk, weight, held)
         return found.image(film, values, chunk.weight, False)
 
 
@@ -143,28 +141,20 @@ class BidirectionalPathTracer(eqx.Module):
         return [FilmEdges("silhouettes"), _Connected(self.boundary)]
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: dict[str, Any] | None,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         del apart
         material = moving is not None and any(moving.seen)
-        key_path, key_radiance, key_terms = jax.random.split(key, 3)
-        primary, found = bidirectional_paths(packed, samples, key_film, key_path, self.settings, material)
-        share = sample_weights(samples, spp, found.value.dtype)
+        key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
+        primary, found = bidirectional_paths(packed, batch.samples, batch.key_film, key_path, self.settings, material)
+        share = batch.weights(found.value.dtype)
         value = found.value * found.weight[..., None]
         images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
             return images
         assert moving is not None  # what was prepared is for it
-        chunk = Chunk(samples, share, primary, found, key_radiance)
+        chunk = Chunk(batch.samples, share, primary, found, key_radiance)
         return images | term_images(self._context(packed, moving), self._terms(), prepared, chunk, key_terms)
 
 

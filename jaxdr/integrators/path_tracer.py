@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film.film_chains import FilmChains
 from jaxdr.boundary.film.film_edges import FilmEdges
@@ -19,10 +19,10 @@ from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.boundary.warped_area.warped_camera import WarpedCamera
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
+    Batch,
     check_rough_glass,
     edge_points_per_sample,
     prepare_terms,
-    sample_weights,
     term_images,
 )
 from jaxdr.moving import Moving
@@ -138,42 +138,34 @@ class PathTracer(eqx.Module):
         return [*terms, self.boundary] if any(moving.seen) or moving.environment else terms
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: dict[str, Any] | None,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         if moving is None:
-            return self._image(packed, samples, key_film, key, spp)
+            return self._image(packed, batch)
         context = None if prepared is None else self._context(packed, moving)
         settings, form = self.settings, "fixed"
         if context is not None:
             packed, form = context.packed, context.form
-        key_path, key_radiance, key_terms = jax.random.split(key, 3)
-        primary = primary_samples(packed, samples, key_film, settings.rays, form)
+        key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, form)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
         if record.near is not None:
             radiance += near_field_term(packed, primary, record)
-        weight = sample_weights(samples, spp, radiance.dtype)
+        weight = batch.weights(radiance.dtype)
         images = {"interior": pixel_sums(packed, radiance, weight)}
         if context is None or prepared is None:
             return images
-        chunk = Chunk(samples, weight, primary, record, key_radiance)
+        chunk = Chunk(batch.samples, weight, primary, record, key_radiance)
         return images | term_images(context, self._terms(moving, apart), prepared, chunk, key_terms)
 
-    def _image(self, packed: PackedScene, samples, key_film, key, spp: int) -> dict:
+    def _image(self, packed: PackedScene, batch: Batch) -> dict:
         """The same in value, for images that nobody differentiates."""
         settings = self.settings
-        primary = primary_samples(packed, samples, key_film, settings.rays, "fixed")
-        radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, key, settings)
-        return {"interior": pixel_sums(packed, radiance, sample_weights(samples, spp, radiance.dtype))}
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, "fixed")
+        radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, batch.key, settings)
+        return {"interior": pixel_sums(packed, radiance, batch.weights(radiance.dtype))}
 
     def _form(self, packed: PackedScene, moves: bool) -> str:
         """How first hits move, see `primary_samples`; without boundary terms of moving edges as they always did."""

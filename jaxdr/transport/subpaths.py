@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
+from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, radiance_towards
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_hit
@@ -152,25 +153,28 @@ def _step(packed: PackedScene, vertex: Subpath, u, adjoint: bool, power: int, ra
     onwards = jnp.where((forward > 0)[:, None], onwards, vertex.back)  # no zero vectors where sampling fails
     origin = scatterer.leave(onwards)
     following = material_hit(packed, intersect(packed, origin, onwards, vertex.point.valid & (forward > 0), rays))
-    return extend(vertex, scatterer, following, onwards, forward, lobe, adjoint, power)
+    return extend(vertex, scatterer, following, Onwards(onwards, forward, lobe), adjoint, power)
+
+
+class Onwards(NamedTuple):
+    """Detached directions, drawn with density `forward` (solid angle), or in a delta lobe.
+
+    There `lobe` has a probability, which then is `forward`; None in scenes without such lobes.
+    """
+
+    direction: Float[Array, "N 3"]
+    forward: Float[Array, " N"]
+    lobe: DeltaSample | None = None
 
 
 def extend(
-    vertex: Subpath,
-    scatterer: Scatterer,
-    following: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    forward: Float[Array, " N"],
-    lobe,
-    adjoint: bool,
-    power: int,
+    vertex: Subpath, scatterer: Scatterer, following: SurfacePoint, onwards: Onwards, adjoint: bool, power: int
 ) -> Subpath:
     """Subpaths with one more vertex, or what they meet at infinity where `following` is not valid.
 
-    It was found in the detached `direction`, drawn with density `forward` (solid angle) by `scatterer`, that of the
-    vertex seen from `back`, or in the delta lobe `lobe` (a `DeltaSample`; None in scenes without) where it has a
-    probability, which then is `forward`.
+    It was found `onwards`, by `scatterer`, that of the vertex seen from `back`.
     """
+    direction, forward, lobe = onwards
     point, hit = vertex.point, following.valid
     offset = following.position - point.position
     towards = jnp.where(hit[:, None], normalize(offset), direction)

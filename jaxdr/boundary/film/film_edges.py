@@ -116,7 +116,7 @@ class FilmEdges:
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
         first, wi, u, stream, size, given = flat
         emission = jnp.tile(seen, 2).astype(wi.dtype)
-        asked = request(first, wi, u, settings.max_depth - 1, stream, emission, size, given)
+        asked = request(first, wi, u, settings.max_depth - 1, stream, emission)._replace(seen=size, given=given)
         behind = points.distance.argmax(0)
         far = jax.tree.map(lambda x: _of_side(x, behind), points.first)
         return asked, _Held(points, behind, far.face, far.barycentric, far.valid, seen, crease)

@@ -15,13 +15,12 @@ from jaxdr.boundary.guided_edges.boundary_segments import (
     BoundarySegments,
     DirectionSampling,
     EmitterSampling,
-    Strategy,
     segment_ends,
 )
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.guided_edges.flux_maps import flux_maps
-from jaxdr.boundary.guided_edges.guide_target import segment_target
+from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
 from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
@@ -37,17 +36,6 @@ from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import lattice, path_numbers
-
-
-class Plan(NamedTuple):
-    """How segments are drawn by one strategy, and which of the light they carry counts.
-
-    `emission` of what they end on, `gathered`: light that it scatters. Static.
-    """
-
-    strategy: Strategy
-    emission: bool
-    gathered: bool
 
 
 class GuidedEdgesState(NamedTuple):
@@ -123,16 +111,16 @@ class GuidedEdges(eqx.Module):
         if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
             raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
 
-    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[Plan, ...]:
+    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[StrategyPlan, ...]:
         """The strategies that this scene needs at this depth."""
         indirect = settings.max_depth > 2
         glows = packed.has_area_emitters or packed.environment is not None
         plans = []
         if glows and self.sampling != "direction":
-            plans.append(Plan(EmitterSampling, True, False))
+            plans.append(StrategyPlan(EmitterSampling, True, False))
         by_direction = glows and self.sampling != "emitter"
         if by_direction or indirect:
-            plans.append(Plan(DirectionSampling, by_direction, indirect))
+            plans.append(StrategyPlan(DirectionSampling, by_direction, indirect))
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
@@ -156,7 +144,7 @@ class GuidedEdges(eqx.Module):
             lines = project_paths(detached, lunes, SEEDS * self._powers, key_paths, settings.rays)
         target = self._targets(detached, lunes, flags, key_maps, settings)
 
-        def guide(plan: Plan, key) -> Defended:
+        def guide(plan: StrategyPlan, key) -> Defended:
             seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
             return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
 
@@ -165,13 +153,12 @@ class GuidedEdges(eqx.Module):
 
     def _targets(
         self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
-    ) -> Callable[[Plan, PRNGKeyArray], Target]:
+    ) -> Callable[[StrategyPlan, PRNGKeyArray], Target]:
         """What guides of every plan are made for."""
         maps = flux_maps(detached, key, settings) if self.guide != "none" and settings.max_depth > 2 else None
 
-        def target(plan: Plan, key: PRNGKeyArray) -> Target:
-            options = plan.strategy, plan.emission, plan.gathered
-            return lambda primary: segment_target(detached, lunes, moving, maps, *options, primary, key, settings)
+        def target(plan: StrategyPlan, key: PRNGKeyArray) -> Target:
+            return segment_target(detached, lunes, moving, maps, plan, key, settings)
 
         return target
 
@@ -190,7 +177,7 @@ class GuidedEdges(eqx.Module):
         key_maps, *keys = jax.random.split(key, 3)
         target = self._targets(detached, edge_lunes(packed, moving, order), jnp.asarray(moving), key_maps, settings)
 
-        def refitted(plan: Plan, old: Defended, key) -> Defended:
+        def refitted(plan: StrategyPlan, old: Defended, key) -> Defended:
             new = old.guide.refitted(target(plan, key), self._evaluations, key)
             return self._defended(new, target(plan, key), packed, key)
 
@@ -211,7 +198,7 @@ class GuidedEdges(eqx.Module):
         self._plans_of(packed, settings, guides)
         return GuidedEdgesState(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
 
-    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[Plan, ...]:
+    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[StrategyPlan, ...]:
         """The plans that guides were built for; raises ValueError where they weren't."""
         _check(packed)
         plans = self.plans(packed, settings)

@@ -34,11 +34,9 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
-from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 from jaxdr.transport.sampler import seed_of
 
@@ -72,6 +70,22 @@ class BoundaryPoints(NamedTuple):
     share: Float[Array, " C"]
     valid: Bool[Array, " C"]
     used: Int[Array, ""]
+
+
+class _Near(NamedTuple):
+    """Segments near whose targets boundary points are looked for; those of no radius (`shrunk`) have none.
+
+    `sky`: an environment of varying radiance counts. The widest radius is relative to the length of the segment to the
+    target, or, `there`, to the boundary point.
+    """
+
+    paths: PathSegments
+    prepared: KernelDensityState
+    shrunk: Float[Array, " S"]
+    both_sides: bool
+    sky: bool
+    rays: str
+    there: bool = False
 
 
 class _Held(NamedTuple):
@@ -186,9 +200,10 @@ class KernelDensity(eqx.Module):
         if record.scattered is not None:
             paths = path_segments(packed, chunk, "scattered", differentiated=False)
             if self.trace_background:
-                capacity = self._capacity(paths.count)
-                tables = state.tree, state.radius, paths, shrunk, capacity
-                asked, behind = lobe_edges(packed, *tables, key_scattered, settings)
+                edges = queries.EdgeSet.of(packed.edges, state.radius, state.tree)
+                asked, behind = lobe_edges(
+                    packed, edges, paths, shrunk, self._capacity(paths.count), key_scattered, settings
+                )
             else:
                 scattered = self._near(packed, state, paths, shrunk, False, key_scattered, settings)
         return asked, _Held(direct, scattered, behind)
@@ -225,7 +240,7 @@ class KernelDensity(eqx.Module):
                 lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
         shrunk = jnp.where(lit, jnp.tile(shrunk, paths.count // paths.paths), 0.0)
-        found = self._boundary_points(packed, prepared, paths, shrunk, both_sides, sky, key, settings.rays)
+        found = self._boundary_points(_Near(paths, prepared, shrunk, both_sides, sky, settings.rays), key)
         segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
         radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
         transfer = paths.transfer(segment, ends, goal, paths.scatterer(segment, found.apex))
@@ -236,20 +251,16 @@ class KernelDensity(eqx.Module):
         far = table.infinite[segment], table.direction[segment]
         return OnPlanes(segment, found.edge, projection, *target, *far, weight), found.used
 
-    def _boundary_points(
-        self, packed, prepared, paths: PathSegments, shrunk, both_sides: bool, sky: bool, key, rays, there=False
-    ) -> BoundaryPoints:
-        """Boundary points within the kernel's radius of the segments' targets; those of no radius (`shrunk`) have none.
-
-        The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
-        """
+    def _boundary_points(self, near: "_Near", key) -> BoundaryPoints:
+        """Boundary points within the kernel's radius of the segments' targets."""
+        paths, prepared, shrunk, both_sides, sky, rays, there = near
+        packed = paths.packed
         ends = paths.fixed.ends(jnp.arange(paths.count))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
         if there:  # longer by a radius at most
             widest = widest / max(1.0 - self.widest, 0.5)
-        still = None if prepared.moving is None else paths.stand_still(prepared.moving.shapes)
-        pairs, edge, along, density = self._pairs(packed, prepared, ends, shrunk, widest, still, both_sides, key, rays)
+        pairs, edge, along, density = self._pairs(near, ends, widest, key)
 
         valid = pairs.segment >= 0
         used, segment = valid.sum(), jnp.where(valid, pairs.segment, 0)
@@ -285,27 +296,20 @@ class KernelDensity(eqx.Module):
         return BoundaryPoints(segment, edge, apex, ends, projection, goal, share, valid, used)
 
     def estimate_connected(
-        self,
-        packed: PackedScene,
-        prepared: KernelDensityState,
-        primary: PrimarySamples,
-        drawn: Drawn,
-        weight: Float[Array, "C N"],
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        rays: str,
+        self, context: Context, state: KernelDensityState, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]:
         """Boundary terms of the paths of all strategies: zero in value, right in derivative.
 
         `weight` is that of the strategies, zero where a path carries nothing. A path with a target close to a boundary
         stands for the one with that vertex on the boundary and all else as it is. Kernels lie on the visible side.
         """
-        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
-        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        packed = context.packed
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))
+        paths, used = PathSegments(packed, chunk.primary, target_segments(drawn)), layers(drawn).used()
         lit = (used[:, :, None] & (weight > 0)).any(1)
-        shrunk = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
-        shrunk = jnp.where(lit, shrunk, 0.0).reshape(-1)
-        found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
+        shrunk = jnp.where(lit, self._scale(chunk), 0.0).reshape(-1)
+        near = _Near(paths, state, shrunk, False, packed.has_varying_sky, context.settings.rays, there=True)
+        found = self._boundary_points(near, key)
         slots, count = rows_where(found.valid), found.valid.sum()
         moved = displacement(packed, found.edge, found.ends, found.projection)
         moved = moved - stop_gradient(moved)
@@ -332,25 +336,27 @@ class KernelDensity(eqx.Module):
     def _capacity(self, segments: int) -> int:
         return min(max(4096, round(self.capacity * segments)), 1 << 24)
 
-    def _pairs(self, packed, prepared, ends: SegmentEnds, shrunk, widest, still, both_sides, key, rays: str):
+    def _pairs(self, near: "_Near", ends: SegmentEnds, widest, key):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None).
 
-        Segments that stand `still` only have moving edges near them.
+        Segments that stand still only have moving edges near them.
         """
-        capacity = self._capacity(shrunk.shape[0])
+        packed, prepared, shrunk = near.paths.packed, near.prepared, near.shrunk
         key_points, key_seed = jax.random.split(key)
         seed = seed_of(key_seed)
-        radius = prepared.radius
-        every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
+        every = queries.EdgeSet.of(packed.edges, prepared.radius, prepared.tree)
         strips = queries.StripQuery(ends.apex, ends.target, ends.normal, shrunk, widest)
-        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
+        options: dict[str, Any] = dict(
+            capacity=self._capacity(shrunk.shape[0]), both_sides=near.both_sides, implementation=near.rays
+        )
         if self.kernel == "edge":
-            if still is None:
+            if prepared.moving is None:
                 pairs = queries.edge_candidates(packed.geometry, every, strips, seed, **options)
             else:
+                still = near.paths.stand_still(prepared.moving.shapes)
                 pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
             return pairs, pairs.element, None, None
-        return near_points(packed, every, radius, self.points, strips, key_points, seed, options)
+        return near_points(packed, every, self.points, strips, key_points, seed, options)
 
 
 def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:

@@ -39,7 +39,6 @@ def shrinking_radii(alpha: float, iterations: int) -> list[float]:
 def near_points(
     packed: PackedScene,
     edges: queries.EdgeSet,
-    radius: Float[Array, " E"],
     count: int,
     strips: queries.StripQuery,
     key: PRNGKeyArray,
@@ -48,9 +47,10 @@ def near_points(
 ) -> tuple[queries.Candidates, Int[Array, " C"], Float[Array, " C"], Float[Array, ""]]:
     """(candidates, their edges, fractions along these, length of edges per point): points on edges near targets.
 
-    `count` points are drawn. Kernel radii are those of the edges (scene units); `options` are for
+    `count` points are drawn. Kernel radii are the ranks of the edges (scene units); `options` are for
     `queries.point_candidates`.
     """
+    radius = edges.rank
     edge, along, length = edge_points(packed, radius, count, key)
     position = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edge]]), along)
     points = queries.EdgePoints(position, edge, radius[edge])

@@ -1,6 +1,7 @@
 """Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius."""
 
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -45,6 +46,10 @@ class Spread(NamedTuple):
     expected: Float[Array, "B P n"]
     kept: Float[Array, ""]
     key: PRNGKeyArray
+
+    def beside(self, **ways: Any) -> "Spread":
+        """The same, of which other kinds of chords find some of the light."""
+        return self._replace(lines=dataclasses.replace(self.lines, **ways))
 
 
 class _Held(NamedTuple):
@@ -145,30 +150,29 @@ class LineSampling(eqx.Module):
         """(chords on emitters or None; those around BSDF samples, around a map's, towards lamps of many faces)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
-        on_emitters = EmitterLines(packed, state, paths, settings)
-        around_lobes = LobeLines(packed, state, paths, settings, self.reach)
+        one_light = settings._replace(max_depth=2)  # none from what else is behind a silhouette
         emitters = lobes = skies = lamps = None
         if packed.has_area_emitters and packed.clusters is None:
-            emitters = self._spread(on_emitters, throughput, key_emitters)
+            emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
-            lobes = self._spread(around_lobes, carries, key_lobes)
+            lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
-            around_sky = SkyLines(packed, state, paths, settings)
-            skies = self._spread(around_sky, throughput, jax.random.fold_in(key, 3))
+            skies = self._spread(SkyLines(packed, state, paths, one_light), throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
-            around_sky.both = around_lobes.skies = SkyShare(packed, paths, self.reach, *numbers)
+            share = SkyShare(packed, paths, self.reach, *numbers)
+            skies, lobes = skies.beside(both=share), lobes.beside(skies=share)
         if packed.clusters is not None:
-            at_lamps = LampLines(packed, state, paths, settings)
-            lamps = self._spread(at_lamps, throughput, key_emitters)
+            lamps = self._spread(LampLines(packed, state, paths, one_light), throughput, key_emitters)
             if lobes is not None and settings.mis:
                 numbers = lamps.expected * lamps.kept, lobes.expected * lobes.kept
-                at_lamps.both = around_lobes.both = LampShare(packed, self.reach, *numbers)
+                share = LampShare(packed, self.reach, *numbers)
+                lamps, lobes = lamps.beside(both=share), lobes.beside(both=share)
         if emitters is not None and lobes is not None and settings.mis:
-            both = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
-            on_emitters.both = around_lobes.both = both
+            share = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
+            emitters, lobes = emitters.beside(both=share), lobes.beside(both=share)
         return emitters, [spread for spread in (lobes, skies, lamps) if spread is not None]
 
     def _spread(self, lines: ChordKind, carries, key) -> Spread:

@@ -8,6 +8,7 @@ is a face of the cluster.
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -18,14 +19,13 @@ from jaxtyping import Array, Float, Int
 from jaxdr.boundary.line_sampling.chords import Chords, balance, lobe_rate, random_across
 from jaxdr.boundary.line_sampling.crossings import (
     WIDEST,
+    ChordKind,
     Chosen,
     Crossings,
-    LineSamplingState,
     lobe_reach,
     silhouette_crossings,
 )
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
-from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
@@ -33,9 +33,7 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
-from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
 
@@ -166,22 +164,16 @@ class LampShare(NamedTuple):
         return jnp.where(point.valid, 1.0 - share, 0.0)
 
 
-class LampLines:
+@dataclass(frozen=True)
+class LampLines(ChordKind):
     """Chords towards clusters of emitting faces."""
 
-    traces_paths = True
-
-    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
-        self.packed, self.prepared, self.paths = packed, prepared, paths
-        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
-        self.both: LampShare | None = None
+    both: LampShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):
-        """(chords, crossings, weight of the thinning, number of crossings)."""
         packed = self.packed
         key_chord, key_seed = jax.random.split(key)
-        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 4, packed.vertices.dtype)[0]
-        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer, u = self.starts(chosen, key_chord, 4)
         assert packed.clusters is not None  # else `EmitterLines` finds their light
         drawn = lamp_chords(packed.clusters, stop_gradient(scatterer.point.position), u)
         apex = scatterer.leave_scattering(drawn.centre)
@@ -200,9 +192,7 @@ class LampLines:
         """Requests for the emission behind crossings, and what it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
-        behind, background = look_behind(
-            packed, scatterer, seen, found.edge, found.along, scale(value, weight), found.valid, self.settings
-        )
+        behind, background = look_behind(packed, scatterer, seen, scale(value, weight), found.valid, self.settings)
         clusters, face = packed.clusters, background.face
         cut = clusters.cut(stop_gradient(scatterer.point.position))
         aimed_at = packed.emitter_density[face] > 0

@@ -82,9 +82,9 @@ def warped_camera_term(
     value = f(ends.target)
     lit = (value != 0).any(-1)
     # A camera lies in no face that could hide anything.
-    around = warp.around(fixed, True, fixed.environment is not None)._replace(horizon=False)
+    around = warp.around(fixed, True, fixed.environment is not None, settings.rays)._replace(horizon=False)
     apex = _apex(fixed, fixed_view, ends)
-    velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
+    velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key)
 
     def moved(slot):
         row = velocities.row(slot)
