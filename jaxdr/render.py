@@ -15,7 +15,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr import loops
-from jaxdr.boundary.shared.texture_jumps import check_still_maps
+from jaxdr.boundary.shared.refusals import refuse
+from jaxdr.boundary.shared.texture_jumps import MOVED_MAPS
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
@@ -133,7 +134,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
         _say_default(scene, static, moving)
     integrator = eqx.combine(program.integrator, arrays)
     if integrator.boundary is not None:
-        check_still_maps(flags)
+        refuse((MOVED_MAPS,), flags)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.boundary.shared.term import Chunk, Context, Term, detached, named_key
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import nested, spreads_through
@@ -120,8 +121,9 @@ def edge_points_per_sample(integrator) -> float:
     return integrator.edge_samples
 
 
-def check_rough_glass(scene: Scene) -> None:
-    """Raises ValueError where the boundary terms of light that spreads through a surface are missing or not tested."""
+def _rough_glass(asked: Asked) -> str | None:
+    """Where the boundary terms of light that spreads through a surface are missing or not tested."""
+    scene = asked.scene
     for name, shape in scene.shapes.items():
         bsdf = unwrap(shape.bsdf)
         if not spreads_through(bsdf):
@@ -134,7 +136,15 @@ def check_rough_glass(scene: Scene) -> None:
         elif scene.lights:
             what, remedy = "beside lights without area", "lights with an area"
         if what is not None:
-            raise ValueError(
+            return (
                 f"render: visibility changes seen through rough glass {what} have no derivative yet ({name}); take "
-                f"{remedy}, differentiate nothing that moves, or boundary=None for the interior term alone"
+                f"{remedy}, differentiate nothing that moves, {INTERIOR}"
             )
+    return None
+
+
+ROUGH_GLASS = Refusal(
+    "rough glass in masks, blends and normal maps, with interpolated normals, or beside lights without area",
+    "rough glass alone, flat faces, lights with an area",
+    _rough_glass,
+)

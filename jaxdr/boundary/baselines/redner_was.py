@@ -23,6 +23,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
+from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import (
@@ -37,6 +38,22 @@ from jaxdr.boundary.warped_area.divergence import (
 from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
+
+
+def _indirect(asked: Asked) -> str | None:
+    if asked.settings.max_depth <= 2:
+        return None
+    depth = asked.settings.max_depth
+    return f"RednerWAS: direct light only, but max_depth is {depth}; set max_depth=2, or take WarpedArea"
+
+
+def _glow(asked: Asked) -> str | None:
+    if not asked.packed.glow:
+        return None
+    return (
+        "RednerWAS: emitters with textures are not covered: seams of a texture are jumps on the sphere that "
+        "move; take emitters of one radiance, or WarpedArea"
+    )
 
 
 class RednerWAS(WarpedTerm):
@@ -66,24 +83,19 @@ class RednerWAS(WarpedTerm):
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
 
+    refusals = (
+        Refusal("`max_depth` above 2", "`max_depth=2`, `WarpedArea`", _indirect),
+        Refusal("emitters with textures", "emitters of one radiance, `WarpedArea`", _glow),
+    )
+
     def __check_init__(self):
         check_options(self, ("samples",))
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
         del key  # every face may bound what moving surfaces see, whatever moves
-        packed, settings = context.packed, context.settings
-        if settings.max_depth > 2:
-            raise ValueError(
-                f"RednerWAS: direct light only, but max_depth is {settings.max_depth}; set max_depth=2, or take "
-                "WarpedArea"
-            )
-        if packed.glow:
-            raise ValueError(
-                "RednerWAS: emitters with textures are not covered: seams of a texture are jumps on the sphere that "
-                "move; take emitters of one radiance, or WarpedArea"
-            )
-        return connect_faces(packed)
+        refuse(self.refusals, Asked(context.packed, context.settings))
+        return connect_faces(context.packed)
 
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
         """Direct light."""

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import affine_coordinates, never_silhouettes, occluded_side, past_edge
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (
@@ -248,10 +249,21 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
     )
 
 
+def _camera(asked: Asked) -> str | None:
+    camera = asked.packed.camera
+    if isinstance(camera, Perspective):
+        return None
+    return (
+        f"render: hard shadows seen by a {type(camera).__name__} camera have no derivative yet; "
+        f"take a Perspective, {INTERIOR}"
+    )
+
+
 class HardShadows:
     """Term of the edges of hard shadows, in the image and on what paths meet."""
 
     name = "shadows"
+    refusals = (Refusal("cameras other than `Perspective`", "`Perspective`", _camera),)
 
     def prepare(self, context: Context, key) -> ShadowDistribution | None:
         """Raises ValueError for cameras whose shadows have no derivative yet."""
@@ -259,11 +271,7 @@ class HardShadows:
         packed, moving = context.packed, context.moving
         if not packed.light_count or context.settings.max_depth == 1:
             return None
-        if not isinstance(packed.camera, Perspective):
-            raise ValueError(
-                f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; "
-                "take a Perspective, or boundary=None for the interior term alone"
-            )
+        refuse(self.refusals, Asked(packed, context.settings))
         lights = moving.lights or (False,) * packed.light_count
         return shadow_distribution(packed, moving.seen, lights, context.settings)
 

@@ -26,6 +26,7 @@ from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, 
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, stream_of
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import spreads_through
@@ -69,6 +70,17 @@ class _Drawn(NamedTuple):
     used: Int[Array, ""]
 
 
+def _refusal(what: str, covered: str, found: Callable[[PackedScene], Any]) -> Refusal:
+    def message(asked: Asked) -> str | None:
+        packed = asked.packed
+        if packed is None or not found(packed):
+            return None
+        covers = covered.format(type(packed.camera).__name__)
+        return f"render: GuidedEdges covers {covers}; take KernelDensity or LineSampling, {INTERIOR}"
+
+    return Refusal(what, "`KernelDensity`, `LineSampling`", message)
+
+
 class GuidedEdges(eqx.Module):
     """Boundary term from segments that are drawn on edges. All fields are static.
 
@@ -101,6 +113,29 @@ class GuidedEdges(eqx.Module):
 
     name = "boundary"
 
+    refusals = (
+        _refusal(
+            "mirrors and smooth glass",
+            "no visibility changes over mirrors and smooth glass",
+            lambda packed: packed.has_delta_lobes,
+        ),
+        _refusal(
+            "interpolated normals",
+            "no horizons of surfaces with interpolated normals",
+            lambda packed: packed.normals is not None,
+        ),
+        _refusal(
+            "rough glass",
+            "nothing that is seen through rough glass",
+            lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
+        ),
+        _refusal(
+            "cameras other than `Perspective`",
+            "no {} camera, only Perspective",
+            lambda packed: not isinstance(packed.camera, Perspective),
+        ),
+    )
+
     def __check_init__(self):
         guides = "none", "grid", "kdtree", "projective"
         for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", guides)):
@@ -130,7 +165,7 @@ class GuidedEdges(eqx.Module):
 
     def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
         """The same for shapes that can move. Raises ValueError as `prepare`."""
-        _check(packed)
+        refuse(self.refusals, Asked(packed, settings))
         detached = jax.tree.map(stop_gradient, packed)
         lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
@@ -200,7 +235,7 @@ class GuidedEdges(eqx.Module):
 
     def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[StrategyPlan, ...]:
         """The plans that guides were built for; raises ValueError where they weren't."""
-        _check(packed)
+        refuse(self.refusals, Asked(packed, settings))
         plans = self.plans(packed, settings)
         if len(plans) != len(guides):
             raise ValueError(
@@ -331,21 +366,3 @@ class GuidedEdges(eqx.Module):
 
 def _nonzero(x) -> Any:
     return jnp.where(x > 0, x, 1.0)
-
-
-def _check(packed: PackedScene) -> None:
-    """Raises ValueError for what no segment covers, and for what has not been verified yet."""
-    what = None
-    if packed.has_delta_lobes:
-        what = "no visibility changes over mirrors and smooth glass"
-    elif packed.normals is not None:
-        what = "no horizons of surfaces with interpolated normals"
-    elif any(spreads_through(group.bsdf) for group in packed.bsdfs):
-        what = "nothing that is seen through rough glass"
-    elif not isinstance(packed.camera, Perspective):
-        what = f"no {type(packed.camera).__name__} camera, only Perspective"
-    if what is not None:
-        raise ValueError(
-            f"render: GuidedEdges covers {what}; take KernelDensity or LineSampling, or boundary=None for the interior "
-            "term alone"
-        )

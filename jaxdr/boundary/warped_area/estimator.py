@@ -12,6 +12,7 @@ from jaxdr.boundary.shared.blocks import sum_over_blocks
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.shared.projection import affine_coordinates
+from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import (
@@ -30,6 +31,15 @@ from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.moved_paths import layers, moved_contributions, target_segments
 from jaxdr.transport.path import Segments
 from jaxdr.transport.shading import Scatterer
+
+
+def _deep_hard_shadows(asked: Asked) -> str | None:
+    if not asked.packed.light_count or asked.settings.max_depth <= 2:
+        return None
+    return (
+        "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
+        "area, max_depth=2, or another boundary estimator"
+    )
 
 
 class WarpedArea(WarpedTerm):
@@ -69,6 +79,14 @@ class WarpedArea(WarpedTerm):
     spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
 
+    refusals = (
+        Refusal(
+            "lights without area, from `max_depth=3` on",
+            "lights with an area, `max_depth=2`, another estimator",
+            _deep_hard_shadows,
+        ),
+    )
+
     def __check_init__(self):
         check_options(self, ("samples", "projections"))
 
@@ -81,13 +99,8 @@ class WarpedArea(WarpedTerm):
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
         del key  # every face may bound what moving surfaces see, whatever moves
-        packed, settings = context.packed, context.settings
-        if packed.light_count and settings.max_depth > 2:
-            raise ValueError(
-                "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
-                "area, max_depth=2, or another boundary estimator"
-            )
-        return connect_faces(packed)
+        refuse(self.refusals, Asked(context.packed, context.settings))
+        return connect_faces(context.packed)
 
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
         """Direct light, and what BSDF-sampled segments carry."""
