@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, radiance_towards
@@ -77,7 +78,7 @@ def relative_densities(
 
 def quotient(density, other) -> Float[Array, "*n"]:
     """density / other, zero where there is no `other`: no path has such a vertex."""
-    return jnp.where(other > 0, density / jnp.where(other > 0, other, 1.0), 0.0)
+    return safe_divide(density, other, otherwise=0.0)
 
 
 def camera_start(packed: PackedScene, primary: PrimarySamples) -> Subpath:
@@ -115,7 +116,7 @@ def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2
     whole = sample.pdf * density
     carries = emits & hit & (whole > 0)
     radiance = radiance_towards(packed, sample, -away)
-    throughput = radiance * (leaving / distance2 * change / jnp.where(carries, whole, 1.0))[:, None]
+    throughput = radiance * safe_divide(leaving / distance2 * change, whole, carries)[:, None]
     throughput = jnp.where(carries[:, None], throughput, 0.0)
     # Of the strategies that end before x_1 only one is left: the camera subpath that finds the emitter by itself.
     found = jnp.where(has_area | infinite, 1.0, 0.0)
@@ -188,7 +189,7 @@ def extend(
     # f_s |cos| towards the emitter, times the geometric term without that cosine.
     value = turned.eval(vertex.back) if adjoint else scatterer.eval(towards)
     geometry = (leaving if adjoint else arriving) / distance2 * jnp.where(hit, following.area_ratio(), 1.0)
-    factor = value * (geometry / jnp.where(carries, density, 1.0))[:, None]
+    factor = value * safe_divide(geometry, density, carries)[:, None]
     joined = before = vertex.joined
     if lobe is not None:
         chosen, reverses = lobe.probability > 0, scatterer.delta_reverses(turned, towards)

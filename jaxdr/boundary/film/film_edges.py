@@ -16,6 +16,7 @@ from jaxdr.boundary.film.edge_distribution import EdgeDistribution, edge_distrib
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.boundary.shared.term import Chunk, Context, named_key, streams
 from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
@@ -197,7 +198,7 @@ def _edge_points(
     if camera.aperture:
         # From a point of the lens an equal step of the fraction is an equal step on the film, too.
         start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
-        weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
+        weight = safe_divide(weight * norm(end - start), d.extent)
     film_point = view.project(point)
 
     x, y = components(normalize(end - start))

@@ -35,6 +35,7 @@ from jaxdr.geometry.vector import (
     triangle_normals,
     z_of,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -42,7 +43,7 @@ from jaxdr.scene.splat import splat
 from jaxdr.transport.emission import light_intensity, light_places
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import lattice, sample_cdf
 from jaxdr.transport.shading import Scatterer
 
 FLOOR = 0.25  # share of the points that goes to silhouettes by their length alone, as their light sees them
@@ -122,7 +123,7 @@ def shadow_distribution(
         received = jnp.where(moves & points.point.valid, received * norm(points.tangent), 0.0)
         offset = jnp.where(infinite[light], packed.size, norm(ends_of(lines) - places[light]))
         sides = lines.ends[:, 1] - lines.ends[:, 0]
-        length = jnp.where(used, norm(sides) / jnp.where(offset > 0, offset, 1.0), 0.0)
+        length = jnp.where(used, safe_divide(norm(sides), offset), 0.0)
         return for_film, received, length
 
     def ends_of(lines):
@@ -149,8 +150,8 @@ def shadow_distribution(
 def _mass(table, length):
     """What the pilot found, and a floor for every silhouette."""
     whole, total = length.sum(), table.sum()
-    even = length / jnp.where(whole > 0, whole, 1.0)
-    found = table / jnp.where(total > 0, total, 1.0)
+    even = safe_divide(length, whole)
+    found = safe_divide(table, total)
     return FLOOR * even + (1.0 - FLOOR) * found
 
 
@@ -222,7 +223,7 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
         ray = jnp.where(infinite, -place, edge_point - place)
         normal = triangle_normals(triangle)
         slope = dot(normal, ray)
-        distance = dot(normal, corners(triangle)[0] - edge_point) / jnp.where(found & (slope != 0), slope, 1.0)
+        distance = safe_divide(dot(normal, corners(triangle)[0] - edge_point), slope, found & (slope != 0))
         return edge_point + scale(ray, jnp.where(found, distance, 0.0))
 
     triangle = packed.vertices[packed.faces[face]]
@@ -243,7 +244,7 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
         position=position,
         point=point,
         towards=towards,
-        arriving=scale(intensity, 1.0 / jnp.where(distance2 > 0, distance2, 1.0)),
+        arriving=scale(intensity, safe_divide(1.0, distance2)),
         tangent=moved(stop_gradient(end - start)),
         lit=moved(-lines.dark),
     )
@@ -365,7 +366,7 @@ def _visible(detached: PackedScene, points: ShadowPoints, seen: _OnFilm, setting
         reach = jnp.where(visible, 1e30, 0.0).astype(direction.dtype)
         hit = queries.closest_hit(detached.geometry, queries.Rays(origin, direction, reach), settings.rays)
         slope = dot(point.normal, direction)
-        expected = dot(point.normal, point.position - origin) / jnp.where(slope == 0, 1.0, slope)
+        expected = safe_divide(dot(point.normal, point.position - origin), slope)
         normal = normalize(detached.face_normals()[jnp.maximum(hit.face, 0)])
         close = jnp.abs(hit.t - expected) < 1e-4 * jnp.abs(expected)
         same = (hit.face == point.face) | (close & (dot(normal, point.normal) > SAME_SURFACE))
@@ -416,10 +417,9 @@ def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tupl
     """Points on lines, spread evenly, and 1 / density per unit of the line's parameter. Each could be anywhere."""
     u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)[0]
     total = cdf[-1]
-    entry = jnp.clip(jnp.searchsorted(cdf, u[:, 0] * total, side="right"), 0, cdf.shape[0] - 1)
-    mass = cdf[entry] - jnp.where(entry > 0, cdf[entry - 1], 0.0)
+    entry, _, mass = sample_cdf(cdf, u[:, 0] * total)
     used = mass > 0
-    weight = jnp.where(used, total / jnp.where(used, mass, 1.0), 0.0)
+    weight = safe_divide(total, mass, used, 0.0)
     light, edge = jnp.divmod(entry, packed.edges.vertices.shape[0])
     weight = jnp.where(light < packed.light_count, packed.edges.shared(edge, weight), weight)
     return _lines(packed, entry, u[:, 1], used), weight

@@ -29,7 +29,9 @@ from jaxdr.geometry.vector import (
     orthonormal_basis,
     scale,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.sampler import sample_cdf
 
 STILL = 0.25  # share of the samples that goes to edges that do not move, where others do: receivers and lights move too
 
@@ -118,7 +120,7 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
         moves = jnp.asarray(moving)[edges.shape[number]]
         moved, still = jnp.where(moves, weight, 0.0).sum(), jnp.where(moves, 0.0, weight).sum()
         both = (moved > 0) & (still > 0)
-        share = jnp.where(both, jnp.where(moves, (1 - STILL) / moved, STILL / jnp.where(both, still, 1.0)), 1.0)
+        share = jnp.where(both, jnp.where(moves, (1 - STILL) / moved, safe_divide(STILL, still, both)), 1.0)
         weight = weight * share
     cdf = jnp.cumsum(weight)
     total = jnp.where(cdf[-1] > 0, cdf[-1], 1.0)
@@ -130,10 +132,8 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
 
 def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> LunePoints:
     """Points on edges from the first primary number."""
-    row = jnp.clip(jnp.searchsorted(lunes.cdf, u, side="right"), 0, lunes.cdf.shape[0] - 1)
-    before = jnp.where(row > 0, lunes.cdf[row - 1], 0.0)
-    mass = lunes.cdf[row] - before
-    return LunePoints(row, jnp.clip((u - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0))
+    row, along, _ = sample_cdf(lunes.cdf, u)
+    return LunePoints(row, along)
 
 
 def edge_number(lunes: EdgeLunes, points: LunePoints) -> Float[Array, " n"]:
@@ -173,11 +173,11 @@ def lune_directions(lunes: EdgeLunes, row: Int[Array, " n"], u: Float[Array, "n 
 def lune_numbers(lunes: EdgeLunes, row: Int[Array, " n"], passed: Passing) -> Float[Array, "n 2"]:
     """The inverse of `lune_directions`."""
     width = lunes.width[row]
-    share = jnp.clip(passed.turn / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
+    share = jnp.clip(safe_divide(passed.turn, width), 0.0, 1.0)
     return from_components(0.5 * (passed.lune + share), 0.5 * (1.0 - passed.cosine))
 
 
 def lune_pdf(lunes: EdgeLunes, row: Int[Array, " n"]) -> Float[Array, " n"]:
     """Density (solid angle) of `lune_directions`."""
     width = lunes.width[row]
-    return jnp.where(width > 0, 0.25 / jnp.where(width > 0, width, 1.0), 0.0)
+    return safe_divide(0.25, width, otherwise=0.0)

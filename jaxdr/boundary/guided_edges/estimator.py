@@ -29,6 +29,7 @@ from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, stream_of
 from jaxdr.geometry.vector import scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
@@ -348,7 +349,7 @@ class GuidedEdges(eqx.Module):
             if plan.emission:
                 density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
                 sent = emitted(packed, ends.source, -segments.towards)
-                sent = jnp.where(lit.any(-1)[:, None], scale(sent, share / _nonzero(density)), 0.0)
+                sent = jnp.where(lit.any(-1)[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
             if plan.gathered:
                 # Not of the lattice that segments come from: its rows would differ from theirs by a shift alone.
                 numbers = path_numbers(key_source, slot, 0, value.dtype)
@@ -356,13 +357,9 @@ class GuidedEdges(eqx.Module):
                 for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
                     bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
                     asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
-            inverse = share / _nonzero(pdf[number])
+            inverse = safe_divide(share, pdf[number], pdf[number] > 0)
             row = _Row(segments, ends, value, seen.film_point.swapaxes(0, 1), seen.lens, sent, inverse)
             return asked, row
 
         asked, found = map_over_blocks(rows, slots, used)
         return asked, _Drawn(found, used)
-
-
-def _nonzero(x) -> Any:
-    return jnp.where(x > 0, x, 1.0)

@@ -11,6 +11,7 @@ from jaxdr.boundary.guided_edges.beam import detect, moves
 from jaxdr.boundary.guided_edges.boundary_segments import Strategy, segment_ends
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
@@ -49,7 +50,7 @@ def segment_target(
         ends = segment_ends(packed, drawn, drawn.silhouette, settings.rays)
         ends = ends._replace(valid=ends.valid & moves(packed, moving, lunes, drawn, ends))
         density = strategy.density(packed, lunes, drawn, ends)
-        weight = jnp.where(ends.valid & (density > 0), 1.0 / jnp.where(density > 0, density, 1.0), 0.0)
+        weight = jnp.where(ends.valid & (density > 0), safe_divide(1.0, density), 0.0)
         number = jnp.arange(primary.shape[0])
         seen = detect(packed, drawn, ends, weight, number, key, settings._replace(max_depth=2))
         importance = luminance(seen.value[0])

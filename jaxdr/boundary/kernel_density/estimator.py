@@ -33,6 +33,7 @@ from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint, leave
@@ -267,7 +268,7 @@ class KernelDensity(eqx.Module):
         ends = paths.ends(segment)
         apex, projection = paths.fixed.apex(segment), project_edges(packed, edge, ends, along)
         r = prepared.radius[edge] * shrunk[segment]
-        magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+        magnified = safe_divide(r, projection.fraction, projection.fraction > 0)
         limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
         r = jnp.maximum(r, jnp.minimum(magnified, limit))
         r = jnp.where(valid, r, 1.0)
@@ -286,7 +287,7 @@ class KernelDensity(eqx.Module):
             if self.clip_to_face:
                 width, whole_face, on_face = _strip_in_face(packed, ends, projection, r, both_sides)
                 valid = valid & on_face
-            share = 1.0 / jnp.where(valid, width, 1.0)
+            share = safe_divide(1.0, width, valid)
         else:
             assert density is not None  # there where the kernel is one of points
             share = share_of_disc(density, projection.stretch, r, both_sides)
@@ -415,7 +416,7 @@ def _sees_past_edge(
     past = past_edge(projection.edge_point, apex.position, projection.normal)
     start = leave(apex, past - apex.position)
     # Through `past` whatever the offset of the start.
-    reach = scale(past - start, 1.0 / jnp.where(fraction > 0, fraction, 1.0))
+    reach = scale(past - start, safe_divide(1.0, fraction, fraction > 0))
     # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
     # that the target, less than a radius away, can be seen.
     short = r / jnp.maximum(norm(reach), r)

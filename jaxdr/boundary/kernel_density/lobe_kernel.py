@@ -22,6 +22,7 @@ from jaxdr.boundary.shared.projection import foot_on_edge
 from jaxdr.boundary.shared.sampled_arcs import sampled_arc
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
@@ -94,7 +95,7 @@ def _kernel(scatterer, centre, boundary, pole, limit):
         t, mass = jnp.arcsin(jnp.clip(dot(centre, pole), -1.0, 1.0)), arc.strip()
         value = arc.at(t)
         counts = (mass > 0) & (value > 0) & arc.contains(t)
-        return jnp.where(counts, value / jnp.where(counts, mass, 1.0), 0.0), counts
+        return safe_divide(value, mass, counts, 0.0), counts
     height = scatterer.cosine(centre)
     side = jnp.sign(height)
     a, b = side * scatterer.cosine(boundary), side * scatterer.cosine(pole)
@@ -107,4 +108,4 @@ def _kernel(scatterer, centre, boundary, pole, limit):
 
     mass = primitive(high) - primitive(low)
     counts = (a > 0) & (jnp.abs(dot(centre, pole)) <= limit) & (mass > 0)
-    return jnp.where(counts, jnp.abs(height) / jnp.where(counts, mass, 1.0), 0.0), counts
+    return safe_divide(jnp.abs(height), mass, counts, 0.0), counts

@@ -29,6 +29,7 @@ from jaxdr.boundary.shared.on_planes import OnPlanes
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import project_edges
 from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
@@ -114,7 +115,7 @@ class EmitterLines(ChordKind):
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
         projection, weight, _, _ = self._boundary(drawn, found)
-        return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+        return safe_divide(luminance(weight), projection.fraction, projection.fraction > 0)
 
     def on_planes(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> OnPlanes:
         """The crossings as points on the emitters' planes, with their contributions times `weight`."""
@@ -153,4 +154,4 @@ def _projected(lines: EmitterLines, found: Crossings, apex, centre: SurfacePoint
     fixed = lines.paths.fixed.packed
     offset = between(*corners(fixed.vertices[fixed.edges.vertices[found.edge]]), found.along) - apex
     slope = dot(normal, offset)
-    return apex + scale(offset, dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))
+    return apex + scale(offset, safe_divide(dot(normal, target - apex), slope))

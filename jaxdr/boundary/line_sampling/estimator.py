@@ -32,6 +32,7 @@ from jaxdr.boundary.shared.path_segments import PathSegments, path_segments
 from jaxdr.boundary.shared.projection import never_silhouettes
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Answers, Requests, joined
@@ -191,7 +192,7 @@ class LineSampling(eqx.Module):
             drawn, found, thinned, used = lines.search(chosen, key_pilot_chords, self._room(count))
 
             def scores(block: Crossings, number):
-                score = lines.score(drawn, block) * (thinned / jnp.where(block.valid, carries[block.vertex], 1.0))
+                score = lines.score(drawn, block) * safe_divide(thinned, carries[block.vertex], block.valid)
                 score = jnp.where(block.valid & (number < used), score, 0.0)
                 return jnp.zeros(chosen.vertex.shape[0], score.dtype).at[block.chord].add(score)
 

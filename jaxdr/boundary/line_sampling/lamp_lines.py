@@ -29,6 +29,7 @@ from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, se
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
@@ -70,7 +71,7 @@ def cone_to(clusters: EmitterClusters, node: Int[Array, " M"], apex: Float[Array
     offset = clusters.centre[node] - apex
     distance = norm(offset)
     away = distance > 0
-    sine = jnp.where(away, clusters.radius[node] / jnp.where(away, distance, 1.0), 2.0)
+    sine = safe_divide(clusters.radius[node], distance, away, 2.0)
     return Cone(normalize(jnp.where(away[:, None], offset, 1.0)), sine)
 
 
@@ -100,7 +101,7 @@ class LampChords(NamedTuple):
         return Chords(
             first=at(self.low),
             last=at(self.high),
-            centre=before / jnp.where(both > 0, both, 1.0),
+            centre=safe_divide(before, both, both > 0),
             group=jnp.full(self.pdf.shape, UNBOUNDED),
             useful=(self.pdf > 0) & (both > 0),
         )
@@ -223,5 +224,5 @@ class LampLines(ChordKind):
             counts = counts & (t > low) & (t < high)
         length = high - low
         counts = counts & (pdf > 0) & (length > 0)
-        weight = jnp.where(counts, 0.5 * math.pi / jnp.where(counts, length * pdf, 1.0), 0.0)
+        weight = safe_divide(0.5 * math.pi, length * pdf, counts, 0.0)
         return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)

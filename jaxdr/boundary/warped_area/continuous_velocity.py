@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.shared.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import components, dot, interpolate, norm, normalize, orthonormal_basis, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import detached_barycentric
 from jaxdr.transport.sampler import uniform
@@ -190,7 +191,7 @@ def shares_of(weights: Float[Array, "N Q C"]) -> Float[Array, "N Q C"]:
     # -inf where there are no points at all: exp(-inf - 0) is zero, exp(-inf + inf) is not a number.
     raised = jnp.exp(weights - jnp.where(largest == -jnp.inf, 0.0, largest))
     total = raised.sum((1, 2), keepdims=True)
-    return raised / jnp.where(total > 0, total, 1.0)
+    return safe_divide(raised, total)
 
 
 def velocity_field(
@@ -236,5 +237,5 @@ def _score_terms(share: Float[Array, "N Q"], score: Float[Array, "N Q"]) -> Floa
     """
     others = 1.0 - jnp.eye(share.shape[1], dtype=share.dtype)
     rest = (share[:, None] * others).sum(-1)  # 1 - A_i, without cancellation
-    part = jnp.where(rest > 0, share**2 * score / jnp.where(rest > 0, rest, 1.0), 0.0)
+    part = safe_divide(share**2 * score, rest, otherwise=0.0)
     return share * score - (part[:, None] * others).sum(-1)

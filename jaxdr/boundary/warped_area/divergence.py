@@ -27,6 +27,7 @@ from jaxdr.geometry.vector import (
     scale,
     triangle_normals,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint
@@ -199,7 +200,7 @@ def displacement(
     before = packed.vertices[packed.faces[seen.occluder]]
     towards = interpolate(before, seen.on_occluder) - apex
     slope = dot(normal, towards)
-    reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
+    reach = safe_divide(dot(normal, material - apex), slope)
     offset, far = seen.position - stop_gradient(apex), infinite[:, None]
     projected = jnp.where(far, scale(normalize(towards), norm(offset)), apex + scale(towards, reach))
     material = jnp.where(far, packed.turned(offset) if turns else offset, material)
@@ -220,4 +221,4 @@ def _horizon(triangle, normal, material, offset, far):
     across = across - scale(normal, dot(across, normal))
     squared = dot(across, across)
     height = dot(plane, material - jnp.where(far, 0.0, corners(triangle)[0]))
-    return scale(across, -height / jnp.where(squared > 0, squared, 1.0))
+    return scale(across, safe_divide(-height, squared))

@@ -25,6 +25,7 @@ from jaxdr.boundary.warped_area.divergence import (
     divergence_term,
 )
 from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import on_fixed_ray
@@ -245,7 +246,7 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     towards, factor = _geometry(ends, ends.target)
     seen = scale(scatterer.eval(towards), stop_gradient(factor))
     # Their weights contain that of the segment itself, at its target.
-    itself = jnp.where(seen != 0, 1.0 / jnp.where(seen != 0, seen, 1.0), 0.0)
+    itself = safe_divide(1.0, seen, otherwise=0.0)
     parts: list[Onward] = [(direct.table, after, direct.table.visible)]
     if paths.count > paths.paths:
         parts.append((paths.table, after, paths.table.visible))

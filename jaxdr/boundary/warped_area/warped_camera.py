@@ -17,6 +17,7 @@ from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
 from jaxdr.boundary.warped_area.estimator import Onward, WarpedArea, sent_back
 from jaxdr.geometry.vector import interpolate, norm, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
@@ -155,7 +156,7 @@ def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentE
 
     detached = stop_gradient(importance(ends.target))
     seen = detached > 0
-    inverse = jnp.where(seen, 1.0 / jnp.where(seen, detached, 1.0), 0.0)
+    inverse = safe_divide(1.0, detached, seen, 0.0)
 
     def measure(position):
         towards = normalize(position - ends.apex)
