@@ -52,7 +52,7 @@ class UniformEdges(eqx.Module):
         silhouette = ((packed.edges.opposite[edge] < 0) | (height >= 0)).all(-1)
         scatterer = paths.scatterer(vertex)
         counts = silhouette & scatterer.above_horizon(seen.edge_point)
-        behind, background = look_behind(packed, scatterer, seen, edge, u[1], weight, counts, settings)
+        behind, background = look_behind(packed, scatterer, seen, weight, counts, settings)
         return ask_behind(paths, seen, background, number, 1.0, key_paths, self.name, settings), behind
 
     def image(

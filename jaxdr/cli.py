@@ -31,7 +31,7 @@ from jaxdr.chart.run import chart
 from jaxdr.compilation import jit
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
-from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+from jaxdr.integrators import INTEGRATORS, Integrator, PathTracer
 from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.loop import optimize
@@ -57,7 +57,6 @@ from jaxdr.view.write import write_page
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
 DEEPEST = 16  # segments of paths that a file wants to be longer, or without an end: there is no Russian roulette
-INTEGRATORS = {"path": PathTracer, "bdpt": BidirectionalPathTracer}
 PASS = 1 << 24  # paths of an image between two steps of the progress bar
 
 

@@ -15,10 +15,12 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr import loops
-from jaxdr.boundary.shared.texture_jumps import check_still_maps
+from jaxdr.boundary.shared.refusals import refuse
+from jaxdr.boundary.shared.texture_jumps import MOVED_MAPS
 from jaxdr.chunked_sum import chunked_derivative, dependent
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
+from jaxdr.integrators.base import Batch
 from jaxdr.integrators.defaults import default_integrator, say_default
 from jaxdr.integrators.known_failures import warn_of_known_failure
 from jaxdr.moving import Moving, moving_in
@@ -133,7 +135,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
         _say_default(scene, static, moving)
     integrator = eqx.combine(program.integrator, arrays)
     if integrator.boundary is not None:
-        check_still_maps(flags)
+        refuse((MOVED_MAPS,), flags)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):
@@ -171,7 +173,8 @@ class _Chunk(NamedTuple):
         at, rest = iter(at), iter(rest)
         packed = jax.tree.unflatten(self.structure, [next(at) if m else next(rest) for m in self.moves])
         integrator, spp = eqx.combine(self.program.integrator, arrays), self.program.spp
-        images = _chunk_images(packed, integrator, prepared, self.moving, key, spp, index)
+        batch = _batch(packed, integrator, spp, True, key, index)
+        images = integrator.estimate(packed, prepared, batch, self.moving)
         first, *others = images.values()
         return sum(others, start=first)
 
@@ -210,15 +213,12 @@ def _chunks(packed: PackedScene, integrator: Integrator, spp: int, differentiate
     return chunks, -(-spp // chunks)
 
 
-def _chunk_images(
-    packed: PackedScene, integrator: Integrator, prepared, moving: Moving | None, key, spp: int, index, apart=False
-) -> dict[str, Float[Array, "H W 3"]]:
-    """Share of the image from one chunk of samples, by term."""
-    _, count = _chunks(packed, integrator, spp, moving is not None)
+def _batch(packed: PackedScene, integrator: Integrator, spp: int, differentiated: bool, key, index) -> Batch:
+    """The samples of one chunk."""
+    _, count = _chunks(packed, integrator, spp, differentiated)
     samples = index * count + jnp.arange(count)
     key_film, key_chunks = jax.random.split(key)
-    key_chunk = jax.random.fold_in(key_chunks, index)
-    return integrator.estimate(packed, prepared, samples, key_film, key_chunk, spp, moving, apart)
+    return Batch(samples, spp, key_film, jax.random.fold_in(key_chunks, index))
 
 
 def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None) -> dict:
@@ -232,7 +232,8 @@ def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Movin
     chunks, _ = _chunks(packed, integrator, spp, moving is not None)
 
     def chunk(packed, index):
-        return _chunk_images(packed, integrator, prepared, moving, key, spp, index, apart=True)
+        batch = _batch(packed, integrator, spp, moving is not None, key, index)
+        return integrator.estimate(packed, prepared, batch, moving, apart=True)
 
     if chunks == 1:
         return chunk(packed, 0)

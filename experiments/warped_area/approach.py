@@ -107,7 +107,7 @@ def found_at(packed, points, light, estimator):
         target, far = jnp.asarray(seen, jnp.float32), jnp.zeros(count, bool)
         ends = SegmentEnds(apex.position, apex.face, target, faces.normal[on], jnp.asarray(on), corners, far)
         around = estimator.around(packed, True, False)
-        v = hidden_velocities(packed, faces, apex, ends, jnp.ones(count, bool), around, key, "auto")
+        v = hidden_velocities(packed, faces, apex, ends, jnp.ones(count, bool), around, key)
         used = jnp.arange(len(v.slots)) < v.used
         return jnp.zeros(count).at[v.row(v.slots)].add(jnp.where(used, v.share[v.slots], 0.0))
 

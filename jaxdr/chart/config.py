@@ -8,11 +8,9 @@ from typing import Any, Literal
 
 from jaxdr.boundary.named import estimator_class
 from jaxdr.chart.scenes import check_scene_options
-from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+from jaxdr.integrators import INTEGRATORS, Integrator
 from jaxdr.optimize.config import Vector, found_file, require
 from jaxdr.optimize.strict_toml import build
-
-INTEGRATORS = {"path": PathTracer, "bdpt": BidirectionalPathTracer}
 
 
 @dataclass(frozen=True)

@@ -4,3 +4,9 @@ from jaxdr.integrators.base import ConnectedEstimator as ConnectedEstimator
 from jaxdr.integrators.base import Integrator as Integrator
 from jaxdr.integrators.bidirectional import BidirectionalPathTracer as BidirectionalPathTracer
 from jaxdr.integrators.path_tracer import PathTracer as PathTracer
+
+# By the names that configs and the command line use; plans keep the names of the classes.
+INTEGRATORS: dict[str, type[PathTracer] | type[BidirectionalPathTracer]] = {
+    "path": PathTracer,
+    "bdpt": BidirectionalPathTracer,
+}

@@ -1,21 +1,33 @@
 """What integrators share: the interfaces of estimators, and sums over samples."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.boundary.shared.term import Chunk, Context, Term, detached, named_key
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import nested, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.transport.bidirectional import Drawn
-from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import joined, radiance, split
+
+
+class Batch(NamedTuple):
+    """Samples that are traced together: their numbers, of `spp` of every pixel; those from `spp` on count zero."""
+
+    samples: Int[Array, " n"]
+    spp: int
+    key_film: PRNGKeyArray
+    key: PRNGKeyArray
+
+    def weights(self, dtype) -> Float[Array, " n"]:
+        """What they count in their pixels."""
+        return jnp.where(self.samples < self.spp, 1.0 / self.spp, 0.0).astype(dtype)
 
 
 @runtime_checkable
@@ -25,15 +37,7 @@ class ConnectedEstimator(Protocol):
     def prepare(self, context: Context, key: PRNGKeyArray) -> Any: ...
 
     def estimate_connected(
-        self,
-        packed: PackedScene,
-        prepared: Any,
-        primary: PrimarySamples,
-        drawn: Drawn,
-        weight: Float[Array, "C N"],
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        rays: str,
+        self, context: Context, state: Any, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]: ...
 
 
@@ -101,17 +105,9 @@ class Integrator(Protocol):
         ...
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: Any,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
-        """Share of the image from the samples numbered `samples` of every pixel; those from `spp` on count zero.
+        """Share of the image from a batch of samples.
 
         By term, as in `derivative_terms`; without `moving` the interior's value alone.
         """
@@ -125,13 +121,9 @@ def edge_points_per_sample(integrator) -> float:
     return integrator.edge_samples
 
 
-def sample_weights(samples, spp: int, dtype) -> Float[Array, " n"]:
-    """What samples by their numbers count in their pixels."""
-    return jnp.where(samples < spp, 1.0 / spp, 0.0).astype(dtype)
-
-
-def check_rough_glass(scene: Scene) -> None:
-    """Raises ValueError where the boundary terms of light that spreads through a surface are missing or not tested."""
+def _rough_glass(asked: Asked) -> str | None:
+    """Where the boundary terms of light that spreads through a surface are missing or not tested."""
+    scene = asked.scene
     for name, shape in scene.shapes.items():
         bsdf = unwrap(shape.bsdf)
         if not spreads_through(bsdf):
@@ -144,7 +136,15 @@ def check_rough_glass(scene: Scene) -> None:
         elif scene.lights:
             what, remedy = "beside lights without area", "lights with an area"
         if what is not None:
-            raise ValueError(
+            return (
                 f"render: visibility changes seen through rough glass {what} have no derivative yet ({name}); take "
-                f"{remedy}, differentiate nothing that moves, or boundary=None for the interior term alone"
+                f"{remedy}, differentiate nothing that moves, {INTERIOR}"
             )
+    return None
+
+
+ROUGH_GLASS = Refusal(
+    "rough glass in masks, blends and normal maps, with interpolated normals, or beside lights without area",
+    "rough glass alone, flat faces, lights with an area",
+    _rough_glass,
+)

@@ -5,17 +5,18 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film.film_edges import FilmEdges
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, Term
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
+    ROUGH_GLASS,
+    Batch,
     ConnectedEstimator,
-    check_rough_glass,
     edge_points_per_sample,
     prepare_terms,
-    sample_weights,
     term_images,
 )
 from jaxdr.moving import Moving
@@ -49,11 +50,41 @@ class _Connected:
         _, _, width, height = film.window
         if found.drawn is None or not has_emitters(packed):
             return jnp.zeros((height, width, 3), found.value.dtype)
-        index = jnp.tile(chunk.samples, width * height)
         weight = jnp.where((found.value != 0).any(-1), found.weight, 0.0)
-        options = weight, index, held, context.settings.rays
-        values = self.estimator.estimate_connected(packed, state, chunk.primary, found.drawn, *options)
+        values = self.estimator.estimate_connected(context, state, chunk, weight, held)
         return found.image(film, values, chunk.weight, False)
+
+
+_NAME, _REMEDY = "BidirectionalPathTracer", "take PathTracer(boundary=None) for the interior term of what moves"
+
+
+def _moves(asked: Asked) -> bool:
+    return any(asked.moving.seen) or any(asked.moving.lights)
+
+
+def _moved_over_mirrors(asked: Asked) -> str | None:
+    if not (asked.packed.has_delta_lobes and _moves(asked)):
+        return None
+    return f"render: paths of a {_NAME} over delta lobes do not move with mirrors and smooth glass; {_REMEDY}"
+
+
+def _steep_filter(asked: Asked) -> str | None:
+    pixel_filter = asked.packed.camera.film.filter
+    if not any(asked.moving.seen) or pixel_filter.smooth:
+        return None
+    return (
+        f"render: a {_NAME} differentiates the pixel filter where surfaces move, and a "
+        f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian, or {_REMEDY}"
+    )
+
+
+def _hard_shadows(asked: Asked) -> str | None:
+    if not (asked.packed.light_count and _moves(asked)):
+        return None
+    return (
+        f"render: shadows of lights without area have no derivative with a {_NAME}; take lights "
+        f"with an area, PathTracer, {INTERIOR}"
+    )
 
 
 class BidirectionalPathTracer(eqx.Module):
@@ -87,6 +118,16 @@ class BidirectionalPathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
+
+    motion_refusals = (
+        Refusal("what moves, in scenes with mirrors or smooth glass", "`PathTracer`", _moved_over_mirrors),
+        Refusal("surfaces that move, under a filter other than Gaussian", "`Gaussian`, `PathTracer`", _steep_filter),
+    )
+    boundary_refusals = (
+        ROUGH_GLASS,
+        Refusal("shadows of lights without area", "lights with an area, `PathTracer`", _hard_shadows),
+    )
+    refusals = motion_refusals + boundary_refusals
 
     def __check_init__(self):
         name = "BidirectionalPathTracer"
@@ -125,10 +166,11 @@ class BidirectionalPathTracer(eqx.Module):
     ) -> dict[str, Any] | None:
         """Edges in the image, and what the estimator needs; None where only the interior term is wanted."""
         del apart
-        _check_motion(packed, moving)
+        asked = Asked(packed, self._context(packed, moving).settings, scene, moving)
+        refuse(self.motion_refusals, asked)
         if not isinstance(self.boundary, ConnectedEstimator):
             return None  # there is none
-        _check_connected(scene, packed, moving)
+        refuse(self.boundary_refusals, asked)
         if not any(moving.seen):
             return None
         return prepare_terms(self._context(packed, moving), self._terms(), key)
@@ -143,51 +185,18 @@ class BidirectionalPathTracer(eqx.Module):
         return [FilmEdges("silhouettes"), _Connected(self.boundary)]
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: dict[str, Any] | None,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         del apart
         material = moving is not None and any(moving.seen)
-        key_path, key_radiance, key_terms = jax.random.split(key, 3)
-        primary, found = bidirectional_paths(packed, samples, key_film, key_path, self.settings, material)
-        share = sample_weights(samples, spp, found.value.dtype)
+        key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
+        primary, found = bidirectional_paths(packed, batch.samples, batch.key_film, key_path, self.settings, material)
+        share = batch.weights(found.value.dtype)
         value = found.value * found.weight[..., None]
         images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
             return images
         assert moving is not None  # what was prepared is for it
-        chunk = Chunk(samples, share, primary, found, key_radiance)
+        chunk = Chunk(batch.samples, share, primary, found, key_radiance)
         return images | term_images(self._context(packed, moving), self._terms(), prepared, chunk, key_terms)
-
-
-def _check_motion(packed: PackedScene, moving: Moving) -> None:
-    """Raises ValueError for what a `BidirectionalPathTracer` does not move."""
-    name, remedy = "BidirectionalPathTracer", "take PathTracer(boundary=None) for the interior term of what moves"
-    if packed.has_delta_lobes and (any(moving.seen) or any(moving.lights)):
-        raise ValueError(
-            f"render: paths of a {name} over delta lobes do not move with mirrors and smooth glass; {remedy}"
-        )
-    pixel_filter = packed.camera.film.filter
-    if any(moving.seen) and not pixel_filter.smooth:
-        raise ValueError(
-            f"render: a {name} differentiates the pixel filter where surfaces move, and a "
-            f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian, or {remedy}"
-        )
-
-
-def _check_connected(scene: Scene, packed: PackedScene, moving: Moving) -> None:
-    """Raises ValueError for what a `BidirectionalPathTracer` has no boundary terms of."""
-    check_rough_glass(scene)
-    if packed.light_count and (any(moving.seen) or any(moving.lights)):
-        raise ValueError(
-            "render: shadows of lights without area have no derivative with a BidirectionalPathTracer; take lights "
-            "with an area, PathTracer, or boundary=None for the interior term alone"
-        )

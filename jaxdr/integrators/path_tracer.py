@@ -6,23 +6,24 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.film.film_chains import FilmChains
 from jaxdr.boundary.film.film_edges import FilmEdges
 from jaxdr.boundary.film.hard_shadows import HardShadows
 from jaxdr.boundary.film.pixel_borders import PixelBorders
 from jaxdr.boundary.kernel_density import KernelDensity
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, Term, pixel_sums
-from jaxdr.boundary.shared.texture_jumps import check_still_jumps
+from jaxdr.boundary.shared.texture_jumps import MOVED_JUMPS
 from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.boundary.warped_area.warped_camera import WarpedCamera
 from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
-    check_rough_glass,
+    ROUGH_GLASS,
+    Batch,
     edge_points_per_sample,
     prepare_terms,
-    sample_weights,
     term_images,
 )
 from jaxdr.moving import Moving
@@ -34,6 +35,39 @@ from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths
 from jaxdr.transport.primary import primary_samples
 from jaxdr.transport.radiance import arriving_radiance
+
+
+def _steep_filter(asked: Asked) -> str | None:
+    pixel_filter = asked.scene.camera.film.filter
+    if asked.primary == "fixed_ray" or pixel_filter.smooth:
+        return None
+    return (
+        f'render: primary="{asked.primary}" differentiates the pixel filter, and a '
+        f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
+    )
+
+
+def _moved_over_mirrors(asked: Asked) -> str | None:
+    if not asked.packed.has_delta_lobes or asked.primary == "fixed_ray":
+        return None
+    return (
+        f'render: visibility changes seen over delta lobes have no derivative with primary="{asked.primary}"; '
+        f'use primary="fixed_ray", {INTERIOR}'
+    )
+
+
+def _hard_shadows_over_mirrors(asked: Asked) -> str | None:
+    if not (asked.packed.has_delta_lobes and asked.packed.light_count and asked.settings.max_depth > 2):
+        return None
+    return (
+        "render: hard shadows seen over delta lobes have no derivative yet; take lights with an area, max_depth=2, "
+        f"{INTERIOR}"
+    )
+
+
+STEEP_FILTER = Refusal(
+    'a filter other than Gaussian, with `primary="material"` or `"warp"`', "`Gaussian`", _steep_filter
+)
 
 
 class PathTracer(eqx.Module):
@@ -65,6 +99,22 @@ class PathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
+
+    refusals = (
+        STEEP_FILTER,
+        ROUGH_GLASS,
+        Refusal(
+            'mirrors and smooth glass, with `primary="material"` or `"warp"`',
+            '`primary="fixed_ray"`',
+            _moved_over_mirrors,
+        ),
+        Refusal(
+            "mirrors and smooth glass beside lights without area, from `max_depth=3` on",
+            "lights with an area, `max_depth=2`",
+            _hard_shadows_over_mirrors,
+        ),
+        MOVED_JUMPS,
+    )
 
     def __check_init__(self):
         if self.max_depth < 1:
@@ -104,12 +154,7 @@ class PathTracer(eqx.Module):
 
     def check(self, scene: Scene) -> None:
         """Raises ValueError for a pixel filter that can't be differentiated."""
-        pixel_filter = scene.camera.film.filter
-        if self.primary != "fixed_ray" and not pixel_filter.smooth:
-            raise ValueError(
-                f'render: primary="{self.primary}" differentiates the pixel filter, and a '
-                f"{type(pixel_filter).__name__} has no derivative of finite variance; use Gaussian"
-            )
+        refuse((STEEP_FILTER,), Asked(None, self.settings, scene, primary=self.primary))
 
     def prepare(
         self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
@@ -117,9 +162,8 @@ class PathTracer(eqx.Module):
         """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
         if self.boundary is None:
             return None
-        check_rough_glass(scene)
-        _check_transmission(packed, self)
-        check_still_jumps(scene, moving.seen, self.primary == "fixed_ray")
+        refuse(self.refusals, Asked(packed, self.settings, scene, moving, self.primary))
+        _warn_of_caustics(packed, self.max_depth)
         return prepare_terms(self._context(packed, moving), self._terms(moving, apart), key)
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:
@@ -138,42 +182,34 @@ class PathTracer(eqx.Module):
         return [*terms, self.boundary] if any(moving.seen) or moving.environment else terms
 
     def estimate(
-        self,
-        packed: PackedScene,
-        prepared: dict[str, Any] | None,
-        samples: Int[Array, " n"],
-        key_film: PRNGKeyArray,
-        key: PRNGKeyArray,
-        spp: int,
-        moving: Moving | None,
-        apart: bool = False,
+        self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
         """Share of the image, by term."""
         if moving is None:
-            return self._image(packed, samples, key_film, key, spp)
+            return self._image(packed, batch)
         context = None if prepared is None else self._context(packed, moving)
         settings, form = self.settings, "fixed"
         if context is not None:
             packed, form = context.packed, context.form
-        key_path, key_radiance, key_terms = jax.random.split(key, 3)
-        primary = primary_samples(packed, samples, key_film, settings.rays, form)
+        key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, form)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
         if record.near is not None:
             radiance += near_field_term(packed, primary, record)
-        weight = sample_weights(samples, spp, radiance.dtype)
+        weight = batch.weights(radiance.dtype)
         images = {"interior": pixel_sums(packed, radiance, weight)}
         if context is None or prepared is None:
             return images
-        chunk = Chunk(samples, weight, primary, record, key_radiance)
+        chunk = Chunk(batch.samples, weight, primary, record, key_radiance)
         return images | term_images(context, self._terms(moving, apart), prepared, chunk, key_terms)
 
-    def _image(self, packed: PackedScene, samples, key_film, key, spp: int) -> dict:
+    def _image(self, packed: PackedScene, batch: Batch) -> dict:
         """The same in value, for images that nobody differentiates."""
         settings = self.settings
-        primary = primary_samples(packed, samples, key_film, settings.rays, "fixed")
-        radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, key, settings)
-        return {"interior": pixel_sums(packed, radiance, sample_weights(samples, spp, radiance.dtype))}
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, "fixed")
+        radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, batch.key, settings)
+        return {"interior": pixel_sums(packed, radiance, batch.weights(radiance.dtype))}
 
     def _form(self, packed: PackedScene, moves: bool) -> str:
         """How first hits move, see `primary_samples`; without boundary terms of moving edges as they always did."""
@@ -186,21 +222,9 @@ class PathTracer(eqx.Module):
         return "near" if (pixel_filter.smooth or pixel_filter.tiles) and self.max_depth > 2 else "fixed"
 
 
-def _check_transmission(packed: PackedScene, tracer: PathTracer) -> None:
-    """Raises ValueError where boundary terms are missing; warns of what is left out with mirrors and smooth glass."""
-    if not packed.has_delta_lobes:
-        return
-    if tracer.primary != "fixed_ray":
-        raise ValueError(
-            f'render: visibility changes seen over delta lobes have no derivative with primary="{tracer.primary}"; '
-            'use primary="fixed_ray", or boundary=None for the interior term alone'
-        )
-    if packed.light_count and tracer.max_depth > 2:
-        raise ValueError(
-            "render: hard shadows seen over delta lobes have no derivative yet; take lights with an area, max_depth=2, "
-            "or boundary=None for the interior term alone"
-        )
-    if tracer.max_depth > 2 and not all(only_delta(group.bsdf) for group in packed.bsdfs):
+def _warn_of_caustics(packed: PackedScene, max_depth: int) -> None:
+    """Of what is left out with mirrors and smooth glass."""
+    if packed.has_delta_lobes and max_depth > 2 and not all(only_delta(group.bsdf) for group in packed.bsdfs):
         warnings.warn(
             "jaxdr: the derivative lacks visibility changes of reflected/refracted light from diffuse surfaces via "
             "delta surfaces (a path that leaves a surface that spreads light, meets a mirror or smooth glass and goes "

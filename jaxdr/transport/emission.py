@@ -7,6 +7,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.vector import dot, from_components, normalize
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import search_sorted_rows, uniform_triangle
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -209,7 +210,7 @@ def emitter_pdf(
     if not packed.has_area_emitters:
         return jnp.where(point.valid, 0.0, miss).astype(cosine.dtype)
     per_area = shares.surfaces * emitting_surface_pdf(packed, point, apex)
-    return jnp.where(point.valid, per_area * distance2 / jnp.where(cosine > 0, cosine, 1.0), miss)
+    return jnp.where(point.valid, safe_divide(per_area * distance2, cosine, cosine > 0), miss)
 
 
 def emitted(packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]) -> Float[Array, "N 3"]:

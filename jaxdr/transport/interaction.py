@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import components, cross, dot, from_components, interpolate, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene, Triangles
 
 # Ray origins leave the surface by this share of the largest coordinate involved: some 32 float32 roundings.
@@ -86,7 +87,7 @@ def on_fixed_ray(
     face = jnp.where(valid, face, 0)
     triangle = packed.triangles(face)
     slope = jnp.where(valid, dot(direction, triangle.normal), 1.0)
-    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
+    t = safe_divide(dot(triangle.a - origin, triangle.normal), slope)
     position = origin + scale(direction, t)
     if packed.textured or packed.normals is not None:
         barycentric = _barycentric(triangle, position)
@@ -154,7 +155,7 @@ def detached_barycentric(packed: PackedScene, origin, direction, face) -> Float[
     """Barycentric coordinates of the hits of rays on known faces, detached and kept inside the face."""
     triangle, origin, direction = stop_gradient((packed.triangles(face), origin, direction))
     slope = dot(direction, triangle.normal)
-    t = dot(triangle.a - origin, triangle.normal) / jnp.where(slope == 0, 1.0, slope)
+    t = safe_divide(dot(triangle.a - origin, triangle.normal), slope)
     return _inside(_barycentric(triangle, origin + scale(direction, t)))
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.bidirectional import Drawn, joined_vertices
 from jaxdr.transport.connections import Ends, ends, found_emission, with_camera, with_each_other, with_emitters
@@ -225,7 +226,7 @@ def _first_lit(packed: PackedScene, start: EmitterSample, after: Subpath, moved)
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
     leaving = jnp.where(infinite, 1.0, jnp.maximum(dot(start.point.normal, towards), 0.0))
     radiance = radiance_towards(packed, start, -towards)
-    carried = radiance * (leaving / distance2 / jnp.where(start.pdf > 0, start.pdf, 1.0))[:, None]
+    carried = radiance * safe_divide(leaving / distance2, start.pdf)[:, None]
     return _arrived(after, following, towards, carried)
 
 

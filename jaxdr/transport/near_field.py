@@ -19,6 +19,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import components, dot, from_components
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.transport.interaction import SurfacePoint
 
@@ -57,7 +58,7 @@ class Footprint(NamedTuple):
     def share(self, distance2: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """s^2 / (s^2 + (d cosine)^2); zero where `size2` is."""
         whole = self.size2 + self.cosine2 * distance2
-        return jnp.where(whole > 0, self.size2 / jnp.where(whole > 0, whole, 1.0), 0.0)
+        return safe_divide(self.size2, whole, otherwise=0.0)
 
 
 def footprint(camera: View, position: Float[Array, "*#n 3"], normal: Float[Array, "*#n 3"]) -> Footprint:
@@ -79,4 +80,4 @@ def film_importance(camera: View, point: SurfacePoint, centre: Float[Array, "N 2
         importance = camera.film.filter.pdf(camera.project_local(local) - centre)
     value = importance * camera.film_area(local, point.normal) * point.area_ratio()
     detached = stop_gradient(value)
-    return jnp.where(detached > 0, value / jnp.where(detached > 0, detached, 1.0), 1.0)
+    return safe_divide(value, detached, detached > 0, 1.0)

@@ -6,6 +6,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.geometry.vector import dot, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import footprint
@@ -51,7 +52,7 @@ def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRe
         scatterer = Scatterer(still, moved, stop_gradient(-primary.direction) + scale(wi, share))
         value = transfer_to(scatterer, target, ~there, jnp.zeros_like(wi)).value
         lit = (stop_gradient(value) != 0) & there[:, None]
-        arriving = jnp.where(lit, carried / jnp.where(lit, stop_gradient(value), 1.0), 0.0)
+        arriving = safe_divide(carried, stop_gradient(value), lit, 0.0)
         offset = target.position - (point.position + position)
         changed = footprint(view, point.position + position, point.normal).share(
             jnp.where(there, dot(offset, offset), 1.0)

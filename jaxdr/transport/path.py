@@ -104,11 +104,15 @@ class PathRecord(NamedTuple):
 
 
 class PathSettings(NamedTuple):
-    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation."""
+    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation.
+
+    Without `records` the segments that paths came through are not kept.
+    """
 
     max_depth: int
     mis: bool
     rays: str
+    records: bool = True
 
 
 class Vertex(NamedTuple):
@@ -124,6 +128,16 @@ class Lobe(NamedTuple):
 
     direction: Float[Array, "N 3"]
     pdf: Float[Array, " N"]
+
+
+class TwoForms(NamedTuple):
+    """Points that may move in two forms: footprints of a pixel there, of size zero at points of one form.
+
+    `apart` is where the material form is, relative to the points; None where nothing is differentiated.
+    """
+
+    seen: Footprint
+    apart: Float[Array, "N 3"] | None = None
 
 
 class Bounce(NamedTuple):
@@ -207,12 +221,12 @@ def gather(
     @queries.rematerialised
     def step(at, bounce):
         numbers = jnp.where(bounce == 0, u, uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype))
-        sees, moved = None, None
+        forms = None
         if near is not None:  # first hits alone have two forms
             sees = seen._replace(size2=jnp.where(bounce == 0, seen.size2, 0.0))
-            moved = near.point.position - start.point.position
+            forms = TwoForms(sees, near.point.position - start.point.position)
         goes_on = bounce < bounces - 1 if ends_early(packed, settings) else True
-        return scatter(packed, at, numbers, settings, goes_on, sees, moved)
+        return scatter(packed, at, numbers, settings, goes_on, forms)
 
     return loops.scan(step, start, jnp.arange(bounces))[1]
 
@@ -228,19 +242,16 @@ def scatter(
     u: Float[Array, "N 4"],
     settings: PathSettings,
     onwards: bool | Bool[Array, "*#N"] = True,
-    seen: Footprint | None = None,
-    apart: Float[Array, "N 3"] | None = None,
+    forms: TwoForms | None = None,
     given: Lobe | None = None,
-    records: bool = True,
 ) -> tuple[Vertex | None, Bounce]:
     """(next vertex, what this vertex adds): light by emitter sampling, and BSDF sampling where it goes `onwards`.
 
-    `seen` is the footprint of a pixel at points that have two forms, of size zero at others. With it, the shares of the
-    material form are found as well. `apart` is the place of that form, relative to the points; the path goes on from
-    the mixture. `given` takes the place of BSDF samples. Without `records` there are no segments.
+    With `forms`, the shares of the material form are found as well, and the path goes on from the mixture. `given`
+    takes the place of BSDF samples.
     """
     scatterer = Scatterer(packed, at.point, at.wi)
-    light, light_share, direct = _connect(packed, at, scatterer, u[:, :2], settings, seen, records)
+    light, light_share, direct = _connect(packed, at, scatterer, u[:, :2], settings, forms)
     if onwards is False:
         return None, Bounce(light, jnp.zeros_like(light), light_share, None, direct, None)
     sampled = _sample(packed, at, scatterer, u[:, 2:], onwards, given)
@@ -260,18 +271,18 @@ def scatter(
     throughput = jnp.where(carries[:, None], throughput, 0.0)
 
     beyond_share, back = None, -transfer.towards
-    if seen is not None:
-        beyond_share = jnp.where(in_angle, 0.0, seen.share(stop_gradient(transfer.distance2)))
-        if apart is not None:
+    if forms is not None:
+        beyond_share = jnp.where(in_angle, 0.0, forms.seen.share(stop_gradient(transfer.distance2)))
+        if forms.apart is not None:
             # The first hit as it moves for what is there; in value where it is.
-            moved = scale(apart - stop_gradient(apart), beyond_share)
+            moved = scale(forms.apart - stop_gradient(forms.apart), beyond_share)
             mixed = at.point.position + moved - target.position
             back = jnp.where(hit[:, None], normalize(jnp.where(hit[:, None], mixed, 1.0)), -direction)
-    emission = _found_emission(packed, scatterer, target, transfer, sampled, back, throughput, settings)
+    emission = _found_emission(packed, scatterer, Vertex(target, back, throughput), transfer, sampled, settings)
     following = target._replace(valid=hit & (throughput != 0).any(-1))
-    scattered = _record(at, target, transfer, sampled) if records else None
+    scattered = _record(at, target, transfer, sampled) if settings.records else None
     vertices = None
-    if records and sampled.chosen is not None:
+    if settings.records and sampled.chosen is not None:
         vertices = Vertices(at.point.position, at.point.shading_normal, sampled.chosen)
     added = Bounce(light, emission, light_share, beyond_share, direct, scattered, vertices)
     return Vertex(following, back, throughput), added
@@ -356,9 +367,7 @@ def transfer_to(
     return Transfer(scale(scatterer.eval(towards), geometry), towards, distance2, cosine, geometry)
 
 
-def _connect(
-    packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings, seen: Footprint | None, records: bool
-):
+def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings, forms: TwoForms | None):
     """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
     point = at.point
     sample = sample_emitter(packed, u, point.position)
@@ -373,9 +382,9 @@ def _connect(
     reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
     visible = reachable & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), settings.rays)
     share = None
-    if seen is not None:
+    if forms is not None:
         far = sample.infinite if delta is None else sample.infinite | delta
-        share = jnp.where(far, 0.0, seen.share(stop_gradient(transfer.distance2)))
+        share = jnp.where(far, 0.0, forms.seen.share(stop_gradient(transfer.distance2)))
     arriving = at.throughput * scale(radiance_towards(packed, sample, towards), 1.0 / sample.pdf)
     light = arriving * transfer.value
     if settings.mis:
@@ -384,7 +393,7 @@ def _connect(
         # What nothing else finds has the weight one.
         light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
     light = jnp.where(visible[:, None], light, 0.0)
-    if not records:
+    if not settings.records:
         return light, share, None
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
     carries = reachable if delta is None else reachable & ~delta
@@ -408,20 +417,21 @@ def _connect(
 
 
 def _found_emission(
-    packed, scatterer, target: SurfacePoint, transfer: Transfer, sampled: _Sampled, back, throughput, settings
+    packed, scatterer: Scatterer, found: Vertex, transfer: Transfer, sampled: _Sampled, settings: PathSettings
 ) -> Float[Array, "N 3"]:
     """Radiance that BSDF samples find, weighted against emitter samples."""
+    target = found.point
     if not settings.mis and sampled.chosen is None:
-        return jnp.zeros_like(throughput)
+        return jnp.zeros_like(found.throughput)
     weight = jnp.zeros_like(sampled.pdf)
     if settings.mis:
         still = stop_gradient(transfer)
         lit, cosine = scatterer.point.position, jnp.abs(still.cosine)
-        found = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
-        weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + found, 1.0)
+        other = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
+        weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + other, 1.0)
     if sampled.chosen is not None:
         weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
-    return scale(throughput * emitted(packed, target, back), stop_gradient(weight))
+    return scale(found.throughput * emitted(packed, target, found.wi), stop_gradient(weight))
 
 
 def _record(at: Vertex, target: SurfacePoint, transfer: Transfer, sampled: _Sampled) -> Segments:

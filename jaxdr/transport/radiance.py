@@ -22,7 +22,7 @@ from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint
-from jaxdr.transport.path import Lobe, PathSettings, Vertex, ends_early, scatter
+from jaxdr.transport.path import Lobe, PathSettings, TwoForms, Vertex, ends_early, scatter
 from jaxdr.transport.sampler import path_numbers
 
 # Paths that go on together. On CPUs enough for all threads of the ray queries, few enough for what they need to stay in
@@ -86,15 +86,12 @@ def request(
     bounces: Int[Array, "*#R"] | int,
     stream: UInt32[Array, " R"],
     emission: Float[Array, " R"] | float = 1.0,
-    seen: Footprint | None = None,
-    given: Lobe | None = None,
 ) -> Requests:
     """Requests for the radiance of surface points, valid or not; at valid ones alone paths scatter."""
     count, dtype = wi.shape[:1], wi.dtype
     bounces = jnp.where(point.valid, jnp.asarray(bounces, jnp.int32), 0)
     emission = jnp.broadcast_to(jnp.asarray(emission, dtype), count)
-    found = Requests(point.face, point.barycentric, point.valid, wi, u, bounces, stream, emission, seen, given)
-    return stop_gradient(found)
+    return stop_gradient(Requests(point.face, point.barycentric, point.valid, wi, u, bounces, stream, emission))
 
 
 def joined(requests: Sequence[Requests]) -> Requests:
@@ -169,18 +166,18 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
         own = jax.tree.map(lambda x: x[paths.number], requests._replace(face=None, barycentric=None, wi=None))
         first = bounce == 0
         u = jnp.where(first, own.u, path_numbers(key, own.stream, bounce, own.u.dtype))
-        seen = given = None
+        forms = given = None
         if own.seen is not None:
-            seen = own.seen._replace(size2=jnp.where(first, own.seen.size2, 0.0))
+            forms = TwoForms(own.seen._replace(size2=jnp.where(first, own.seen.size2, 0.0)))
         if own.given is not None:
             given = own.given._replace(pdf=jnp.where(first, own.given.pdf, 0.0))
         more = live & (bounce + 1 < own.bounces)
         onwards = (False if bounces == 1 else more) if early else True
         at = Vertex(material_point(packed, paths.face, paths.barycentric, live), paths.wi, paths.throughput)
-        after, added = scatter(packed, at, u, settings, onwards, seen, None, given, records=False)
+        after, added = scatter(packed, at, u, settings._replace(records=False), onwards, forms, given)
         light, found, share = added.light, added.emission, paths.share
         values = [light + found]
-        if seen is not None:
+        if forms is not None:
             assert added.light_share is not None  # there with footprints
             light_share = jnp.where(first, added.light_share, paths.share)
             beyond = added.beyond_share  # None where no path goes on

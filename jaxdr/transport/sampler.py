@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray
 
+from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.keys import hashed
 
 FIRST_DIMENSIONS = 6  # film point, then emitter and BSDF at the first hit
@@ -55,3 +56,13 @@ def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Ar
 def seed_of(key: PRNGKeyArray) -> Int[Array, ""]:
     """A seed below 2^30 for the queries, which have generators of their own."""
     return (jax.random.bits(key, (), jnp.uint32) >> 2).astype(jnp.int32)
+
+
+def sample_cdf(
+    cdf: Float[Array, " K"], target: Float[Array, " n"]
+) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
+    """(entries of cumulative sums that numbers in [0, their total) fall into, shares of the way through, masses)."""
+    entry = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
+    before = jnp.where(entry > 0, cdf[entry - 1], 0.0)
+    mass = cdf[entry] - before
+    return entry, jnp.clip(safe_divide(target - before, mass, mass > 0), 0.0, 1.0), mass

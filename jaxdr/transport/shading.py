@@ -1,8 +1,7 @@
 """BSDFs of a packed scene, at surface points."""
 
-import copy
-from collections.abc import Callable
-from functools import reduce
+from collections.abc import Callable, Sequence
+from functools import cached_property, reduce
 from operator import or_
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
-from jaxdr.scene.bsdf.base import DeltaSample, Rim, no_delta, only_delta, spreads_through
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, Rim, no_delta, only_delta, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
@@ -31,9 +30,24 @@ class SampledSide(NamedTuple):
     second: Rim
 
 
+class _Sampler(NamedTuple):
+    """The BSDFs with their frame and the direction back, local to it."""
+
+    groups: Sequence[tuple[BSDF, Bool[Array, " N"]]]
+    frame: Frame
+    wi: Float[Array, "N 3"]
+
+
 def _either(condition: Bool[Array, " N"], one: Rim, two: Rim) -> Rim:
     """Row by row, one or the other."""
     return Rim(jnp.where(condition[:, None], one.axis, two.axis), jnp.where(condition, one.least, two.least))
+
+
+class Materials(NamedTuple):
+    """What is looked up at N points: whether they are two-sided, and (BSDF, which points have it) of every group."""
+
+    two_sided: Bool[Array, " N"]
+    groups: Sequence[tuple[BSDF, Bool[Array, " N"]]]
 
 
 class Scatterer:
@@ -42,55 +56,43 @@ class Scatterer:
     Two-sided surfaces are turned to the side of `wi`. The geometric normal decides which side that is. Where an
     interpolated normal faces away from a visible surface, `wi` is mirrored into the hemisphere of that normal.
     Otherwise a black fringe would border silhouettes, and would move over the faces without any edge.
+
+    `materials`: those at the points, where they are at hand.
     """
 
-    def __init__(self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"]):
-        self._packed, self.point = packed, point
-        shape = packed.face_shape[point.face]
-        self._two_sided = packed.two_sided[shape]
-        self.groups = bsdfs_at(packed, point, shape)
-        self.smooth = packed.normals is not None
-        self._turn_to(wi)
-
-    def _turn_to(self, wi) -> None:
-        """Set the frame and everything else that depends on `wi`."""
-        packed, point = self._packed, self.point
+    def __init__(
+        self, packed: PackedScene, point: SurfacePoint, wi: Float[Array, "N 3"], materials: Materials | None = None
+    ):
+        if materials is None:
+            shape = packed.face_shape[point.face]
+            materials = Materials(packed.two_sided[shape], bsdfs_at(packed, point, shape))
+        self._packed, self.point, self._materials = packed, point, materials
+        self.groups, self.smooth = materials.groups, packed.normals is not None
         behind = stop_gradient(dot(point.normal, wi)) < 0
-        turned = behind & self._two_sided
+        turned = behind & materials.two_sided
         flip = jnp.where(turned, -1.0, 1.0).astype(wi.dtype)
         self.normal = scale(point.normal, flip)
         normal = self.normal if packed.normals is None else scale(point.shading_normal, flip)
         s, t = tangents_along_u(packed, point) if packed.tangential else orthonormal_basis(normal)
         self.frame = Frame(s, t, normal)
-        self.wi, self._mirrored, self._still = self.frame.to_local(wi), None, None
+        self.wi, self._mirrored = self.frame.to_local(wi), None
         if packed.normals is not None:
             x, y, z = components(self.wi)
             self._mirrored = (z < 0) != (behind & ~turned)
             self.wi = from_components(x, y, jnp.where(self._mirrored, -z, z))
 
-    @property
-    def still(self) -> "Scatterer":
-        """The same, detached: neither what is sampled nor how densely is differentiated."""
-        if self._still is None:
-            still = copy.copy(self)
-            tables = stop_gradient((self.groups, self.frame, self.wi, self.normal))
-            still.groups, still.frame, still.wi, still.normal = tables
-            still._still = self._still = still
-        return self._still
+    @cached_property
+    def _still(self) -> "_Sampler":
+        """What samples are drawn with, detached: neither what is sampled nor how densely is differentiated."""
+        return _Sampler(*stop_gradient((self.groups, self.frame, self.wi)))
 
     def seen_from(self, wi: Float[Array, "N 3"]) -> "Scatterer":
         """The same points for other directions `wi`."""
-        other = copy.copy(self)
-        other._turn_to(wi)
-        return other
+        return Scatterer(self._packed, self.point, wi, self._materials)
 
     def rows(self, pick: Callable[[Array], Array], wi: Float[Array, "M 3"]) -> "Scatterer":
         """M of the points, of which `pick` takes every array's rows, for directions `wi`: nothing is looked up anew."""
-        other = copy.copy(self)
-        picked = jax.tree.map(pick, (self.point, self._two_sided, self.groups))
-        other.point, other._two_sided, other.groups = picked
-        other._turn_to(wi)
-        return other
+        return Scatterer(self._packed, jax.tree.map(pick, self.point), wi, jax.tree.map(pick, self._materials))
 
     def _combine(self, values) -> Array:
         """The value of the group each point belongs to."""
@@ -108,13 +110,13 @@ class Scatterer:
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""
-        still = self.still
+        still = self._still
         local = still.frame.to_local(stop_gradient(wo))
         return self._combine([bsdf.pdf(still.wi, local) for bsdf, _ in still.groups])
 
     def sample(self, u: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
         """World directions drawn from `pdf`, detached."""
-        still = self.still
+        still = self._still
         return still.frame.to_world(self._combine([bsdf.sample(still.wi, u) for bsdf, _ in still.groups]))
 
     def sample_delta(self, u: Float[Array, "N 2"]) -> DeltaSample:
@@ -156,7 +158,8 @@ class Scatterer:
 
     def lobe_width(self) -> Float[Array, " N"]:
         """Angle (radians) over which the BSDFs change little around sampled directions, detached."""
-        return self._combine([bsdf.lobe_width(self.still.wi) for bsdf, _ in self.still.groups])
+        still = self._still
+        return self._combine([bsdf.lobe_width(still.wi) for bsdf, _ in still.groups])
 
     def cosine(self, w: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Component of world directions along the normal that the BSDF is evaluated for."""

@@ -19,6 +19,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr import loops
 from jaxdr.geometry.vector import dot, normalize
+from jaxdr.safe_divide import safe_divide
+from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import EmitterSample, radiance_towards
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_hit
@@ -79,7 +81,7 @@ def relative_densities(
 
 def quotient(density, other) -> Float[Array, "*n"]:
     """density / other, zero where there is no `other`: no path has such a vertex."""
-    return jnp.where(other > 0, density / jnp.where(other > 0, other, 1.0), 0.0)
+    return safe_divide(density, other, otherwise=0.0)
 
 
 def camera_start(packed: PackedScene, primary: PrimarySamples) -> Subpath:
@@ -117,7 +119,7 @@ def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2
     whole = sample.pdf * density
     carries = emits & hit & (whole > 0)
     radiance = radiance_towards(packed, sample, -away)
-    throughput = radiance * (leaving / distance2 * change / jnp.where(carries, whole, 1.0))[:, None]
+    throughput = radiance * safe_divide(leaving / distance2 * change, whole, carries)[:, None]
     throughput = jnp.where(carries[:, None], throughput, 0.0)
     # Of the strategies that end before x_1 only one is left: the camera subpath that finds the emitter by itself.
     found = jnp.where(has_area | infinite, 1.0, 0.0)
@@ -155,25 +157,28 @@ def _step(packed: PackedScene, vertex: Subpath, u, adjoint: bool, power: int, ra
     onwards = jnp.where((forward > 0)[:, None], onwards, vertex.back)  # no zero vectors where sampling fails
     origin = scatterer.leave(onwards)
     following = material_hit(packed, intersect(packed, origin, onwards, vertex.point.valid & (forward > 0), rays))
-    return extend(vertex, scatterer, following, onwards, forward, lobe, adjoint, power)
+    return extend(vertex, scatterer, following, Onwards(onwards, forward, lobe), adjoint, power)
+
+
+class Onwards(NamedTuple):
+    """Detached directions, drawn with density `forward` (solid angle), or in a delta lobe.
+
+    There `lobe` has a probability, which then is `forward`; None in scenes without such lobes.
+    """
+
+    direction: Float[Array, "N 3"]
+    forward: Float[Array, " N"]
+    lobe: DeltaSample | None = None
 
 
 def extend(
-    vertex: Subpath,
-    scatterer: Scatterer,
-    following: SurfacePoint,
-    direction: Float[Array, "N 3"],
-    forward: Float[Array, " N"],
-    lobe,
-    adjoint: bool,
-    power: int,
+    vertex: Subpath, scatterer: Scatterer, following: SurfacePoint, onwards: Onwards, adjoint: bool, power: int
 ) -> Subpath:
     """Subpaths with one more vertex, or what they meet at infinity where `following` is not valid.
 
-    The vertex was found in the detached `direction`. `scatterer`, the last vertex seen from `back`, drew it with
-    density `forward` (solid angle). Where the delta lobe `lobe` has a probability, the lobe drew it, and `forward` is
-    that probability. `lobe` is a `DeltaSample`, or None in scenes without delta lobes.
+    The vertex was found `onwards` by `scatterer`, that of the last vertex seen from `back`.
     """
+    direction, forward, lobe = onwards
     point, hit = vertex.point, following.valid
     offset = following.position - point.position
     towards = jnp.where(hit[:, None], normalize(offset), direction)
@@ -187,7 +192,7 @@ def extend(
     # f_s |cos| towards the emitter, times the geometric term without that cosine.
     value = turned.eval(vertex.back) if adjoint else scatterer.eval(towards)
     geometry = (leaving if adjoint else arriving) / distance2 * jnp.where(hit, following.area_ratio(), 1.0)
-    factor = value * (geometry / jnp.where(carries, density, 1.0))[:, None]
+    factor = value * safe_divide(geometry, density, carries)[:, None]
     joined = before = vertex.joined
     if lobe is not None:
         chosen, reverses = lobe.probability > 0, scatterer.delta_reverses(turned, towards)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.vector import components, corners, cross, dot, from_components, normalize, orthonormal_basis, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
@@ -29,7 +30,7 @@ def _uv_axes(packed: PackedScene, point: SurfacePoint) -> Float[Array, "N 3"]:
     triangle, (u1, v1), (u2, v2) = _sides(packed, point)
     determinant = u1 * v2 - v1 * u2
     known = determinant != 0
-    inverse = jnp.where(known, 1.0 / jnp.where(known, determinant, 1.0), 0.0)
+    inverse = safe_divide(1.0, determinant, known, 0.0)
     one, two = triangle.b - triangle.a, triangle.c - triangle.a
     by_u = scale(scale(one, v2) - scale(two, v1), inverse)
     by_v = scale(scale(two, u1) - scale(one, u2), inverse)

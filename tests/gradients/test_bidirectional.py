@@ -9,6 +9,7 @@ import pytest
 
 import jaxdr as jd
 from experiments import one_term
+from jaxdr.boundary.shared.term import Chunk
 from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
 from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
@@ -136,9 +137,8 @@ def by_strategy(of, along, key, boundary, count, depth):
         weight = jnp.where((found.value != 0).any(-1), 1.0, 0.0)
         context = one_term.context(of, (True,) * len(of.shapes), PathSettings(depth, True, "auto"))
         prepared = boundary.prepare(context, keys[3])
-        index = jnp.tile(jnp.arange(count), pixels)
-        options = primary, found.drawn, weight, index, keys[3], "auto"
-        values = boundary.estimate_connected(packed, prepared, *options)
+        chunk = Chunk(jnp.arange(count), jnp.full(count, 1 / count), primary, found, keys[3])
+        values = boundary.estimate_connected(context._replace(packed=packed), prepared, chunk, weight, keys[3])
         seen = found.film_points.shape[0]
         own = values[:-seen].reshape(-1, film.height, film.width, count, 3).mean(3)
         spread = jax.vmap(lambda points, v: splat(film, points, v / count))(found.film_points, values[-seen:])

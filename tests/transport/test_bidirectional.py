@@ -19,7 +19,7 @@ from jaxdr.transport.interaction import material_point
 from jaxdr.transport.primary import primary_samples
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
-from jaxdr.transport.subpaths import camera_start, extend, light_start, trace_on
+from jaxdr.transport.subpaths import Onwards, camera_start, extend, light_start, trace_on
 from tests.references.polygon_shadow import irradiance
 from tests.transport.bidirectional_scenes import (
     LIGHTS,
@@ -224,7 +224,7 @@ def _weights(scene, power):
         towards = target.position - vertex.point.position
         towards /= jnp.linalg.norm(towards, axis=-1, keepdims=True)
         scatterer = Scatterer(packed, vertex.point, vertex.back)
-        return extend(vertex, scatterer, target, towards, scatterer.pdf(towards), None, adjoint, power)
+        return extend(vertex, scatterer, target, Onwards(towards, scatterer.pdf(towards)), adjoint, power)
 
     c2 = onto(z1, y2.point, False)
     c3 = onto(c2, y1.point, False)
@@ -234,7 +234,7 @@ def _weights(scene, power):
         nowhere = material_point(packed, jnp.zeros(paths, jnp.int32), sample.point.barycentric, jnp.zeros(paths, bool))
         scatterer = Scatterer(packed, c3.point, c3.back)
         forward = scatterer.pdf(sample.direction)
-        c4 = extend(c3, scatterer, nowhere, sample.direction, forward, None, False, power)
+        c4 = extend(c3, scatterer, nowhere, Onwards(sample.direction, forward), False, power)
     y3 = onto(y2, z1.point, True)
 
     def alone(vertex):

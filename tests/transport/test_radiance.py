@@ -128,7 +128,7 @@ def lobes(of, key):
     half = stream % 2 == 0  # the others have none
     means = []
     for given in (None, Lobe(direction, jnp.where(half, 0.25 / jnp.pi, 0.0))):
-        asked = radiance.request(primary.first, -primary.direction, primary.u, 3, stream, given=given)
+        asked = radiance.request(primary.first, -primary.direction, primary.u, 3, stream)._replace(given=given)
         means.append(radiance.radiance(packed, asked, jax.random.fold_in(key, 1), settings).total)
     return means[0].mean(0), means[1].mean(0), jnp.abs(jnp.where(half[:, None], 0.0, means[1] - means[0])).max()
 
@@ -152,7 +152,7 @@ def shares(of, key, depth):
     first, stream = primary.first, jnp.arange(len(primary.u), dtype=jnp.uint32)
     seen = footprint(primary.near.camera, first.position, first.normal)
     key = jax.random.fold_in(key, 1)
-    asked = radiance.request(first, -primary.direction, primary.u, depth - 1, stream, seen=seen)
+    asked = radiance.request(first, -primary.direction, primary.u, depth - 1, stream)._replace(seen=seen)
     answers = radiance.radiance(packed, asked, key, settings)
     near = trace_paths(packed, first, primary.direction, primary.u, key, settings, primary.near).near
     return answers, near.light * near.light_share[:, None] + near.beyond * near.beyond_share[:, None]
@@ -181,7 +181,8 @@ def test_lists_are_answered_as_if_alone():
     lists = []
     for number, options in enumerate([{}, {"seen": seen}, {"given": given}]):
         stream = jnp.arange(len(u), dtype=jnp.uint32) + 10_000 * number
-        lists.append(radiance.request(first, wi, u, 3 - number, stream, emission=1.0 - 0.5 * number, **options))
+        asked = radiance.request(first, wi, u, 3 - number, stream, emission=1.0 - 0.5 * number)
+        lists.append(asked._replace(**options))
     together = radiance.split(radiance.radiance(packed, radiance.joined(lists), KEY, settings), lists)
     for asked, found in zip(lists, together, strict=True):
         alone = radiance.radiance(packed, asked, KEY, settings)

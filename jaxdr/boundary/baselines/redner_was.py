@@ -23,11 +23,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
+from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
-from jaxdr.boundary.warped_area.continuous_velocity import Kernel
+from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import (
-    Convolution,
     Measure,
+    Warped,
+    WarpedTerm,
     check_options,
     displacement,
     divergence_term,
@@ -38,7 +40,23 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 
 
-class RednerWAS(eqx.Module):
+def _indirect(asked: Asked) -> str | None:
+    if asked.settings.max_depth <= 2:
+        return None
+    depth = asked.settings.max_depth
+    return f"RednerWAS: direct light only, but max_depth is {depth}; set max_depth=2, or take WarpedArea"
+
+
+def _glow(asked: Asked) -> str | None:
+    if not asked.packed.glow:
+        return None
+    return (
+        "RednerWAS: emitters with textures are not covered: seams of a texture are jumps on the sphere that "
+        "move; take emitters of one radiance, or WarpedArea"
+    )
+
+
+class RednerWAS(WarpedTerm):
     """Direct light by warped areas on the sphere of directions (Xu et al. 2023, Eq. 55-57), for comparison.
 
     Each direction has a velocity: that of the material point seen in it, on the emitter or on whatever hides it. It is
@@ -69,7 +87,10 @@ class RednerWAS(eqx.Module):
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
 
-    name = "boundary"
+    refusals = (
+        Refusal("`max_depth` above 2", "`max_depth=2`, `WarpedArea`", _indirect),
+        Refusal("emitters with textures", "emitters of one radiance, `WarpedArea`", _glow),
+    )
 
     def __check_init__(self):
         check_options(self, ("samples",))
@@ -77,29 +98,12 @@ class RednerWAS(eqx.Module):
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
         del key  # every face may bound what moving surfaces see, whatever moves
-        packed, settings = context.packed, context.settings
-        if settings.max_depth > 2:
-            raise ValueError(
-                f"RednerWAS: direct light only, but max_depth is {settings.max_depth}; set max_depth=2, or take "
-                "WarpedArea"
-            )
-        if packed.glow:
-            raise ValueError(
-                "RednerWAS: emitters with textures are not covered: seams of a texture are jumps on the sphere that "
-                "move; take emitters of one radiance, or WarpedArea"
-            )
-        return connect_faces(packed)
+        refuse(self.refusals, Asked(context.packed, context.settings))
+        return connect_faces(context.packed)
 
-    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
-        """Nothing: what the paths found is differentiated."""
-        return None, key
-
-    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
-        """Boundary term: zero in value, right in derivative."""
-        return chunk.image(context.packed, self._of_paths(context, state, chunk, held))
-
-    def _of_paths(self, context: Context, prepared: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
-        packed, settings, record = context.packed, context.settings, chunk.record
+    def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+        """Direct light."""
+        packed, record = context.packed, chunk.record
         if record.direct is None or not (packed.has_area_emitters or packed.environment is not None):
             return jnp.zeros_like(record.radiance)
         fixed = jax.tree.map(stop_gradient, packed)
@@ -121,39 +125,43 @@ class RednerWAS(eqx.Module):
 
         # Along with the emitter's points, div (F m): leave it out of the interior term.
         along = jnp.where(lit[:, None], scale(measure(towards), angle), 0.0)
-        warp = self._warp(packed, fixed, prepared, paths, measure, *stop_gradient((towards, angle)), lit, key, settings)
+        kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
+        around = Convolution(
+            kernel, self.samples, 1, self.debias, False, True, self.normal_edges, rays=context.settings.rays
+        )
+        warped = Warped(packed, fixed, state, paths, around)
+        warp = _warp(warped, measure, *stop_gradient((towards, angle)), lit, key)
         return warp - (along - stop_gradient(along))
 
-    def _warp(self, packed, fixed, faces, paths: PathSegments, measure, towards, angle, lit, key, settings):
-        """div (F v) = F div v + grad F . v at unit directions `towards`, summed over the auxiliary ones."""
+
+def _warp(warped: Warped, measure: Measure, towards, angle, lit, key) -> Float[Array, "N 3"]:
+    """div (F v) = F div v + grad F . v at unit directions `towards`, summed over the auxiliary ones."""
+    paths = warped.paths
+    index = jnp.arange(paths.paths)
+    apex = paths.fixed.apex(index)
+    count, everywhere = paths.paths, jnp.ones(paths.paths, bool)
+    ends = SegmentEnds(
+        apex=apex.position,
+        apex_face=apex.face,
+        target=apex.position + towards,
+        normal=towards,
+        face=jnp.zeros(count, jnp.int32),
+        corners=jnp.zeros((count, 3, 3), towards.dtype),
+        infinite=everywhere,
+    )
+    velocities = hidden_velocities(warped.fixed, warped.faces, apex, ends, lit, warped.around, key)
+
+    def f(direction):
+        return scale(measure(direction), angle)
+
+    def moved(slot):
+        row = velocities.row(slot)
         # Directions are frames of their own: what turns the environment is in F.
-        still = dataclasses.replace(packed, environment_turns=False)
-        index = jnp.arange(paths.paths)
-        apex = paths.fixed.apex(index)
-        count, everywhere = paths.paths, jnp.ones(paths.paths, bool)
-        ends = SegmentEnds(
-            apex=apex.position,
-            apex_face=apex.face,
-            target=apex.position + towards,
-            normal=towards,
-            face=jnp.zeros(count, jnp.int32),
-            corners=jnp.zeros((count, 3, 3), towards.dtype),
-            infinite=everywhere,
-        )
-        kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
-        around = Convolution(kernel, self.samples, 1, self.debias, False, True, self.normal_edges)
-        velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
+        return displacement(warped.packed, paths.position(row), everywhere[row], velocities.seen(slot), turns=False)
 
-        def f(direction):
-            return scale(measure(direction), angle)
-
-        def moved(slot):
-            row = velocities.row(slot)
-            return displacement(still, paths.position(row), everywhere[row], velocities.seen(slot))
-
-        # On the unit sphere a direction is where the target is, less the apex.
-        around_apex = dataclasses.replace(ends, target=towards)
-        return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
+    # On the unit sphere a direction is where the target is, less the apex.
+    around_apex = dataclasses.replace(ends, target=towards)
+    return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
 
 
 def _measure(packed: PackedScene, paths: PathSegments, index: Int[Array, " N"]) -> Measure:

@@ -21,10 +21,11 @@ from jaxdr.geometry.vector import (
     triangle_normals,
     z_of,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
-from jaxdr.transport.sampler import lattice, uniform
+from jaxdr.transport.sampler import lattice, sample_cdf, uniform
 
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
 
@@ -96,7 +97,7 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
 def _clip(outside0, outside1):
     """Parameter range of a line on which a linear function, positive outside, is not positive; empty as (1, 0)."""
     change = outside1 - outside0
-    root = -outside0 / jnp.where(change == 0, 1.0, change)
+    root = safe_divide(-outside0, change)
     low = jnp.where(outside0 > 0, jnp.where(outside1 > 0, 1.0, root), 0.0)
     high = jnp.where(outside1 > 0, jnp.where(outside0 > 0, 0.0, root), 1.0)
     return low, high
@@ -192,10 +193,7 @@ def sample_edges(
     total = cdf[-1]
     strata = jnp.arange(count, dtype=cdf.dtype) + uniform(key, (count,), cdf.dtype)
     target = strata / count * total
-    edge = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
-    before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
-    mass = cdf[edge] - before
-    along = jnp.clip((target - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0)
+    edge, along, mass = sample_cdf(cdf, target)
     low, high = components(distribution.range[edge])
     importance = distribution.importance[edge]
     weight = jnp.where(mass > 0, total / (count * jnp.where(importance > 0, importance, 1.0)), 0.0)

@@ -27,6 +27,7 @@ from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.shared.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
 from jaxdr.boundary.shared.term import Chunk, Context, streams
 from jaxdr.geometry.vector import corners, from_components, norm, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import Camera, View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
@@ -206,7 +207,7 @@ def _candidates(
     target = uniform(key_choice, (count,), dtype) * total
     number = jnp.minimum((cumulative <= target).sum(0), segments - 1)
     edge, importance = (x[number, jnp.arange(count)] for x in (found.edge, found.importance))
-    weight = jnp.where(importance > 0, total / jnp.where(importance > 0, importance, 1.0), 0.0)
+    weight = safe_divide(total, importance, otherwise=0.0)
     return ChainCrossings(chords, number + 1, edge, detached.edges.shared(edge, weight)), total
 
 

@@ -16,6 +16,7 @@ from jaxdr.boundary.film.edge_distribution import EdgeDistribution, edge_distrib
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.boundary.shared.term import Chunk, Context, named_key, streams
 from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
@@ -30,7 +31,7 @@ from jaxdr.transport.shading import Scatterer
 KINDS = ("silhouettes", "creases")
 
 
-class EdgePoints(NamedTuple):
+class FilmEdgePoints(NamedTuple):
     """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
 
     The point is at the share `along` of its `edge`, seen through the point `lens` of the aperture (None without) at
@@ -55,7 +56,7 @@ class EdgePoints(NamedTuple):
 class _Held(NamedTuple):
     """Edge points; what is behind them: on which side, and which material point; and which count. `crease`: or not."""
 
-    points: EdgePoints
+    points: FilmEdgePoints
     behind: Int[Array, " n"]
     face: Int[Array, " n"]
     barycentric: Float[Array, "n 3"]
@@ -117,7 +118,7 @@ class FilmEdges:
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
         first, wi, u, stream, size, given = flat
         emission = jnp.tile(seen, 2).astype(wi.dtype)
-        asked = request(first, wi, u, settings.max_depth - 1, stream, emission, size, given)
+        asked = request(first, wi, u, settings.max_depth - 1, stream, emission)._replace(seen=size, given=given)
         behind = points.distance.argmax(0)
         far = jax.tree.map(lambda x: _of_side(x, behind), points.first)
         return asked, _Held(points, behind, far.face, far.barycentric, far.valid, seen, crease)
@@ -148,13 +149,13 @@ class FilmEdges:
         return chunk.share * splat(packed.camera.film, points.film_point, value)
 
 
-def _moved(points: EdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
+def _moved(points: FilmEdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
     """Displacement of a film point along the normal, zero in value."""
     along = dot(points.normal, position)
     return along - jax.lax.stop_gradient(along)
 
 
-def _view(packed: PackedScene, points: EdgePoints) -> View:
+def _view(packed: PackedScene, points: FilmEdgePoints) -> View:
     return packed.camera.view(points.lens)
 
 
@@ -163,7 +164,7 @@ def _of_side(x, side: Int[Array, " n"]):
     return jnp.where(side.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0])
 
 
-def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lobe:
+def _common_directions(packed: PackedScene, points: FilmEdgePoints, crease, u) -> Lobe:
     """At creases: directions from the BSDF of either side, and their mean density, for both sides; elsewhere none."""
     second = u[:, 2:3] >= 0.5
     rest = jnp.concatenate([2.0 * u[:, 2:3] - second, u[:, 3:]], -1)
@@ -179,7 +180,7 @@ def _common_directions(packed: PackedScene, points: EdgePoints, crease, u) -> Lo
 
 def _edge_points(
     packed: PackedScene, distribution: EdgeDistribution, drawn, lens, settings: PathSettings
-) -> EdgePoints:
+) -> FilmEdgePoints:
     """`lens`: a point of the aperture each, None without."""
     camera, film = packed.camera, packed.camera.film
     row, fraction, weight = drawn
@@ -198,7 +199,7 @@ def _edge_points(
     if camera.aperture:
         # From a point of the lens an equal step of the fraction is an equal step on the film, too.
         start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
-        weight = weight * norm(end - start) / jnp.where(d.extent > 0, d.extent, 1.0)
+        weight = safe_divide(weight * norm(end - start), d.extent)
     film_point = view.project(point)
 
     x, y = components(normalize(end - start))
@@ -246,4 +247,4 @@ def _edge_points(
     clear = distance >= edge_distance - tolerance
     outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
     outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
-    return EdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)
+    return FilmEdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)

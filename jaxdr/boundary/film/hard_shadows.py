@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import affine_coordinates, never_silhouettes, occluded_side, past_edge
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (
@@ -34,6 +35,7 @@ from jaxdr.geometry.vector import (
     triangle_normals,
     z_of,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -41,14 +43,14 @@ from jaxdr.scene.splat import splat
 from jaxdr.transport.emission import light_intensity, light_places
 from jaxdr.transport.interaction import SurfacePoint, leave, material_point
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.sampler import lattice
+from jaxdr.transport.sampler import lattice, sample_cdf
 from jaxdr.transport.shading import Scatterer
 
 FLOOR = 0.25  # share of the points that goes to silhouettes by their length alone, as their light sees them
 SAME_SURFACE = 0.7  # cosine between the normals of faces that may be one surface
 
 
-class Lines(NamedTuple):
+class ShadowLines(NamedTuple):
     """Points on lines that bound what lights reach.
 
     `light` sees the line between the `ends`, of which the point is `along`; differentiable. `dark` is the unit normal
@@ -64,7 +66,7 @@ class Lines(NamedTuple):
 
 
 class ShadowPoints(NamedTuple):
-    """Where the light past `Lines` arrives.
+    """Where the light past `ShadowLines` arrives.
 
     `position` is differentiable: the line's shadow. All else is detached: `point` of the receiver there, valid where
     light arrives at all; unit direction `towards` the light; `arriving`, RGB: its intensity over the squared distance.
@@ -121,7 +123,7 @@ def shadow_distribution(
         received = jnp.where(moves & points.point.valid, received * norm(points.tangent), 0.0)
         offset = jnp.where(infinite[light], packed.size, norm(ends_of(lines) - places[light]))
         sides = lines.ends[:, 1] - lines.ends[:, 0]
-        length = jnp.where(used, norm(sides) / jnp.where(offset > 0, offset, 1.0), 0.0)
+        length = jnp.where(used, safe_divide(norm(sides), offset), 0.0)
         return for_film, received, length
 
     def ends_of(lines):
@@ -148,8 +150,8 @@ def shadow_distribution(
 def _mass(table, length):
     """What the pilot found, and a floor for every silhouette."""
     whole, total = length.sum(), table.sum()
-    even = length / jnp.where(whole > 0, whole, 1.0)
-    found = table / jnp.where(total > 0, total, 1.0)
+    even = safe_divide(length, whole)
+    found = safe_divide(table, total)
     return FLOOR * even + (1.0 - FLOOR) * found
 
 
@@ -171,7 +173,9 @@ def _borders(packed: PackedScene) -> _Borders | None:
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found) if found else None
 
 
-def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n"], used: Bool[Array, " n"]) -> Lines:
+def _lines(
+    packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n"], used: Bool[Array, " n"]
+) -> ShadowLines:
     """Points on the entries `index` of a `ShadowDistribution`."""
     count, borders = packed.edges.vertices.shape[0], _borders(packed)
     places, infinite = jax.tree.map(stop_gradient, light_places(packed))
@@ -191,10 +195,10 @@ def _lines(packed: PackedScene, index: Int[Array, " n"], along: Float[Array, " n
         plane = normalize(cross(*corners(sides)))
         plane = scale(plane, -jnp.sign(dot(plane, borders.inside[number] - places[light])))
         dark = jnp.where(border[:, None], plane, dark)
-    return Lines(light, ends, along, dark, border, used)
+    return ShadowLines(light, ends, along, dark, border, used)
 
 
-def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> ShadowPoints:
+def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSettings) -> ShadowPoints:
     """Follow the light past lines; what hides the line from the light, or a miss, leaves the point invalid."""
     detached = jax.tree.map(stop_gradient, packed)
     places, infinite = light_places(packed)
@@ -219,7 +223,7 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
         ray = jnp.where(infinite, -place, edge_point - place)
         normal = triangle_normals(triangle)
         slope = dot(normal, ray)
-        distance = dot(normal, corners(triangle)[0] - edge_point) / jnp.where(found & (slope != 0), slope, 1.0)
+        distance = safe_divide(dot(normal, corners(triangle)[0] - edge_point), slope, found & (slope != 0))
         return edge_point + scale(ray, jnp.where(found, distance, 0.0))
 
     triangle = packed.vertices[packed.faces[face]]
@@ -240,9 +244,19 @@ def shadow_points(packed: PackedScene, lines: Lines, settings: PathSettings) -> 
         position=position,
         point=point,
         towards=towards,
-        arriving=scale(intensity, 1.0 / jnp.where(distance2 > 0, distance2, 1.0)),
+        arriving=scale(intensity, safe_divide(1.0, distance2)),
         tangent=moved(stop_gradient(end - start)),
         lit=moved(-lines.dark),
+    )
+
+
+def _camera(asked: Asked) -> str | None:
+    camera = asked.packed.camera
+    if isinstance(camera, Perspective):
+        return None
+    return (
+        f"render: hard shadows seen by a {type(camera).__name__} camera have no derivative yet; "
+        f"take a Perspective, {INTERIOR}"
     )
 
 
@@ -250,6 +264,7 @@ class HardShadows:
     """Term of the edges of hard shadows, in the image and on what paths meet."""
 
     name = "shadows"
+    refusals = (Refusal("cameras other than `Perspective`", "`Perspective`", _camera),)
 
     def prepare(self, context: Context, key) -> ShadowDistribution | None:
         """Raises ValueError for cameras whose shadows have no derivative yet."""
@@ -257,11 +272,7 @@ class HardShadows:
         packed, moving = context.packed, context.moving
         if not packed.light_count or context.settings.max_depth == 1:
             return None
-        if not isinstance(packed.camera, Perspective):
-            raise ValueError(
-                f"render: hard shadows seen by a {type(packed.camera).__name__} camera have no derivative yet; "
-                "take a Perspective, or boundary=None for the interior term alone"
-            )
+        refuse(self.refusals, Asked(packed, context.settings))
         lights = moving.lights or (False,) * packed.light_count
         return shadow_distribution(packed, moving.seen, lights, context.settings)
 
@@ -355,7 +366,7 @@ def _visible(detached: PackedScene, points: ShadowPoints, seen: _OnFilm, setting
         reach = jnp.where(visible, 1e30, 0.0).astype(direction.dtype)
         hit = queries.closest_hit(detached.geometry, queries.Rays(origin, direction, reach), settings.rays)
         slope = dot(point.normal, direction)
-        expected = dot(point.normal, point.position - origin) / jnp.where(slope == 0, 1.0, slope)
+        expected = safe_divide(dot(point.normal, point.position - origin), slope)
         normal = normalize(detached.face_normals()[jnp.maximum(hit.face, 0)])
         close = jnp.abs(hit.t - expected) < 1e-4 * jnp.abs(expected)
         same = (hit.face == point.face) | (close & (dot(normal, point.normal) > SAME_SURFACE))
@@ -402,14 +413,13 @@ def scattered_shadow_term(
     return jnp.zeros((paths.paths, 3), value.dtype).at[paths.path(index)].add(value)
 
 
-def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[Lines, Float[Array, " n"]]:
+def _draw(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[ShadowLines, Float[Array, " n"]]:
     """Points on lines, spread evenly, and 1 / density per unit of the line's parameter. Each could be anywhere."""
     u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)[0]
     total = cdf[-1]
-    entry = jnp.clip(jnp.searchsorted(cdf, u[:, 0] * total, side="right"), 0, cdf.shape[0] - 1)
-    mass = cdf[entry] - jnp.where(entry > 0, cdf[entry - 1], 0.0)
+    entry, _, mass = sample_cdf(cdf, u[:, 0] * total)
     used = mass > 0
-    weight = jnp.where(used, total / jnp.where(used, mass, 1.0), 0.0)
+    weight = safe_divide(total, mass, used, 0.0)
     light, edge = jnp.divmod(entry, packed.edges.vertices.shape[0])
     weight = jnp.where(light < packed.light_count, packed.edges.shared(edge, weight), weight)
     return _lines(packed, entry, u[:, 1], used), weight

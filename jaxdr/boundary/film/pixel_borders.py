@@ -62,7 +62,8 @@ class PixelBorders:
         first = on_fixed_ray(packed, origin, direction, hit.face, hit.barycentric)
         seen = footprint(view, first.position, first.normal)
         stream = streams(self.name, u.shape[0])
-        return request(first, -direction, u[:, 1:5], settings.max_depth - 1, stream, 0.0, seen), _Held(first, lens)
+        asked = request(first, -direction, u[:, 1:5], settings.max_depth - 1, stream, 0.0)
+        return asked._replace(seen=seen), _Held(first, lens)
 
     def image(
         self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None

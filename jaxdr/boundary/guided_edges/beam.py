@@ -27,6 +27,7 @@ from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.connections import ends, with_camera
@@ -65,7 +66,7 @@ def detect(
     point = ends_of.detector._replace(valid=ends_of.valid)
     cosine = jnp.abs(dot(point.normal, drawn.towards))
     _, _, width, height = packed.camera.film.window
-    throughput = drawn.sine * weight * (width * height) / jnp.where(cosine > 0, cosine, 1.0)
+    throughput = safe_divide(drawn.sine * weight * (width * height), cosine, cosine > 0)
     throughput = jnp.where(ends_of.valid & (cosine > 0), throughput, 0.0)
     start = Subpath(
         point=point,
@@ -130,7 +131,7 @@ def _displacements(
     detector, source = ends_of.detector, ends_of.source
     near = norm(detector.position - drawn.position)
     length = jnp.where(source.valid, norm(source.position - detector.position), 1.0)
-    share = jnp.where(source.valid, near / jnp.where(length > 0, length, 1.0), 0.0)
+    share = jnp.where(source.valid, safe_divide(near, length), 0.0)
     moved = dot(drawn.pole, drawn.point.moving(packed, lunes))
     moved -= share * dot(drawn.pole, on_face(packed, source.face, source.barycentric))
     if packed.environment_turns:

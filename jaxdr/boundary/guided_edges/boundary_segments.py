@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.guided_edges.edge_lunes import (
     EdgeLunes,
-    EdgePoints,
+    LunePoints,
     edge_number,
     edge_points,
     lune_directions,
@@ -41,7 +41,7 @@ class BoundarySegments(NamedTuple):
     the direction was drawn.
     """
 
-    point: EdgePoints
+    point: LunePoints
     position: Float[Array, "n 3"]
     towards: Float[Array, "n 3"]
     pole: Float[Array, "n 3"]
@@ -129,7 +129,7 @@ Strategy = type[DirectionSampling] | type[EmitterSampling]
 
 
 def lines_past(
-    lunes: EdgeLunes, point: EdgePoints, towards: Float[Array, "n 3"], emitter: SurfacePoint | None
+    lunes: EdgeLunes, point: LunePoints, towards: Float[Array, "n 3"], emitter: SurfacePoint | None
 ) -> BoundarySegments:
     """Lines in unit directions past points on edges."""
     passed = passing(lunes, point.row, towards)

@@ -29,7 +29,9 @@ from jaxdr.geometry.vector import (
     orthonormal_basis,
     scale,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.sampler import sample_cdf
 
 STILL = 0.25  # share of the samples that goes to edges that do not move, where others do: receivers and lights move too
 
@@ -57,7 +59,7 @@ class EdgeLunes(NamedTuple):
     share: Float[Array, " E"]
 
 
-class EdgePoints(NamedTuple):
+class LunePoints(NamedTuple):
     """Points on the rows of an `EdgeLunes`, at the share `along` of their edges."""
 
     row: Int[Array, " n"]
@@ -119,7 +121,7 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
         moves = jnp.asarray(moving)[edges.shape[number]]
         moved, still = jnp.where(moves, weight, 0.0).sum(), jnp.where(moves, 0.0, weight).sum()
         both = (moved > 0) & (still > 0)
-        share = jnp.where(both, jnp.where(moves, (1 - STILL) / moved, STILL / jnp.where(both, still, 1.0)), 1.0)
+        share = jnp.where(both, jnp.where(moves, (1 - STILL) / moved, safe_divide(STILL, still, both)), 1.0)
         weight = weight * share
     cdf = jnp.cumsum(weight)
     total = jnp.where(cdf[-1] > 0, cdf[-1], 1.0)
@@ -129,15 +131,13 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
     return EdgeLunes(number, pairs, start, side, tangent, first, second, width, cdf / total, density, share)
 
 
-def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> EdgePoints:
+def edge_points(lunes: EdgeLunes, u: Float[Array, " n"]) -> LunePoints:
     """Points on edges from the first primary number."""
-    row = jnp.clip(jnp.searchsorted(lunes.cdf, u, side="right"), 0, lunes.cdf.shape[0] - 1)
-    before = jnp.where(row > 0, lunes.cdf[row - 1], 0.0)
-    mass = lunes.cdf[row] - before
-    return EdgePoints(row, jnp.clip((u - before) / jnp.where(mass > 0, mass, 1.0), 0.0, 1.0))
+    row, along, _ = sample_cdf(lunes.cdf, u)
+    return LunePoints(row, along)
 
 
-def edge_number(lunes: EdgeLunes, points: EdgePoints) -> Float[Array, " n"]:
+def edge_number(lunes: EdgeLunes, points: LunePoints) -> Float[Array, " n"]:
     """The first primary number of points: the inverse of `edge_points`."""
     before = jnp.where(points.row > 0, lunes.cdf[points.row - 1], 0.0)
     return before + points.along * (lunes.cdf[points.row] - before)
@@ -174,11 +174,11 @@ def lune_directions(lunes: EdgeLunes, row: Int[Array, " n"], u: Float[Array, "n 
 def lune_numbers(lunes: EdgeLunes, row: Int[Array, " n"], passed: Passing) -> Float[Array, "n 2"]:
     """The inverse of `lune_directions`."""
     width = lunes.width[row]
-    share = jnp.clip(passed.turn / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
+    share = jnp.clip(safe_divide(passed.turn, width), 0.0, 1.0)
     return from_components(0.5 * (passed.lune + share), 0.5 * (1.0 - passed.cosine))
 
 
 def lune_pdf(lunes: EdgeLunes, row: Int[Array, " n"]) -> Float[Array, " n"]:
     """Density (solid angle) of `lune_directions`."""
     width = lunes.width[row]
-    return jnp.where(width > 0, 0.25 / jnp.where(width > 0, width, 1.0), 0.0)
+    return safe_divide(0.25, width, otherwise=0.0)

@@ -15,20 +15,21 @@ from jaxdr.boundary.guided_edges.boundary_segments import (
     BoundarySegments,
     DirectionSampling,
     EmitterSampling,
-    Strategy,
     segment_ends,
 )
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.guided_edges.flux_maps import flux_maps
-from jaxdr.boundary.guided_edges.guide_target import segment_target
+from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
 from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, stream_of
 from jaxdr.geometry.vector import scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
@@ -38,17 +39,6 @@ from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import lattice, path_numbers
-
-
-class Plan(NamedTuple):
-    """How segments are drawn by one strategy, and which of the light they carry counts.
-
-    `emission` of what they end on, `gathered`: light that it scatters. Static.
-    """
-
-    strategy: Strategy
-    emission: bool
-    gathered: bool
 
 
 class GuidedEdgesState(NamedTuple):
@@ -80,6 +70,17 @@ class _Drawn(NamedTuple):
 
     rows: _Row
     used: Int[Array, ""]
+
+
+def _refusal(what: str, covered: str, found: Callable[[PackedScene], Any]) -> Refusal:
+    def message(asked: Asked) -> str | None:
+        packed = asked.packed
+        if packed is None or not found(packed):
+            return None
+        covers = covered.format(type(packed.camera).__name__)
+        return f"render: GuidedEdges covers {covers}; take KernelDensity or LineSampling, {INTERIOR}"
+
+    return Refusal(what, "`KernelDensity`, `LineSampling`", message)
 
 
 class GuidedEdges(eqx.Module):
@@ -114,6 +115,29 @@ class GuidedEdges(eqx.Module):
 
     name = "boundary"
 
+    refusals = (
+        _refusal(
+            "mirrors and smooth glass",
+            "no visibility changes over mirrors and smooth glass",
+            lambda packed: packed.has_delta_lobes,
+        ),
+        _refusal(
+            "interpolated normals",
+            "no horizons of surfaces with interpolated normals",
+            lambda packed: packed.normals is not None,
+        ),
+        _refusal(
+            "rough glass",
+            "nothing that is seen through rough glass",
+            lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
+        ),
+        _refusal(
+            "cameras other than `Perspective`",
+            "no {} camera, only Perspective",
+            lambda packed: not isinstance(packed.camera, Perspective),
+        ),
+    )
+
     def __check_init__(self):
         guides = "none", "grid", "kdtree", "projective"
         for name, known in (("sampling", ("emitter", "direction", "mis")), ("guide", guides)):
@@ -124,16 +148,16 @@ class GuidedEdges(eqx.Module):
         if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
             raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
 
-    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[Plan, ...]:
+    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[StrategyPlan, ...]:
         """The strategies that this scene needs at this depth."""
         indirect = settings.max_depth > 2
         glows = packed.has_area_emitters or packed.environment is not None
         plans = []
         if glows and self.sampling != "direction":
-            plans.append(Plan(EmitterSampling, True, False))
+            plans.append(StrategyPlan(EmitterSampling, True, False))
         by_direction = glows and self.sampling != "emitter"
         if by_direction or indirect:
-            plans.append(Plan(DirectionSampling, by_direction, indirect))
+            plans.append(StrategyPlan(DirectionSampling, by_direction, indirect))
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
@@ -143,7 +167,7 @@ class GuidedEdges(eqx.Module):
 
     def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
         """The same for shapes that can move. Raises ValueError as `prepare`."""
-        _check(packed)
+        refuse(self.refusals, Asked(packed, settings))
         detached = jax.tree.map(stop_gradient, packed)
         lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
@@ -157,7 +181,7 @@ class GuidedEdges(eqx.Module):
             lines = project_paths(detached, lunes, SEEDS * self._powers, key_paths, settings.rays)
         target = self._targets(detached, lunes, flags, key_maps, settings)
 
-        def guide(plan: Plan, key) -> Defended:
+        def guide(plan: StrategyPlan, key) -> Defended:
             seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
             return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
 
@@ -166,13 +190,12 @@ class GuidedEdges(eqx.Module):
 
     def _targets(
         self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
-    ) -> Callable[[Plan, PRNGKeyArray], Target]:
+    ) -> Callable[[StrategyPlan, PRNGKeyArray], Target]:
         """What guides of every plan are made for."""
         maps = flux_maps(detached, key, settings) if self.guide != "none" and settings.max_depth > 2 else None
 
-        def target(plan: Plan, key: PRNGKeyArray) -> Target:
-            options = plan.strategy, plan.emission, plan.gathered
-            return lambda primary: segment_target(detached, lunes, moving, maps, *options, primary, key, settings)
+        def target(plan: StrategyPlan, key: PRNGKeyArray) -> Target:
+            return segment_target(detached, lunes, moving, maps, plan, key, settings)
 
         return target
 
@@ -191,7 +214,7 @@ class GuidedEdges(eqx.Module):
         key_maps, *keys = jax.random.split(key, 3)
         target = self._targets(detached, edge_lunes(packed, moving, order), jnp.asarray(moving), key_maps, settings)
 
-        def refitted(plan: Plan, old: Defended, key) -> Defended:
+        def refitted(plan: StrategyPlan, old: Defended, key) -> Defended:
             new = old.guide.refitted(target(plan, key), self._evaluations, key)
             return self._defended(new, target(plan, key), packed, key)
 
@@ -212,9 +235,9 @@ class GuidedEdges(eqx.Module):
         self._plans_of(packed, settings, guides)
         return GuidedEdgesState(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
 
-    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[Plan, ...]:
+    def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[StrategyPlan, ...]:
         """The plans that guides were built for; raises ValueError where they weren't."""
-        _check(packed)
+        refuse(self.refusals, Asked(packed, settings))
         plans = self.plans(packed, settings)
         if len(plans) != len(guides):
             raise ValueError(
@@ -327,7 +350,7 @@ class GuidedEdges(eqx.Module):
             if plan.emission:
                 density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
                 sent = emitted(packed, ends.source, -segments.towards)
-                sent = jnp.where(lit.any(-1)[:, None], scale(sent, share / _nonzero(density)), 0.0)
+                sent = jnp.where(lit.any(-1)[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
             if plan.gathered:
                 # Not of the lattice that segments come from: its rows would differ from theirs by a shift alone.
                 numbers = path_numbers(key_source, slot, 0, value.dtype)
@@ -335,31 +358,9 @@ class GuidedEdges(eqx.Module):
                 for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
                     bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
                     asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
-            inverse = share / _nonzero(pdf[number])
+            inverse = safe_divide(share, pdf[number], pdf[number] > 0)
             row = _Row(segments, ends, value, seen.film_point.swapaxes(0, 1), seen.lens, sent, inverse)
             return asked, row
 
         asked, found = map_over_blocks(rows, slots, used)
         return asked, _Drawn(found, used)
-
-
-def _nonzero(x) -> Any:
-    return jnp.where(x > 0, x, 1.0)
-
-
-def _check(packed: PackedScene) -> None:
-    """Raises ValueError for what no segment covers, and for what has not been verified yet."""
-    what = None
-    if packed.has_delta_lobes:
-        what = "no visibility changes over mirrors and smooth glass"
-    elif packed.normals is not None:
-        what = "no horizons of surfaces with interpolated normals"
-    elif any(spreads_through(group.bsdf) for group in packed.bsdfs):
-        what = "nothing that is seen through rough glass"
-    elif not isinstance(packed.camera, Perspective):
-        what = f"no {type(packed.camera).__name__} camera, only Perspective"
-    if what is not None:
-        raise ValueError(
-            f"render: GuidedEdges covers {what}; take KernelDensity or LineSampling, or boundary=None for the interior "
-            "term alone"
-        )

@@ -1,5 +1,8 @@
 """What guides are made for: the contribution of a boundary segment, about (Yan et al. 2022, Eq. 11-13)."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
@@ -8,10 +11,22 @@ from jaxdr.boundary.guided_edges.beam import detect, moves
 from jaxdr.boundary.guided_edges.boundary_segments import Strategy, segment_ends
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.path import PathSettings
+
+
+class StrategyPlan(NamedTuple):
+    """How segments are drawn by one strategy, and which of the light they carry counts.
+
+    `emission` of what they end on, `gathered`: light that it scatters. Static.
+    """
+
+    strategy: Strategy
+    emission: bool
+    gathered: bool
 
 
 def segment_target(
@@ -19,31 +34,33 @@ def segment_target(
     lunes: EdgeLunes,
     moving: Bool[Array, " S"],
     maps: FluxMaps | None,
-    strategy: Strategy,
-    emission: bool,
-    gathered: bool,
-    primary: Float[Array, "n 3"],
+    plan: StrategyPlan,
     key,
     settings: PathSettings,
-) -> Float[Array, " n"]:
-    """|F| at primary numbers for any motion of one unit (luminance): f_B J_B h_S h_D.
+) -> Callable[[Float[Array, "n 3"]], Float[Array, " n"]]:
+    """|F| as a function of primary numbers, for any motion of one unit (luminance): f_B J_B h_S h_D.
 
     Ends at emitters and in view of the camera are evaluated; light that the source scatters (`gathered`), and what the
     detector adds to the film after more bounces, come from `maps`.
     """
-    drawn = strategy.segments(packed, lunes, primary)
-    ends = segment_ends(packed, drawn, drawn.silhouette, settings.rays)
-    ends = ends._replace(valid=ends.valid & moves(packed, moving, lunes, drawn, ends))
-    density = strategy.density(packed, lunes, drawn, ends)
-    weight = jnp.where(ends.valid & (density > 0), 1.0 / jnp.where(density > 0, density, 1.0), 0.0)
-    number = jnp.arange(primary.shape[0])
-    seen = detect(packed, drawn, ends, weight, number, key, settings._replace(max_depth=2))
-    importance = luminance(seen.value[0])
-    radiance = jnp.zeros_like(importance)
-    if emission:
-        radiance += luminance(jnp.broadcast_to(emitted(packed, ends.source, -drawn.towards), seen.value[0].shape))
-    if maps is not None:
-        if gathered:
-            radiance += jnp.where(ends.source.valid, maps.radiance_at(ends.source.position), 0.0)
-        importance += jnp.where(ends.valid, maps.importance_at(ends.detector.position) * weight * drawn.sine, 0.0)
-    return stop_gradient(jnp.where(ends.valid, jnp.maximum(importance * radiance, 0.0), 0.0))
+    strategy = plan.strategy
+
+    def target(primary):
+        drawn = strategy.segments(packed, lunes, primary)
+        ends = segment_ends(packed, drawn, drawn.silhouette, settings.rays)
+        ends = ends._replace(valid=ends.valid & moves(packed, moving, lunes, drawn, ends))
+        density = strategy.density(packed, lunes, drawn, ends)
+        weight = jnp.where(ends.valid & (density > 0), safe_divide(1.0, density), 0.0)
+        number = jnp.arange(primary.shape[0])
+        seen = detect(packed, drawn, ends, weight, number, key, settings._replace(max_depth=2))
+        importance = luminance(seen.value[0])
+        radiance = jnp.zeros_like(importance)
+        if plan.emission:
+            radiance += luminance(jnp.broadcast_to(emitted(packed, ends.source, -drawn.towards), seen.value[0].shape))
+        if maps is not None:
+            if plan.gathered:
+                radiance += jnp.where(ends.source.valid, maps.radiance_at(ends.source.position), 0.0)
+            importance += jnp.where(ends.valid, maps.importance_at(ends.detector.position) * weight * drawn.sine, 0.0)
+        return stop_gradient(jnp.where(ends.valid, jnp.maximum(importance * radiance, 0.0), 0.0))
+
+    return target

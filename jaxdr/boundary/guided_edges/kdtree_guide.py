@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr import loops
 from jaxdr.boundary.guided_edges.primary_guides import Choice, Target, below_one, choice, evaluate
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.sampling import linear
 from jaxdr.transport.compaction import rows_where
 
@@ -71,8 +72,8 @@ class KdTree(NamedTuple):
         lower, upper, corners = self.nodes.lower[node], self.nodes.upper[node], self.nodes.corners[node]
         size = upper - lower
         there = size.prod(-1) > 0
-        x = (primary - lower) / jnp.where(there[:, None], size, 1.0)
-        value = (_basis(x) * corners).sum(-1) / jnp.where(there, size.prod(-1), 1.0)
+        x = safe_divide(primary - lower, size, there[:, None])
+        value = safe_divide((_basis(x) * corners).sum(-1), size.prod(-1), there)
         return jnp.where(there, self.leaves.probability(node) * value, 0.0)
 
     def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "KdTree":

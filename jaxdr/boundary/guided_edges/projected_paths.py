@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr import loops
 from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments, lines_past
-from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, EdgePoints, passing
+from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, LunePoints, passing
 from jaxdr.boundary.shared.edge_reservoir import passes
 from jaxdr.boundary.shared.face_neighbours import connect_faces
 from jaxdr.geometry import queries
@@ -97,7 +97,7 @@ def project_paths(
 
 def _nearest_silhouettes(
     packed: PackedScene, lunes: EdgeLunes, path: ShadowRays
-) -> tuple[EdgePoints, Bool[Array, " n"]]:
+) -> tuple[LunePoints, Bool[Array, " n"]]:
     """(points on edges beside the faces that hide emitters, nearest to paths; whether there is any)."""
     sides, behind = _rows_at(packed, lunes), connect_faces(packed).behind
     origin, emitter = path.first.position, path.emitter
@@ -125,7 +125,7 @@ def _nearest_silhouettes(
     zero = jnp.zeros_like(path.occluder)
     start = jnp.maximum(path.occluder, 0), zero - 1, zero, jnp.zeros_like(origin[:, 0]), zero > 0
     _, _, row, along, found = loops.fori_loop(0, STEPS, step, start)
-    return EdgePoints(row, along), found & (path.occluder >= 0)
+    return LunePoints(row, along), found & (path.occluder >= 0)
 
 
 def _rows_at(packed: PackedScene, lunes: EdgeLunes) -> Int[Array, "F 3"]:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr import loops
 from jaxdr.boundary.guided_edges.primary_guides import SHARES, Choice, Defended, Target, below_one, choice, evaluate
+from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.sampler import lattice, uniform
 
 AROUND = 0.1  # share of a leaf's samples that is drawn from all of it
@@ -84,7 +85,7 @@ class SeededTree(NamedTuple):
 
 def _over_volume(lower, upper):
     volume = (upper - lower).prod(-1)
-    return jnp.where(volume > 0, 1.0 / jnp.where(volume > 0, volume, 1.0), 0.0)
+    return safe_divide(1.0, volume, otherwise=0.0)
 
 
 def build_seeded_tree(

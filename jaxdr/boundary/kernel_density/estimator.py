@@ -33,12 +33,11 @@ from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
-from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 from jaxdr.transport.sampler import seed_of
 
@@ -72,6 +71,22 @@ class BoundaryPoints(NamedTuple):
     share: Float[Array, " C"]
     valid: Bool[Array, " C"]
     used: Int[Array, ""]
+
+
+class _Near(NamedTuple):
+    """Segments near whose targets boundary points are looked for; those of no radius (`shrunk`) have none.
+
+    `sky`: an environment of varying radiance counts. The widest radius is relative to the length of the segment to the
+    target, or, `there`, to the boundary point.
+    """
+
+    paths: PathSegments
+    prepared: KernelDensityState
+    shrunk: Float[Array, " S"]
+    both_sides: bool
+    sky: bool
+    rays: str
+    there: bool = False
 
 
 class _Held(NamedTuple):
@@ -186,9 +201,10 @@ class KernelDensity(eqx.Module):
         if record.scattered is not None:
             paths = path_segments(packed, chunk, "scattered", differentiated=False)
             if self.trace_background:
-                capacity = self._capacity(paths.count)
-                tables = state.tree, state.radius, paths, shrunk, capacity
-                asked, behind = lobe_edges(packed, *tables, key_scattered, settings)
+                edges = queries.EdgeSet.of(packed.edges, state.radius, state.tree)
+                asked, behind = lobe_edges(
+                    packed, edges, paths, shrunk, self._capacity(paths.count), key_scattered, settings
+                )
             else:
                 scattered = self._near(packed, state, paths, shrunk, False, key_scattered, settings)
         return asked, _Held(direct, scattered, behind)
@@ -225,7 +241,7 @@ class KernelDensity(eqx.Module):
                 lit = jnp.where(paths.table.infinite, lit, may_glow)
         lit = lit & (both_sides | paths.table.visible)
         shrunk = jnp.where(lit, jnp.tile(shrunk, paths.count // paths.paths), 0.0)
-        found = self._boundary_points(packed, prepared, paths, shrunk, both_sides, sky, key, settings.rays)
+        found = self._boundary_points(_Near(paths, prepared, shrunk, both_sides, sky, settings.rays), key)
         segment, ends, projection, goal = found.segment, found.ends, found.projection, found.goal
         radiance = None if glow is None else _radiance_at(packed, glow, ends, projection)
         transfer = paths.transfer(segment, ends, goal, paths.scatterer(segment, found.apex))
@@ -236,27 +252,23 @@ class KernelDensity(eqx.Module):
         far = table.infinite[segment], table.direction[segment]
         return OnPlanes(segment, found.edge, projection, *target, *far, weight), found.used
 
-    def _boundary_points(
-        self, packed, prepared, paths: PathSegments, shrunk, both_sides: bool, sky: bool, key, rays, there=False
-    ) -> BoundaryPoints:
-        """Boundary points within the kernel's radius of the segments' targets; those of no radius (`shrunk`) have none.
-
-        The widest radius is relative to the length of the segment to the target, or, `there`, to the boundary point.
-        """
+    def _boundary_points(self, near: "_Near", key) -> BoundaryPoints:
+        """Boundary points within the kernel's radius of the segments' targets."""
+        paths, prepared, shrunk, both_sides, sky, rays, there = near
+        packed = paths.packed
         ends = paths.fixed.ends(jnp.arange(paths.count))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
         if there:  # longer by a radius at most
             widest = widest / max(1.0 - self.widest, 0.5)
-        still = None if prepared.moving is None else paths.stand_still(prepared.moving.shapes)
-        pairs, edge, along, density = self._pairs(packed, prepared, ends, shrunk, widest, still, both_sides, key, rays)
+        pairs, edge, along, density = self._pairs(near, ends, widest, key)
 
         valid = pairs.segment >= 0
         used, segment = valid.sum(), jnp.where(valid, pairs.segment, 0)
         ends = paths.ends(segment)
         apex, projection = paths.fixed.apex(segment), project_edges(packed, edge, ends, along)
         r = prepared.radius[edge] * shrunk[segment]
-        magnified = r / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+        magnified = safe_divide(r, projection.fraction, projection.fraction > 0)
         limit = self.widest * norm(projection.point - stop_gradient(ends.apex)) if there else widest[segment]
         r = jnp.maximum(r, jnp.minimum(magnified, limit))
         r = jnp.where(valid, r, 1.0)
@@ -275,7 +287,7 @@ class KernelDensity(eqx.Module):
             if self.clip_to_face:
                 width, whole_face, on_face = _strip_in_face(packed, ends, projection, r, both_sides)
                 valid = valid & on_face
-            share = 1.0 / jnp.where(valid, width, 1.0)
+            share = safe_divide(1.0, width, valid)
         else:
             assert density is not None  # there where the kernel is one of points
             share = share_of_disc(density, projection.stretch, r, both_sides)
@@ -285,27 +297,20 @@ class KernelDensity(eqx.Module):
         return BoundaryPoints(segment, edge, apex, ends, projection, goal, share, valid, used)
 
     def estimate_connected(
-        self,
-        packed: PackedScene,
-        prepared: KernelDensityState,
-        primary: PrimarySamples,
-        drawn: Drawn,
-        weight: Float[Array, "C N"],
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        rays: str,
+        self, context: Context, state: KernelDensityState, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]:
         """Boundary terms of the paths of all strategies: zero in value, right in derivative.
 
         `weight` is that of the strategies, zero where a path carries nothing. A path with a target close to a boundary
         stands for the one with that vertex on the boundary and all else as it is. Kernels lie on the visible side.
         """
-        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
-        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        packed = context.packed
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))
+        paths, used = PathSegments(packed, chunk.primary, target_segments(drawn)), layers(drawn).used()
         lit = (used[:, :, None] & (weight > 0)).any(1)
-        shrunk = jnp.asarray(self.radius_schedule(), weight.dtype)[sample_index % self.iterations]
-        shrunk = jnp.where(lit, shrunk, 0.0).reshape(-1)
-        found = self._boundary_points(packed, prepared, paths, shrunk, False, packed.has_varying_sky, key, rays, True)
+        shrunk = jnp.where(lit, self._scale(chunk), 0.0).reshape(-1)
+        near = _Near(paths, state, shrunk, False, packed.has_varying_sky, context.settings.rays, there=True)
+        found = self._boundary_points(near, key)
         slots, count = rows_where(found.valid), found.valid.sum()
         moved = displacement(packed, found.edge, found.ends, found.projection)
         moved = moved - stop_gradient(moved)
@@ -332,25 +337,27 @@ class KernelDensity(eqx.Module):
     def _capacity(self, segments: int) -> int:
         return min(max(4096, round(self.capacity * segments)), 1 << 24)
 
-    def _pairs(self, packed, prepared, ends: SegmentEnds, shrunk, widest, still, both_sides, key, rays: str):
+    def _pairs(self, near: "_Near", ends: SegmentEnds, widest, key):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None).
 
-        Segments that stand `still` only have moving edges near them.
+        Segments that stand still only have moving edges near them.
         """
-        capacity = self._capacity(shrunk.shape[0])
+        packed, prepared, shrunk = near.paths.packed, near.prepared, near.shrunk
         key_points, key_seed = jax.random.split(key)
         seed = seed_of(key_seed)
-        radius = prepared.radius
-        every = queries.EdgeSet.of(packed.edges, radius, prepared.tree)
+        every = queries.EdgeSet.of(packed.edges, prepared.radius, prepared.tree)
         strips = queries.StripQuery(ends.apex, ends.target, ends.normal, shrunk, widest)
-        options: dict[str, Any] = dict(capacity=capacity, both_sides=both_sides, implementation=rays)
+        options: dict[str, Any] = dict(
+            capacity=self._capacity(shrunk.shape[0]), both_sides=near.both_sides, implementation=near.rays
+        )
         if self.kernel == "edge":
-            if still is None:
+            if prepared.moving is None:
                 pairs = queries.edge_candidates(packed.geometry, every, strips, seed, **options)
             else:
+                still = near.paths.stand_still(prepared.moving.shapes)
                 pairs = apart_candidates(packed.geometry, every, prepared.moving, strips, still, key_seed, options)
             return pairs, pairs.element, None, None
-        return near_points(packed, every, radius, self.points, strips, key_points, seed, options)
+        return near_points(packed, every, self.points, strips, key_points, seed, options)
 
 
 def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:
@@ -409,7 +416,7 @@ def _sees_past_edge(
     past = past_edge(projection.edge_point, apex.position, projection.normal)
     start = leave(apex, past - apex.position)
     # Through `past` whatever the offset of the start.
-    reach = scale(past - start, 1.0 / jnp.where(fraction > 0, fraction, 1.0))
+    reach = scale(past - start, safe_divide(1.0, fraction, fraction > 0))
     # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
     # that the target, less than a radius away, can be seen.
     short = r / jnp.maximum(norm(reach), r)

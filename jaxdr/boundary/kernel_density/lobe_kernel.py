@@ -21,8 +21,8 @@ from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import foot_on_edge
 from jaxdr.boundary.shared.sampled_arcs import sampled_arc
 from jaxdr.geometry import queries
-from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import corners, dot, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
@@ -33,8 +33,7 @@ WIDEST = 1.0  # tangent of the widest angle between a direction and a silhouette
 
 def lobe_edges(
     packed: PackedScene,
-    tree: EdgeTree,
-    radius: Float[Array, " E"],
+    edges: queries.EdgeSet,
     paths: PathSegments,
     shrunk: Float[Array, " N"],
     capacity: int,
@@ -43,7 +42,7 @@ def lobe_edges(
 ) -> tuple[Requests, BehindEdges]:
     """Silhouettes near the BSDF-sampled segments of N paths, and requests for the radiance behind them; detached.
 
-    Kernel radii: `radius` x `shrunk` at the edge (scene units), but no more than 45 degrees.
+    Kernel radii: rank of the edge x `shrunk` there (scene units), but no more than 45 degrees.
     """
     key_pairs, key_path = jax.random.split(key)
     direction, importance = paths.table.direction, paths.table.lobe
@@ -53,7 +52,7 @@ def lobe_edges(
     seed = seed_of(key_pairs)
     pairs = queries.edge_candidates(
         packed.geometry,
-        queries.EdgeSet.of(packed.edges, radius, tree),
+        edges,
         queries.StripQuery(
             origin, origin + reach * direction, direction, shrunk, jnp.full_like(shrunk, WIDEST * reach)
         ),
@@ -73,12 +72,12 @@ def lobe_edges(
         s0, s1 = (end - apex for end in corners(packed.vertices[packed.edges.vertices[edge]]))
         along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
         seen = seen_edges(packed, paths, segment, edge, along, valid)
-        limit = jnp.minimum(radius[edge] * shrunk[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
+        limit = jnp.minimum(edges.rank[edge] * shrunk[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)
         scatterer = paths.scatterer(segment)
         kernel, counts = _kernel(scatterer, centre, seen.towards, seen.pole, limit)
         counts = valid & counts & scatterer.above_horizon(seen.edge_point)
         weight = scale(importance[segment], packed.edges.shared(edge, kernel * pairs.weight))
-        behind, background = look_behind(packed, scatterer, seen, edge, along, weight, counts, settings)
+        behind, background = look_behind(packed, scatterer, seen, weight, counts, settings)
         return ask_behind(paths, seen, background, number, 0.0, key_path, "lobe_kernel", settings), behind
 
     asked, behind = map_over_blocks(look, (jnp.maximum(pairs.segment, 0), pairs.element), used)
@@ -96,7 +95,7 @@ def _kernel(scatterer, centre, boundary, pole, limit):
         t, mass = jnp.arcsin(jnp.clip(dot(centre, pole), -1.0, 1.0)), arc.strip()
         value = arc.at(t)
         counts = (mass > 0) & (value > 0) & arc.contains(t)
-        return jnp.where(counts, value / jnp.where(counts, mass, 1.0), 0.0), counts
+        return safe_divide(value, mass, counts, 0.0), counts
     height = scatterer.cosine(centre)
     side = jnp.sign(height)
     a, b = side * scatterer.cosine(boundary), side * scatterer.cosine(pole)
@@ -109,4 +108,4 @@ def _kernel(scatterer, centre, boundary, pole, limit):
 
     mass = primitive(high) - primitive(low)
     counts = (a > 0) & (jnp.abs(dot(centre, pole)) <= limit) & (mass > 0)
-    return jnp.where(counts, jnp.abs(height) / jnp.where(counts, mass, 1.0), 0.0), counts
+    return safe_divide(jnp.abs(height), mass, counts, 0.0), counts

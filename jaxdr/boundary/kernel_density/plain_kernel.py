@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import between, corners, norm
 from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.sampler import sample_cdf
 
 # The settings of `KernelDensity` that make it the paper's.
 PLAIN: dict[str, Any] = {
@@ -39,7 +40,6 @@ def shrinking_radii(alpha: float, iterations: int) -> list[float]:
 def near_points(
     packed: PackedScene,
     edges: queries.EdgeSet,
-    radius: Float[Array, " E"],
     count: int,
     strips: queries.StripQuery,
     key: PRNGKeyArray,
@@ -48,9 +48,10 @@ def near_points(
 ) -> tuple[queries.Candidates, Int[Array, " C"], Float[Array, " C"], Float[Array, ""]]:
     """(candidates, their edges, fractions along these, length of edges per point): points on edges near targets.
 
-    `count` points are drawn. Kernel radii are those of the edges (scene units); `options` are for
+    `count` points are drawn. Kernel radii are the ranks of the edges (scene units); `options` are for
     `queries.point_candidates`.
     """
+    radius = edges.rank
     edge, along, length = edge_points(packed, radius, count, key)
     position = between(*corners(stop_gradient(packed.vertices)[packed.edges.vertices[edge]]), along)
     points = queries.EdgePoints(position, edge, radius[edge])
@@ -66,9 +67,7 @@ def edge_points(
     length = jnp.where(radius > 0, norm(end - start), 0.0)
     cdf = jnp.cumsum(length)
     u = (jnp.arange(count) + jax.random.uniform(key, (count,), cdf.dtype)) / count * cdf[-1]
-    edge = jnp.clip(jnp.searchsorted(cdf, u, side="right"), 0, cdf.shape[0] - 1)
-    before = jnp.where(edge > 0, cdf[edge - 1], 0.0)
-    fraction = jnp.clip((u - before) / jnp.where(length[edge] > 0, length[edge], 1.0), 0.0, 1.0)
+    edge, fraction, _ = sample_cdf(cdf, u)
     return edge, fraction, cdf[-1]
 
 

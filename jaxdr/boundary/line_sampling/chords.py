@@ -18,6 +18,7 @@ from jaxdr.boundary.shared.emitter_planes import chord_inside
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place, sampled_arc
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, normalize, orthonormal_basis, scale, z_of
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitting_surface
 from jaxdr.transport.interaction import SurfacePoint
@@ -61,7 +62,7 @@ def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Arr
 def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """one / (one + two), 1 where both are zero: the share of one of two ways by the balance heuristic (Veach 1997)."""
     either = one + two > 0
-    return jnp.where(either, one / jnp.where(either, one + two, 1.0), 1.0)
+    return safe_divide(one, one + two, either, 1.0)
 
 
 class EmitterChords(NamedTuple):
@@ -101,7 +102,7 @@ def emitter_chords(
     if horizon is not None:
         height, rise = dot(horizon, point - apex), dot(horizon, direction)
         ends = rise != 0
-        meets = -height / jnp.where(ends, rise, 1.0)
+        meets = safe_divide(-height, rise, ends)
         low = jnp.where(ends & (meets < 0), meets, -jnp.inf)
         high = jnp.where(ends & (meets > 0), meets, jnp.inf)
         first, last, part = chord_inside(packed, group, sample.face, point, direction, low, high)
@@ -120,7 +121,7 @@ def emitter_chords(
 def emitter_weight(pdf: Float[Array, " M"], length: Float[Array, " M"]) -> Float[Array, " M"]:
     """(pi / 2) k / p of whole chords of emitters; zero where there is none."""
     density = pdf * length
-    return jnp.where(density > 0, 0.5 * math.pi / jnp.where(density > 0, density, 1.0), 0.0)
+    return safe_divide(0.5 * math.pi, density, otherwise=0.0)
 
 
 def emitter_rate(
@@ -221,7 +222,7 @@ def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array,
     mass = _arc(scatterer, chords.reach, chords.plane, boundary)
     height = scatterer.cosine(chords.centre)
     counts = (mass > 0) & (chords.pdf > 0) & (height * scatterer.cosine(boundary) > 0)
-    return jnp.where(counts, 0.5 * math.pi * jnp.abs(height) / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+    return safe_divide(0.5 * math.pi * jnp.abs(height), mass * chords.pdf, counts, 0.0)
 
 
 def lobe_rate(
@@ -252,7 +253,7 @@ def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[
     t = place(boundary, along, chords.centre)
     kernel, mass = arc.at(t), arc.integral()
     counts = (mass > 0) & (kernel > 0) & (chords.pdf > 0) & arc.contains(t)
-    return jnp.where(counts, 0.5 * math.pi * kernel / jnp.where(counts, mass * chords.pdf, 1.0), 0.0)
+    return safe_divide(0.5 * math.pi * kernel, mass * chords.pdf, counts, 0.0)
 
 
 def _arc(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:

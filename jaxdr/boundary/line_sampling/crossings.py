@@ -1,12 +1,14 @@
 """Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+import abc
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.boundary.line_sampling.chords import Chords, LobeChords, lobe_chords
+from jaxdr.boundary.line_sampling.chords import Chords
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
@@ -61,32 +63,31 @@ class Crossings(NamedTuple):
     share: Float[Array, " C"] | None = None
 
 
-@runtime_checkable
-class Lines(Protocol):
+@dataclass(frozen=True)
+class ChordKind(abc.ABC):
     """One kind of chords. What `search` draws, `score` gets back.
 
     `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
     """
 
-    traces_paths: bool
     packed: PackedScene
     prepared: LineSamplingState
     paths: PathSegments
     settings: PathSettings
+    traces_paths: ClassVar[bool] = True
 
-    def search(
-        self, chosen: Chosen, key: Any, room: int
-    ) -> tuple[Any, Crossings, Float[Array, ""], Int[Array, ""]]: ...
+    @abc.abstractmethod
+    def search(self, chosen: Chosen, key, room: int) -> tuple[Any, Crossings, Float[Array, ""], Int[Array, ""]]:
+        """(chords, crossings, weight of the thinning, number of crossings)."""
 
-    def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]: ...
+    @abc.abstractmethod
+    def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]:
+        """Contribution of crossings to the pilot: luminance per motion of the edge."""
 
-
-def draw_lobe_chords(lines: Lines, chosen: Chosen, reach: float, key) -> tuple[LobeChords, Float[Array, "M 3"]]:
-    """(chords around BSDF-sampled directions, the apexes they are seen from); `reach` relative to the lobe's width."""
-    u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), 3, lines.packed.vertices.dtype)[0]
-    scatterer = lines.paths.scatterer(jnp.maximum(chosen.vertex, 0))
-    lobes = lobe_chords(scatterer, lobe_reach(scatterer, reach), u)
-    return lobes, scatterer.leave_scattering(lobes.centre)
+    def starts(self, chosen: Chosen, key, numbers: int) -> tuple[Scatterer, Float[Array, "M n"]]:
+        """(BSDFs at the path vertices that chords start from, some uniform numbers for each)."""
+        u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), numbers, self.packed.vertices.dtype)[0]
+        return self.paths.scatterer(jnp.maximum(chosen.vertex, 0)), u
 
 
 def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
@@ -94,7 +95,7 @@ def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
-def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
+def apex_moves(lines: ChordKind, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
     """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
     paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
     if paths.vertices is None:
@@ -104,7 +105,7 @@ def apex_moves(lines: Lines, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
 
 
 def silhouette_crossings(
-    lines: Lines,
+    lines: ChordKind,
     chosen: Chosen,
     apex: Float[Array, "M 3"],
     chords: Chords,

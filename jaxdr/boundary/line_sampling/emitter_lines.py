@@ -1,5 +1,6 @@
 """Chords on area emitters, and their share where geodesic chords find the same light."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from jaxdr.boundary.line_sampling.chords import (
     lobe_rate,
 )
 from jaxdr.boundary.line_sampling.crossings import (
+    ChordKind,
     Chosen,
     Crossings,
     LineSamplingState,
@@ -27,12 +29,11 @@ from jaxdr.boundary.shared.on_planes import OnPlanes
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import project_edges
 from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, material_point
-from jaxdr.transport.path import PathSettings
-from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
 
@@ -92,20 +93,16 @@ class Centres(NamedTuple):
         return balance(rate, other), mixed * ratio + 1.0 - mixed, ratio
 
 
-class EmitterLines:
+@dataclass(frozen=True)
+class EmitterLines(ChordKind):
     """Chords on area emitters, for their light."""
 
+    both: Centres | None = None
     traces_paths = False
 
-    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
-        self.packed, self.prepared, self.paths, self.settings = packed, prepared, paths, settings
-        self.both: Centres | None = None
-
     def search(self, chosen: Chosen, key, room: int):
-        """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, self.packed.vertices.dtype)[0]
-        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer, u = self.starts(chosen, key_chord, 3)
         through, horizon = scatterer.spreads_through(), None
         if through is not None:
             horizon = jnp.where(through[:, None], scatterer.normal, 0.0)
@@ -116,9 +113,8 @@ class EmitterLines:
         return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings to the pilot: luminance per motion of the edge."""
         projection, weight, _, _ = self._boundary(drawn, found)
-        return luminance(weight) / jnp.where(projection.fraction > 0, projection.fraction, 1.0)
+        return safe_divide(luminance(weight), projection.fraction, projection.fraction > 0)
 
     def on_planes(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> OnPlanes:
         """The crossings as points on the emitters' planes, with their contributions times `weight`."""
@@ -157,4 +153,4 @@ def _projected(lines: EmitterLines, found: Crossings, apex, centre: SurfacePoint
     fixed = lines.paths.fixed.packed
     offset = between(*corners(fixed.vertices[fixed.edges.vertices[found.edge]]), found.along) - apex
     slope = dot(normal, offset)
-    return apex + scale(offset, dot(normal, target - apex) / jnp.where(slope == 0, 1.0, slope))
+    return apex + scale(offset, safe_divide(dot(normal, target - apex), slope))

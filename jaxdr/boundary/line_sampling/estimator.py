@@ -1,6 +1,7 @@
 """Line sampling: boundary path integrals from silhouette crossings on random chords, without a radius."""
 
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,9 +13,9 @@ from jaxdr.boundary.line_sampling.crossings import (
     BOUNDS,
     HIDES,
     MOVES,
+    ChordKind,
     Chosen,
     Crossings,
-    Lines,
     LineSamplingState,
     RankedEdges,
 )
@@ -31,6 +32,7 @@ from jaxdr.boundary.shared.path_segments import PathSegments, path_segments
 from jaxdr.boundary.shared.projection import never_silhouettes
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Answers, Requests, joined
@@ -41,10 +43,14 @@ ROW = 64  # crossings among which some are kept are rounded together
 class Spread(NamedTuple):
     """One kind of chords, how many are expected from every path vertex, and the share of crossings that is kept."""
 
-    lines: Lines
+    lines: ChordKind
     expected: Float[Array, "B P n"]
     kept: Float[Array, ""]
     key: PRNGKeyArray
+
+    def beside(self, **ways: Any) -> "Spread":
+        """The same, of which other kinds of chords find some of the light."""
+        return self._replace(lines=dataclasses.replace(self.lines, **ways))
 
 
 class _Held(NamedTuple):
@@ -145,33 +151,32 @@ class LineSampling(eqx.Module):
         """(chords on emitters or None; those around BSDF samples, around a map's, towards lamps of many faces)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
-        on_emitters = EmitterLines(packed, state, paths, settings)
-        around_lobes = LobeLines(packed, state, paths, settings, self.reach)
+        one_light = settings._replace(max_depth=2)  # none from what else is behind a silhouette
         emitters = lobes = skies = lamps = None
         if packed.has_area_emitters and packed.clusters is None:
-            emitters = self._spread(on_emitters, throughput, key_emitters)
+            emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
             if packed.environment is None:  # nothing is gathered behind the last bounce
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
-            lobes = self._spread(around_lobes, carries, key_lobes)
+            lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
-            around_sky = SkyLines(packed, state, paths, settings)
-            skies = self._spread(around_sky, throughput, jax.random.fold_in(key, 3))
+            skies = self._spread(SkyLines(packed, state, paths, one_light), throughput, jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
-            around_sky.both = around_lobes.skies = SkyShare(packed, paths, self.reach, *numbers)
+            share = SkyShare(packed, paths, self.reach, *numbers)
+            skies, lobes = skies.beside(both=share), lobes.beside(skies=share)
         if packed.clusters is not None:
-            at_lamps = LampLines(packed, state, paths, settings)
-            lamps = self._spread(at_lamps, throughput, key_emitters)
+            lamps = self._spread(LampLines(packed, state, paths, one_light), throughput, key_emitters)
             if lobes is not None and settings.mis:
                 numbers = lamps.expected * lamps.kept, lobes.expected * lobes.kept
-                at_lamps.both = around_lobes.both = LampShare(packed, self.reach, *numbers)
+                share = LampShare(packed, self.reach, *numbers)
+                lamps, lobes = lamps.beside(both=share), lobes.beside(both=share)
         if emitters is not None and lobes is not None and settings.mis:
-            both = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
-            on_emitters.both = around_lobes.both = both
+            share = Centres(packed, state, paths, self.reach, emitters.expected, lobes.expected * lobes.kept)
+            emitters, lobes = emitters.beside(both=share), lobes.beside(both=share)
         return emitters, [spread for spread in (lobes, skies, lamps) if spread is not None]
 
-    def _spread(self, lines: Lines, carries, key) -> Spread:
+    def _spread(self, lines: ChordKind, carries, key) -> Spread:
         """How many chords of one kind go where; `carries` is the importance of every path vertex."""
         paths = lines.paths
         _, _, width, height = paths.packed.camera.film.window
@@ -187,7 +192,7 @@ class LineSampling(eqx.Module):
             drawn, found, thinned, used = lines.search(chosen, key_pilot_chords, self._room(count))
 
             def scores(block: Crossings, number):
-                score = lines.score(drawn, block) * (thinned / jnp.where(block.valid, carries[block.vertex], 1.0))
+                score = lines.score(drawn, block) * safe_divide(thinned, carries[block.vertex], block.valid)
                 score = jnp.where(block.valid & (number < used), score, 0.0)
                 return jnp.zeros(chosen.vertex.shape[0], score.dtype).at[block.chord].add(score)
 
@@ -243,7 +248,7 @@ class LineSampling(eqx.Module):
         asked, behind = map_over_blocks(look, (found, weight), used)
         return asked, BehindEdges(behind, used)
 
-    def _kept(self, lines: Lines, drawn, found: Crossings, weight, used, key):
+    def _kept(self, lines: ChordKind, drawn, found: Crossings, weight, used, key):
         """Crossings drawn in proportion to what they should contribute, their weights, and their number.
 
         The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.

@@ -8,6 +8,7 @@ behind it.
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -18,24 +19,22 @@ from jaxtyping import Array, Float, Int
 from jaxdr.boundary.line_sampling.chords import Chords, balance, lobe_rate, random_across
 from jaxdr.boundary.line_sampling.crossings import (
     WIDEST,
+    ChordKind,
     Chosen,
     Crossings,
-    LineSamplingState,
     lobe_reach,
     silhouette_crossings,
 )
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
-from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
-from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
 
@@ -72,7 +71,7 @@ def cone_to(clusters: EmitterClusters, node: Int[Array, " M"], apex: Float[Array
     offset = clusters.centre[node] - apex
     distance = norm(offset)
     away = distance > 0
-    sine = jnp.where(away, clusters.radius[node] / jnp.where(away, distance, 1.0), 2.0)
+    sine = safe_divide(clusters.radius[node], distance, away, 2.0)
     return Cone(normalize(jnp.where(away[:, None], offset, 1.0)), sine)
 
 
@@ -102,7 +101,7 @@ class LampChords(NamedTuple):
         return Chords(
             first=at(self.low),
             last=at(self.high),
-            centre=before / jnp.where(both > 0, both, 1.0),
+            centre=safe_divide(before, both, both > 0),
             group=jnp.full(self.pdf.shape, UNBOUNDED),
             useful=(self.pdf > 0) & (both > 0),
         )
@@ -166,22 +165,16 @@ class LampShare(NamedTuple):
         return jnp.where(point.valid, 1.0 - share, 0.0)
 
 
-class LampLines:
+@dataclass(frozen=True)
+class LampLines(ChordKind):
     """Chords towards clusters of emitting faces."""
 
-    traces_paths = True
-
-    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
-        self.packed, self.prepared, self.paths = packed, prepared, paths
-        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
-        self.both: LampShare | None = None
+    both: LampShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):
-        """(chords, crossings, weight of the thinning, number of crossings)."""
         packed = self.packed
         key_chord, key_seed = jax.random.split(key)
-        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 4, packed.vertices.dtype)[0]
-        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer, u = self.starts(chosen, key_chord, 4)
         assert packed.clusters is not None  # else `EmitterLines` finds their light
         drawn = lamp_chords(packed.clusters, stop_gradient(scatterer.point.position), u)
         apex = scatterer.leave_scattering(drawn.centre)
@@ -200,9 +193,7 @@ class LampLines:
         """Requests for the emission behind crossings, and what it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
-        behind, background = look_behind(
-            packed, scatterer, seen, found.edge, found.along, scale(value, weight), found.valid, self.settings
-        )
+        behind, background = look_behind(packed, scatterer, seen, scale(value, weight), found.valid, self.settings)
         clusters, face = packed.clusters, background.face
         cut = clusters.cut(stop_gradient(scatterer.point.position))
         aimed_at = packed.emitter_density[face] > 0
@@ -233,5 +224,5 @@ class LampLines:
             counts = counts & (t > low) & (t < high)
         length = high - low
         counts = counts & (pdf > 0) & (length > 0)
-        weight = jnp.where(counts, 0.5 * math.pi / jnp.where(counts, length * pdf, 1.0), 0.0)
+        weight = safe_divide(0.5 * math.pi, length * pdf, counts, 0.0)
         return seen, scatterer, scale(self.paths.table.throughput[found.vertex], weight)

@@ -1,51 +1,49 @@
 """Geodesic chords around BSDF-sampled directions."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_weight
+from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_chords, lobe_weight
 from jaxdr.boundary.line_sampling.crossings import (
+    ChordKind,
     Chosen,
     Crossings,
-    LineSamplingState,
-    draw_lobe_chords,
+    lobe_reach,
     silhouette_crossings,
 )
 from jaxdr.boundary.line_sampling.emitter_lines import Centres
 from jaxdr.boundary.line_sampling.lamp_lines import LampShare
 from jaxdr.boundary.line_sampling.sky_lines import SkyShare
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
-from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.color import luminance
-from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Requests
 
 
-class LobeLines:
+@dataclass(frozen=True)
+class LobeLines(ChordKind):
     """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
 
     With `both`, for their share of the light from area emitters as well, and with `skies` for no more than theirs of an
-    environment map's.
+    environment map's. `reach` of chords is relative to the lobe's width.
     """
 
-    traces_paths = True
-
-    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings, reach: float):
-        self.packed, self.prepared, self.paths, self.settings, self.reach = packed, prepared, paths, settings, reach
-        self.both: Centres | LampShare | None = None
-        self.skies: SkyShare | None = None
+    reach: float
+    both: Centres | LampShare | None = None
+    skies: SkyShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):
-        """(chords, crossings, weight of the thinning, number of crossings)."""
         key_chord, key_seed = jax.random.split(key)
-        lobes, apex = draw_lobe_chords(self, chosen, self.reach, key_chord)
+        scatterer, u = self.starts(chosen, key_chord, 3)
+        lobes = lobe_chords(scatterer, lobe_reach(scatterer, self.reach), u)
+        apex = scatterer.leave_scattering(lobes.centre)
         chords = lobes.chords(apex, 2.0 * self.paths.distance_to_infinity)
         return lobes, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings to the pilot, per radiance: luminance per motion of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
 
@@ -54,9 +52,7 @@ class LobeLines:
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
         value, plane = scale(value, weight), drawn.plane[found.chord]
-        behind, background = look_behind(
-            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
-        )
+        behind, background = look_behind(packed, scatterer, seen, value, found.valid, self.settings)
         # Emission of what is no surface, and that of surfaces as it counts beside chords on them.
         emission = jnp.zeros_like(weight)
         if packed.environment is not None or self.both is not None:

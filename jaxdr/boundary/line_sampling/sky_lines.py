@@ -1,6 +1,7 @@
 """Geodesic chords around directions from an environment map, for its light alone."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -10,9 +11,9 @@ from jaxtyping import Array, Float
 from jaxdr.boundary.line_sampling.chords import LobeChords, balance, lobe_rate, random_across
 from jaxdr.boundary.line_sampling.crossings import (
     WIDEST,
+    ChordKind,
     Chosen,
     Crossings,
-    LineSamplingState,
     lobe_reach,
     silhouette_crossings,
 )
@@ -23,9 +24,7 @@ from jaxdr.geometry.vector import cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
-from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
-from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
 
@@ -56,25 +55,19 @@ class SkyShare(NamedTuple):
         return balance(rate, other)
 
 
-class SkyLines:
+@dataclass(frozen=True)
+class SkyLines(ChordKind):
     """Chords around directions from an environment map, for the light that comes from it past silhouettes.
 
     What a crossing can come from is all within the map's `extent` of it, where the density of centres differs little.
     """
 
-    traces_paths = True
-
-    def __init__(self, packed: PackedScene, prepared: LineSamplingState, paths: PathSegments, settings: PathSettings):
-        self.packed, self.prepared, self.paths = packed, prepared, paths
-        self.settings = settings._replace(max_depth=2)  # no light from what else is behind a silhouette
-        self.both: SkyShare | None = None
+    both: SkyShare | None = None
 
     def search(self, chosen: Chosen, key, room: int):
-        """(chords, crossings, weight of the thinning, number of crossings)."""
         packed = self.packed
         key_chord, key_seed = jax.random.split(key)
-        u = lattice(key_chord, 1, jnp.arange(chosen.vertex.shape[0]), 3, packed.vertices.dtype)[0]
-        scatterer = self.paths.scatterer(jnp.maximum(chosen.vertex, 0))
+        scatterer, u = self.starts(chosen, key_chord, 3)
         centre = packed.environment_sampler.sample(u[:, :2])
         plane = random_across(centre, u[:, 2])
         reach = jnp.minimum(packed.environment_sampler.reach(centre), WIDEST) * jnp.ones_like(u[:, 2])
@@ -97,9 +90,7 @@ class SkyLines:
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
         value = scale(value, weight * self._share(drawn, found, scatterer, seen.towards))
-        behind, background = look_behind(
-            packed, scatterer, seen, found.edge, found.along, value, found.valid, self.settings
-        )
+        behind, background = look_behind(packed, scatterer, seen, value, found.valid, self.settings)
         emission = jnp.where(background.valid, 0.0, jnp.ones_like(weight))
         return ask_behind(paths, seen, background, number, emission, key, "sky_lines", self.settings), behind
 

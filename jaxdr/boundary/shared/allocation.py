@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.sampler import uniform
 
 POOLING = (1.0, 4.0, 6.0, 4.0, 1.0)  # binomial weights of neighbouring pixels in the pilot's map
@@ -34,7 +35,7 @@ def allocate(
     number = jnp.diff(upper, axis=1, prepend=jnp.zeros((pixels, 1), jnp.int32)).reshape(-1)
     item = jnp.repeat(jnp.arange(number.shape[0]), number, total_repeat_length=room)
     used = jnp.arange(room) < number.sum()
-    inverse = 1.0 / jnp.where(used, per_pixel.reshape(-1)[item], 1.0)
+    inverse = safe_divide(1.0, per_pixel.reshape(-1)[item], used)
     pixel, rest = jnp.divmod(item, bounces * samples)
     bounce, sample = jnp.divmod(rest, samples)
     vertex = (bounce * pixels + pixel) * samples + sample
@@ -44,7 +45,7 @@ def allocate(
 def shares(importance: Float[Array, "B P n"], total: float) -> Float[Array, "B P n"]:
     """Expected numbers proportional to `importance`, `total` in all."""
     whole = importance.sum()
-    return importance * (total / jnp.where(whole > 0, whole, 1.0))
+    return importance * (safe_divide(total, whole))
 
 
 def pixel_importance(
@@ -56,7 +57,7 @@ def pixel_importance(
     power = jnp.zeros(height * width, score.dtype).at[slot].add(score**2, mode="drop")
     count = jnp.zeros(height * width, score.dtype).at[slot].add(1.0, mode="drop")
     power, count = (_pooled(table.reshape(height, width)) for table in (power, count))
-    deviation = jnp.sqrt(power / jnp.where(count > 0, count, 1.0)).reshape(-1)
+    deviation = jnp.sqrt(safe_divide(power, count)).reshape(-1)
     mean = deviation.mean()
     return jnp.where(mean > 0, deviation + floor * mean, 1.0)
 

@@ -26,14 +26,16 @@ from jaxdr.transport.shading import Scatterer
 
 
 class SeenEdges(NamedTuple):
-    """Points on edges as seen from the apexes of segments; differentiable are `edge_point`, `moving_apex`, and the
-    corners of the faces of the apexes, `apex_triangle`.
+    """Points at fractions `along` edges, as seen from the apexes of segments.
 
-    `pole` is the unit normal of the plane through apex and edge, towards the occluded side; `own` marks edges of the
-    face that the apex lies in (horizons).
+    Differentiable are `edge_point`, `moving_apex`, and the corners of the faces of the apexes, `apex_triangle`. `pole`
+    is the unit normal of the plane through apex and edge, towards the occluded side; `own` marks edges of the face that
+    the apex lies in (horizons).
     """
 
     segment: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
     apex: Float[Array, "C 3"]
     moving_apex: Float[Array, "C 3"]
     apex_triangle: Float[Array, "C 3 3"]
@@ -62,7 +64,7 @@ def seen_edges(
     distance = jnp.where(valid, norm(to_edge), 1.0)
     towards = scale(to_edge, 1.0 / distance)
     pole, own = occluded_side(packed, edge, fixed_ends, apex, apex_face, fixed_triangle)
-    return SeenEdges(segment, apex, moving_apex, triangle, edge_point, distance, towards, pole, own)
+    return SeenEdges(segment, edge, along, apex, moving_apex, triangle, edge_point, distance, towards, pole, own)
 
 
 class Behind(NamedTuple):
@@ -92,8 +94,6 @@ def look_behind(
     packed: PackedScene,
     scatterer: Scatterer,
     seen: SeenEdges,
-    edge: Int[Array, " C"],
-    along: Float[Array, " C"],
     weight: Float[Array, "C 3"],
     valid: Bool[Array, " C"],
     settings: PathSettings,
@@ -106,7 +106,9 @@ def look_behind(
     background, clear = background_point(packed, scatterer.point, seen, valid, settings)
     counts = valid & clear
     weight = jnp.where(counts[:, None], weight * scatterer.eval(seen.towards), 0.0)
-    behind = Behind(seen.segment, edge, along, weight, background.face, background.barycentric, background.valid)
+    behind = Behind(
+        seen.segment, seen.edge, seen.along, weight, background.face, background.barycentric, background.valid
+    )
     return behind, background._replace(valid=background.valid & counts)
 
 

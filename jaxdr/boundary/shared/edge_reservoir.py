@@ -16,6 +16,7 @@ from jaxdr.boundary.shared.folds import FLAT, SMOOTH, fold_tree
 from jaxdr.boundary.shared.texture_jumps import seam_jumps
 from jaxdr.geometry.edge_tree import LEAF, EdgeTree
 from jaxdr.geometry.vector import corners, cross, dot, norm, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.sizes import at_once
 
@@ -104,7 +105,7 @@ def may_cross(
     """(t at which bundles cross the lines of edges, to first order; whether that is on the edge and within `reach`)."""
     o, d, do, dd = bundle.origin, bundle.direction, bundle.origin_rate, bundle.direction_rate
     rate = dot(cross(dd, side), start - o) - dot(cross(d, side), do)
-    step = -volume(o, d, start, side) / jnp.where(rate == 0, 1.0, rate)
+    step = safe_divide(-volume(o, d, start, side), rate)
     near = (rate != 0) & (jnp.abs(step) <= MARGIN * reach)
     t = jnp.where(near, step, 0.0)
     at = passes(o + scale(do, t), d + scale(dd, t), start, side)
@@ -163,7 +164,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
         importance = jnp.where(exists & (base > 0) & crosses, importance, 0.0)
         for k in range(LEAF):
             total = state.total + importance[:, k]
-            chance = importance[:, k] / jnp.where(total > 0, total, 1.0)
+            chance = safe_divide(importance[:, k], total)
             taken = _hashed(seed, edge[:, k]) < chance
             state = Drawn(
                 jnp.where(taken, edge[:, k], state.edge), jnp.where(taken, importance[:, k], state.importance), total

@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.shared.projection import affine_coordinates, affine_rates
 from jaxdr.geometry.vector import corners, dot, norm, normalize, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.emitter_clusters import FEW_FACES
 from jaxdr.scene.packed import PackedScene
 
@@ -39,7 +40,7 @@ def part_inside(
 
     `barycentric` coordinates at the line's origin, and their `rate` along it.
     """
-    root = -barycentric / jnp.where(rate == 0, 1.0, rate)
+    root = safe_divide(-barycentric, rate)
     missed = ((rate == 0) & (barycentric < 0)).any(-1)
     start = jnp.maximum(low, jnp.where(rate > 0, root, -jnp.inf).max(-1))
     end = jnp.minimum(high, jnp.where(rate < 0, root, jnp.inf).min(-1))

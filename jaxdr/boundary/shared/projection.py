@@ -21,6 +21,7 @@ from jaxdr.geometry.vector import (
     transform,
     triangle_normals,
 )
+from jaxdr.safe_divide import nonzero, safe_divide
 from jaxdr.scene.packed import PackedScene, concave_edges
 
 
@@ -54,12 +55,12 @@ def project_edges(
     p0, p1 = corners(packed.vertices[packed.edges.vertices[edge]])
     apex, normal = ends.apex, ends.normal
     s0, s1, to_target = p0 - apex, p1 - apex, ends.target - apex
-    height = _nonzero(dot(normal, to_target))
+    height = nonzero(dot(normal, to_target))
     if along is None:
         along = foot_on_edge(s0, s1, dot(normal, s0) / height, dot(normal, s1) / height, to_target)
     edge_point = between(p0, p1, along)
     to_edge = edge_point - apex
-    depth = _nonzero(dot(normal, to_edge))
+    depth = nonzero(dot(normal, to_edge))
     point = apex + scale(to_edge, height / depth)
     pole, own = occluded_side(
         packed, edge, (p0, p1), apex, ends.apex_face, packed.vertices[packed.faces[ends.apex_face]]
@@ -87,7 +88,7 @@ def displacement(
     point = between(*corners(packed.vertices[packed.edges.vertices[edge]]), projection.along)
     moving_apex = ends.apex_towards(on_plane)
     offset = point - moving_apex
-    reach = dot(ends.normal, ends.target - moving_apex) / _nonzero(dot(ends.normal, offset))
+    reach = safe_divide(dot(ends.normal, ends.target - moving_apex), dot(ends.normal, offset))
     projected = moving_apex + scale(offset, reach)
     # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
     rigid = interpolate(ends.corners, projection.barycentric)
@@ -98,7 +99,7 @@ def displacement(
     # is close by, its motion would be the difference of two fast ones.
     apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
     to_corner = corners(apex_triangle)[0] - on_plane
-    horizon = dot(horizon_normal(apex_triangle, pole), to_corner) / _nonzero(dot(pole, in_plane))
+    horizon = safe_divide(dot(horizon_normal(apex_triangle, pole), to_corner), dot(pole, in_plane))
     return jnp.where(projection.own, horizon, dot(in_plane, projected)) - dot(in_plane, material)
 
 
@@ -145,11 +146,6 @@ def past_edge(
     return edge_point - scale(normal, beside)
 
 
-def _nonzero(x):
-    """`x`, with 1 in place of 0 for slots that hold no pair."""
-    return jnp.where(x == 0, 1.0, x)
-
-
 @jax.jit
 def affine_coordinates(triangles: Float[Array, "*#n 3 3"], point: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """Barycentric coordinates of points in the planes of triangles."""
@@ -179,13 +175,13 @@ def foot_on_edge(s0, s1, f0, f1, target):
     `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what is between.
     """
     c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
-    rise = _nonzero(f1 - f0)
+    rise = nonzero(f1 - f0)
     t0, t1 = jnp.where(c0 == f0, 0.0, (c0 - f0) / rise), jnp.where(c1 == f1, 1.0, (c1 - f0) / rise)
     start = scale(between(s0, s1, t0), 1.0 / c0)
     line = scale(between(s0, s1, t1), 1.0 / c1) - start
-    s = jnp.clip(dot(target - start, line) / _nonzero(dot(line, line)), 0.0, 1.0)
+    s = jnp.clip(safe_divide(dot(target - start, line), dot(line, line)), 0.0, 1.0)
     # Equal steps on the plane are not equal steps on the edge (perspective).
-    tau = s * c0 / _nonzero(s * c0 + (1 - s) * c1)
+    tau = safe_divide(s * c0, s * c0 + (1 - s) * c1)
     return t0 + tau * (t1 - t0)
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot, scale, z_of
+from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.shading import Scatterer
 
 
@@ -90,5 +91,5 @@ def _within(a, b, least, low, high):
     """(low, high), less what is not in the interval around 0, or nearest to it, where a cos t + b sin t > least."""
     size = jnp.sqrt(a * a + b * b)
     middle = jnp.arctan2(b, a)
-    half = jnp.arccos(jnp.clip(least / jnp.where(size > 0, size, 1.0), -1.0, 1.0))
+    half = jnp.arccos(jnp.clip(safe_divide(least, size), -1.0, 1.0))
     return jnp.maximum(low, middle - half), jnp.minimum(high, middle + half)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
+from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.geometry.vector import dot, interpolate, norm
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -76,12 +77,13 @@ def _uv(packed, point):
     return interpolate(packed.uvs[packed.uv_faces[point.face]], point.barycentric)
 
 
-def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool) -> None:
-    """Raise ValueError where a texture's jumps inside faces move in the image.
+def _moved_jumps(asked: Asked) -> str | None:
+    """Where a texture's jumps inside faces move in the image.
 
     With `fixed_rays`, first hits slide over the shapes that move relative to the camera. Behind mirrors and smooth
     glass that move, later hits slide over any shape. Points in material form take the jumps along.
     """
+    scene, moving, fixed_rays = asked.scene, asked.moving.seen, asked.primary == "fixed_ray"
     pairs = zip(scene.shapes.values(), moving, strict=True)
     delta = any(moves and unwrap(shape.bsdf).delta for shape, moves in pairs)
     in_mirrors = ["mirrors and smooth glass that stay"] if delta else []
@@ -89,23 +91,30 @@ def check_still_jumps(scene: Scene, moving: tuple[bool, ...], fixed_rays: bool) 
         remedies = (['primary="material"'] if fixed_rays and moves else []) + in_mirrors
         for field, texture in textures_of(shape):
             if remedies and not texture.continuous:
-                raise ValueError(
+                return (
                     f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
                     f"the image it has no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
-                    "or boundary=None for the interior term alone"
+                    f"{INTERIOR}"
                 )
+    return None
 
 
-def check_still_maps(active: Scene) -> None:
-    """Raise ValueError where a texture that jumps inside faces moves over its surface.
-
-    Leaves of the scene say whether they are differentiated.
-    """
+def _moved_maps(active: Scene) -> str | None:
+    """Where a texture that jumps inside faces moves over its surface; leaves say whether they are differentiated."""
     for name, shape in active.shapes.items():
         for field, texture in ((field, part) for field, whole in textures_of(shape) for part in whole.parts):
             moves = bool(shape.mesh.uvs) or bool(getattr(texture, "to_uv", False))
             if texture.uses_uv and moves and not texture.continuous:
-                raise ValueError(
+                return (
                     f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): it has no derivative "
-                    "by to_uv or UVs; use a bilinear Bitmap, or boundary=None for the interior term alone"
+                    f"by to_uv or UVs; use a bilinear Bitmap, {INTERIOR}"
                 )
+    return None
+
+
+MOVED_JUMPS = Refusal(
+    "textures that jump inside faces (`Checkerboard`, nearest `Bitmap`) and move in the image",
+    'a bilinear `Bitmap`, `primary="material"`',
+    _moved_jumps,
+)
+MOVED_MAPS = Refusal("textures that jump inside faces, by `to_uv` or UVs", "a bilinear `Bitmap`", _moved_maps)

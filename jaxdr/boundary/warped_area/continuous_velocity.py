@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.shared.path_segments import SegmentEnds
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import components, dot, interpolate, norm, normalize, orthonormal_basis, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import detached_barycentric
 from jaxdr.transport.sampler import uniform
@@ -60,6 +61,25 @@ class Kernel(NamedTuple):
         return -jnp.log(jnp.maximum(distance + boundary**self.boundary_power, 1e-30))
 
 
+class Convolution(NamedTuple):
+    """How velocities are convolved; static. `samples` auxiliary points a target, `projections` of each at most.
+
+    `debias` as of `WarpedArea`. Targets may be on surfaces (`finite`), infinitely far away, or both. `normal_edges`:
+    see `find_occluders`. `horizon`: whether the plane of the apex's own face may hide something. `rays`: as
+    of `PathTracer`.
+    """
+
+    kernel: Kernel
+    samples: int
+    projections: int
+    debias: bool
+    finite: bool
+    infinite: bool
+    normal_edges: bool = True
+    horizon: bool = True
+    rays: str = "auto"
+
+
 class Auxiliary(NamedTuple):
     """Q points drawn around each of N targets, and up to C projections of each onto the target's shape.
 
@@ -87,18 +107,14 @@ def draw_auxiliary(
     normals: Float[Array, "F 3"],
     ends: SegmentEnds,
     active: Bool[Array, " N"],
-    kernel: Kernel,
-    samples: int,
-    capacity: int,
+    around: Convolution,
     key: PRNGKeyArray,
-    rays: str,
-    finite: bool,
-    infinite: bool,
 ) -> Auxiliary:
     """Auxiliary points of detached targets, all projections along the normal; none where not `active`.
 
-    `finite` and `infinite` say which kinds of targets there may be (static), `normals` are the faces' unit ones.
+    `normals` are the faces' unit ones.
     """
+    kernel, samples, capacity = around.kernel, around.samples, around.projections
     n, dtype = ends.apex.shape[0], ends.apex.dtype
     length = norm(ends.target - ends.apex)
     u = uniform(key, (n, samples, 2), dtype)
@@ -109,10 +125,10 @@ def draw_auxiliary(
     offset = scale(s[:, None], jnp.cos(angle)) + scale(t[:, None], jnp.sin(angle))
     drawn = ends.target[:, None] + scale(offset, radius)
     far = ends.infinite[:, None, None]
-    if infinite:
+    if around.infinite:
         on_sphere = ends.apex[:, None] + scale(normalize(drawn - ends.apex[:, None]), length[:, None])
         drawn = jnp.where(far, on_sphere, drawn)
-    if not finite:
+    if not around.finite:
         one = jnp.ones((n, samples, 1), dtype)
         there = jnp.broadcast_to(active[:, None, None], one.shape)
         nowhere, third = jnp.zeros(one.shape, jnp.int32), jnp.full((*one.shape, 3), 1 / 3, dtype)
@@ -124,7 +140,7 @@ def draw_auxiliary(
     depth = jnp.minimum(depth, packed.size)
     depth, shape = (jnp.repeat(a, samples) for a in (depth, packed.face_shape[ends.face]))
     lines = queries.Lines(flat, along, depth, shape)
-    found = queries.projections(packed.geometry, packed.face_shape, lines, capacity, rays)
+    found = queries.projections(packed.geometry, packed.face_shape, lines, capacity, around.rays)
     there = found.face >= 0
     face = jnp.where(there, found.face, 0).reshape(-1)
     origin, direction = jnp.repeat(flat, capacity, axis=0), jnp.repeat(along, capacity, axis=0)
@@ -134,7 +150,7 @@ def draw_auxiliary(
     full = (n, samples, capacity)
     there = there.reshape(full) & (slant.reshape(full) > 0)
     position, slant = position.reshape(*full, 3), slant.reshape(full)
-    if infinite:
+    if around.infinite:
         position = jnp.where(far[..., None], drawn[:, :, None], position)
         slant = jnp.where(far, 1.0, slant)
         there = jnp.where(far, active[:, None, None] & (jnp.arange(capacity) == 0), there)
@@ -175,7 +191,7 @@ def shares_of(weights: Float[Array, "N Q C"]) -> Float[Array, "N Q C"]:
     # -inf where there are no points at all: exp(-inf - 0) is zero, exp(-inf + inf) is not a number.
     raised = jnp.exp(weights - jnp.where(largest == -jnp.inf, 0.0, largest))
     total = raised.sum((1, 2), keepdims=True)
-    return raised / jnp.where(total > 0, total, 1.0)
+    return safe_divide(raised, total)
 
 
 def velocity_field(
@@ -222,5 +238,5 @@ def _score_terms(share: Float[Array, "N Q"], score: Float[Array, "N Q"]) -> Floa
     """
     others = 1.0 - jnp.eye(share.shape[1], dtype=share.dtype)
     rest = (share[:, None] * others).sum(-1)  # 1 - A_i, without cancellation
-    part = jnp.where(rest > 0, share**2 * score / jnp.where(rest > 0, rest, 1.0), 0.0)
+    part = safe_divide(share**2 * score, rest, otherwise=0.0)
     return share * score - (part[:, None] * others).sum(-1)

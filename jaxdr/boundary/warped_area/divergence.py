@@ -1,17 +1,20 @@
 """div (f v) over what is seen, v the continuous velocity of warped areas (Xu et al. 2023): what its users share."""
 
+import abc
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.blocks import sum_over_blocks
 from jaxdr.boundary.shared.face_neighbours import Faces
-from jaxdr.boundary.shared.path_segments import SegmentEnds
-from jaxdr.boundary.warped_area.continuous_velocity import Kernel, draw_auxiliary, velocity_field
+from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds
+from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.warped_area.continuous_velocity import Convolution, draw_auxiliary, velocity_field
 from jaxdr.boundary.warped_area.occluders import find_occluders
 from jaxdr.boundary.warped_area.outlines import keep_inside
 from jaxdr.geometry.vector import (
@@ -24,6 +27,7 @@ from jaxdr.geometry.vector import (
     scale,
     triangle_normals,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint
@@ -46,23 +50,6 @@ class Hidden(NamedTuple):
     own: Bool[Array, "*n"] | None = None
 
 
-class Convolution(NamedTuple):
-    """How velocities are convolved; static. `samples` auxiliary points a target, `projections` of each at most.
-
-    `debias` as of `WarpedArea`. Targets may be on surfaces (`finite`), infinitely far away, or both. `normal_edges`:
-    see `find_occluders`. `horizon`: whether the plane of the apex's own face may hide something.
-    """
-
-    kernel: Kernel
-    samples: int
-    projections: int
-    debias: bool
-    finite: bool
-    infinite: bool
-    normal_edges: bool = True
-    horizon: bool = True
-
-
 def check_options(estimator, counts: tuple[str, ...]) -> None:
     """Raises ValueError where options of the kernel, or the numbers of points `counts`, are out of range."""
     name = type(estimator).__name__
@@ -75,6 +62,38 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
         value = getattr(estimator, option)
         if int(value) != value or value < 1:
             raise ValueError(f"{name}: {option} must be a whole number of at least 1, got {value}")
+
+
+class WarpedTerm(eqx.Module):
+    """Terms that ask for no radiance: what the paths found is differentiated."""
+
+    name = "boundary"
+
+    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
+        """Nothing."""
+        return None, key
+
+    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
+        """Boundary term: zero in value, right in derivative."""
+        return chunk.image(context.packed, self.of_paths(context, state, chunk, held))
+
+    @abc.abstractmethod
+    def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+        """The term of every path."""
+
+
+class Warped(NamedTuple):
+    """One kind of segments, and what their velocities are found from; `fixed` is `packed`, detached."""
+
+    packed: PackedScene
+    fixed: PackedScene
+    faces: Faces
+    paths: PathSegments
+    around: Convolution
+
+    def velocities(self, index, ends: SegmentEnds, lit, key) -> "Velocities":
+        """Velocities around the targets of segments by number, and what they count for these."""
+        return hidden_velocities(self.fixed, self.faces, self.paths.fixed.apex(index), ends, lit, self.around, key)
 
 
 class Velocities(NamedTuple):
@@ -112,12 +131,10 @@ def hidden_velocities(
     lit: Bool[Array, " N"],
     around: Convolution,
     key,
-    rays: str,
 ) -> Velocities:
     """Auxiliary points around the targets of N segments, and what they count for them; all arguments detached."""
-    options = around.samples, around.projections, key, rays, around.finite, around.infinite
-    points = draw_auxiliary(packed, faces.normal, ends, lit, around.kernel, *options)
-    occluders = find_occluders(packed, faces, apex, ends, points, rays, around.normal_edges)
+    points = draw_auxiliary(packed, faces.normal, ends, lit, around, key)
+    occluders = find_occluders(packed, faces, apex, ends, points, around.rays, around.normal_edges)
     field = velocity_field(around.kernel, ends, points, occluders.boundary, around.debias, around.infinite)
     points, occluders, field = stop_gradient((points, occluders, field))
 
@@ -172,18 +189,21 @@ def divergence_term(
 
 
 def displacement(
-    packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden
+    packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden, turns: bool = True
 ) -> Float[Array, "C 3"]:
-    """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8)."""
+    """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8).
+
+    Directions to the environment move with it where it `turns`.
+    """
     triangle = packed.vertices[packed.faces[seen.face]]
     material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)
     before = packed.vertices[packed.faces[seen.occluder]]
     towards = interpolate(before, seen.on_occluder) - apex
     slope = dot(normal, towards)
-    reach = dot(normal, material - apex) / jnp.where(slope == 0, 1.0, slope)
+    reach = safe_divide(dot(normal, material - apex), slope)
     offset, far = seen.position - stop_gradient(apex), infinite[:, None]
     projected = jnp.where(far, scale(normalize(towards), norm(offset)), apex + scale(towards, reach))
-    material = jnp.where(far, packed.turned(offset), material)
+    material = jnp.where(far, packed.turned(offset) if turns else offset, material)
     moved = projected - material
     if seen.own is not None:
         moved = jnp.where(seen.own[:, None], _horizon(before, stop_gradient(normal), material, offset, far), moved)
@@ -201,4 +221,4 @@ def _horizon(triangle, normal, material, offset, far):
     across = across - scale(normal, dot(across, normal))
     squared = dot(across, across)
     height = dot(plane, material - jnp.where(far, 0.0, corners(triangle)[0]))
-    return scale(across, -height / jnp.where(squared > 0, squared, 1.0))
+    return scale(across, safe_divide(-height, squared))

@@ -12,29 +12,38 @@ from jaxdr.boundary.shared.blocks import sum_over_blocks
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.shared.projection import affine_coordinates
+from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
-from jaxdr.boundary.warped_area.continuous_velocity import Kernel
+from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import (
-    Convolution,
     Measure,
     Velocities,
+    Warped,
+    WarpedTerm,
     check_options,
     displacement,
     divergence_term,
-    hidden_velocities,
 )
 from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.bidirectional import Drawn
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.moved_paths import layers, moved_contributions, target_segments
 from jaxdr.transport.path import Segments
-from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
 
-class WarpedArea(eqx.Module):
+def _deep_hard_shadows(asked: Asked) -> str | None:
+    if not asked.packed.light_count or asked.settings.max_depth <= 2:
+        return None
+    return (
+        "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
+        "area, max_depth=2, or another boundary estimator"
+    )
+
+
+class WarpedArea(WarpedTerm):
     """Boundary term as an area integral, for every segment behind the first hit (Xu et al. 2023, Eq. 38).
 
     Over the surface at the far end of a segment, div (f v) = f div v + grad f . v. Here v is a continuous velocity that
@@ -75,38 +84,32 @@ class WarpedArea(eqx.Module):
     spread: float = eqx.field(static=True, default=0.5)
     projections: int = eqx.field(static=True, default=2)
 
-    name = "boundary"
+    refusals = (
+        Refusal(
+            "lights without area, from `max_depth=3` on",
+            "lights with an area, `max_depth=2`, another estimator",
+            _deep_hard_shadows,
+        ),
+    )
 
     def __check_init__(self):
         check_options(self, ("samples", "projections"))
 
-    def around(self, packed: PackedScene, finite: bool, infinite: bool) -> Convolution:
+    def around(self, packed: PackedScene, finite: bool, infinite: bool, rays: str = "auto") -> Convolution:
         """How velocities are convolved; whether there are targets on surfaces, and infinitely far away."""
         kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
         room = min(self.projections, packed.faces.shape[0]) if finite else 1
-        return Convolution(kernel, self.samples, room, self.debias, finite, infinite)
+        return Convolution(kernel, self.samples, room, self.debias, finite, infinite, rays=rays)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
         del key  # every face may bound what moving surfaces see, whatever moves
-        packed, settings = context.packed, context.settings
-        if packed.light_count and settings.max_depth > 2:
-            raise ValueError(
-                "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
-                "area, max_depth=2, or another boundary estimator"
-            )
-        return connect_faces(packed)
+        refuse(self.refusals, Asked(context.packed, context.settings))
+        return connect_faces(context.packed)
 
-    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
-        """Nothing: what the paths found is differentiated."""
-        return None, key
-
-    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
-        """Boundary term: zero in value, right in derivative."""
-        return chunk.image(context.packed, self._of_paths(context, state, chunk, held))
-
-    def _of_paths(self, context: Context, prepared: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
-        packed, settings, record = context.packed, context.settings, chunk.record
+    def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+        """Direct light, and what BSDF-sampled segments carry."""
+        packed, rays, record = context.packed, context.settings.rays, chunk.record
         total = jnp.zeros_like(record.radiance)
         if record.direct is None:
             return total
@@ -118,77 +121,37 @@ class WarpedArea(eqx.Module):
             def measure(index, ends):
                 return _direct_measure(fixed, direct, index, ends)
 
-            kinds = packed.has_area_emitters, packed.environment is not None
-            total += self._term(packed, fixed, prepared, direct, measure, kinds, key_direct, settings)
+            around = self.around(fixed, packed.has_area_emitters, packed.environment is not None, rays)
+            total += _term(Warped(packed, fixed, state, direct, around), measure, key_direct)
         if record.scattered is not None:
             scattered = path_segments(packed, chunk, "scattered")
 
             def measure_beyond(index, ends):
                 return _scattered_measure(fixed, scattered, direct, index, ends)
 
-            kinds = True, False
-            total += self._term(packed, fixed, prepared, scattered, measure_beyond, kinds, key_scattered, settings)
+            around = self.around(fixed, True, False, rays)
+            total += _term(Warped(packed, fixed, state, scattered, around), measure_beyond, key_scattered)
         return total
 
-    def _term(self, packed, fixed, faces, paths: PathSegments, measure, kinds, key, settings) -> Float[Array, "N 3"]:
-        """Boundary term of one kind of segments, bounce by bounce."""
-
-        def of_bounce(bounce):
-            index = bounce * paths.paths + jnp.arange(paths.paths)
-            bounce_key = jax.random.fold_in(key, bounce)
-            return self._bounce_term(packed, fixed, faces, paths, measure, index, kinds, bounce_key, settings)
-
-        bounces = paths.count // paths.paths
-        if bounces == 1:
-            return of_bounce(jnp.int32(0))
-        return jax.lax.map(jax.checkpoint(of_bounce), jnp.arange(bounces)).sum(0)
-
-    def _bounce_term(self, packed, fixed, faces, paths, measure, index, kinds, key, settings):
-        """f div v + grad f . v of N segments."""
-        ends = paths.fixed.ends(index)
-        f = measure(index, ends)
-        value = f(ends.target)
-        lit = paths.table.visible[index] & (value != 0).any(-1)
-        velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, settings.rays)
-
-        def moved(slot):
-            return _moved(packed, paths, index, ends, velocities, slot)
-
-        return divergence_term(f, value, ends, lit, velocities, moved)
-
-    def _velocities(self, fixed, faces, paths, index, ends, lit, kinds, key, rays) -> Velocities:
-        """Velocities of the auxiliary points of N segments, and what they count for the targets."""
-        apex = paths.fixed.apex(index)
-        return hidden_velocities(fixed, faces, apex, ends, lit, self.around(fixed, *kinds), key, rays)
-
     def estimate_connected(
-        self,
-        packed: PackedScene,
-        prepared: Faces,
-        primary: PrimarySamples,
-        drawn: Drawn,
-        weight: Float[Array, "C N"],
-        sample_index: Int[Array, " N"],
-        key: PRNGKeyArray,
-        rays: str,
+        self, context: Context, state: Faces, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]:
         """Boundary terms of the paths of all strategies: zero in value, right in derivative (Eq. 52-54).
 
         `weight` is that of the strategies, zero where a path carries nothing. Every target moves with its mean
         velocity, which the contribution and its factor 1 + div v are differentiated by.
         """
-        del sample_index
-        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, drawn, weight))
-        paths, used = PathSegments(packed, primary, target_segments(drawn)), layers(drawn).used()
+        packed = context.packed
+        fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))
+        paths, used = PathSegments(packed, chunk.primary, target_segments(drawn)), layers(drawn).used()
         lit = (used[:, :, None] & (weight > 0)).any(1)
-        kinds = True, packed.environment is not None
+        around = self.around(fixed, True, packed.environment is not None, context.settings.rays)
+        warped = Warped(packed, fixed, state, paths, around)
 
         def of_layer(numbered):
             layer, lit = numbered
             index = layer * paths.paths + jnp.arange(paths.paths)
-            return self._target_motion(
-                packed, fixed, prepared, paths, index, lit, kinds, jax.random.fold_in(key, layer), rays
-            )
+            return _target_motion(warped, index, lit, jax.random.fold_in(key, layer))
 
         moved, stretch = jax.lax.map(jax.checkpoint(of_layer), (jnp.arange(used.shape[0]), lit))
         value = moved_contributions(fixed, drawn, moved)
@@ -196,22 +159,46 @@ class WarpedArea(eqx.Module):
         still = stop_gradient(value)
         return jnp.where((weight > 0)[..., None], weight[..., None] * (value - still + still * whole[..., None]), 0.0)
 
-    def _target_motion(self, packed, fixed, faces, paths, index, lit, kinds, key, rays):
-        """(mean velocities of the targets of N segments, in their planes, divergences); zero in value."""
+
+def _term(warped: Warped, measure, key) -> Float[Array, "N 3"]:
+    """Boundary term of one kind of segments, bounce by bounce: f div v + grad f . v."""
+    paths = warped.paths
+
+    def of_bounce(bounce):
+        index = bounce * paths.paths + jnp.arange(paths.paths)
         ends = paths.fixed.ends(index)
-        velocities = self._velocities(fixed, faces, paths, index, ends, lit, kinds, key, rays)
+        f = measure(index, ends)
+        value = f(ends.target)
+        lit = paths.table.visible[index] & (value != 0).any(-1)
+        velocities = warped.velocities(index, ends, lit, jax.random.fold_in(key, bounce))
 
-        def terms(slot, number):
-            row, filled = velocities.row(slot), number < velocities.used
-            moved = _moved(packed, paths, index, ends, velocities, slot)
-            normal, inside = ends.normal[row], velocities.inside(slot, moved)
-            in_plane = scale(inside - scale(normal, dot(inside, normal)), velocities.share[slot])
-            in_plane = jnp.where(filled[:, None], in_plane, 0.0)
-            stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
-            shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
-            return shift.at[row].add(in_plane), whole.at[row].add(stretch)
+        def moved(slot):
+            return _moved(warped.packed, paths, index, ends, velocities, slot)
 
-        return sum_over_blocks(terms, velocities.slots, velocities.used)
+        return divergence_term(f, value, ends, lit, velocities, moved)
+
+    bounces = paths.count // paths.paths
+    if bounces == 1:
+        return of_bounce(jnp.int32(0))
+    return jax.lax.map(jax.checkpoint(of_bounce), jnp.arange(bounces)).sum(0)
+
+
+def _target_motion(warped: Warped, index, lit, key):
+    """(mean velocities of the targets of N segments, in their planes, divergences); zero in value."""
+    ends = warped.paths.fixed.ends(index)
+    velocities = warped.velocities(index, ends, lit, key)
+
+    def terms(slot, number):
+        row, filled = velocities.row(slot), number < velocities.used
+        moved = _moved(warped.packed, warped.paths, index, ends, velocities, slot)
+        normal, inside = ends.normal[row], velocities.inside(slot, moved)
+        in_plane = scale(inside - scale(normal, dot(inside, normal)), velocities.share[slot])
+        in_plane = jnp.where(filled[:, None], in_plane, 0.0)
+        stretch = jnp.where(filled, dot(velocities.rate[slot], moved), 0.0)
+        shift, whole = jnp.zeros_like(ends.target), jnp.zeros_like(ends.target[:, 0])
+        return shift.at[row].add(in_plane), whole.at[row].add(stretch)
+
+    return sum_over_blocks(terms, velocities.slots, velocities.used)
 
 
 def _moved(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds, velocities: Velocities, slot):
@@ -263,7 +250,7 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     towards, factor = _geometry(ends, ends.target)
     seen = scale(scatterer.eval(towards), stop_gradient(factor))
     # Their weights contain that of the segment itself, at its target.
-    itself = jnp.where(seen != 0, 1.0 / jnp.where(seen != 0, seen, 1.0), 0.0)
+    itself = safe_divide(1.0, seen, otherwise=0.0)
     parts: list[Onward] = [(direct.table, after, direct.table.visible)]
     if paths.count > paths.paths:
         parts.append((paths.table, after, paths.table.visible))

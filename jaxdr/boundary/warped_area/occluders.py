@@ -11,6 +11,7 @@ from jaxdr.boundary.shared.path_segments import SegmentEnds
 from jaxdr.boundary.warped_area.continuous_velocity import Auxiliary
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, interpolate, norm, normalize, scale, triangle_normals
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import OFFSET, SurfacePoint, leave
 
@@ -72,13 +73,13 @@ def find_occluders(
     hidden = hit >= 0
     hit = jnp.where(hidden, hit, 0)
 
-    back = (facing / jnp.where(length > 0, length, 1.0)) ** 2
+    back = safe_divide(facing, length) ** 2
     boundary = jnp.where(alike, 1.0, back)
     boundary = jnp.where(hidden, _boundary_distance(packed, faces, hit, at, origin.position, normal_edges), boundary)
     own = None
     if packed.normals is not None:
         own = there & alike & ~above
-        boundary = jnp.where(own, -height / jnp.where(length > 0, length, 1.0), boundary)
+        boundary = jnp.where(own, safe_divide(-height, length), boundary)
         hidden, hit = hidden | own, jnp.where(own, origin.face, hit)
         own = own.reshape(full)
     hidden, hit, boundary = (a.reshape(full) for a in (hidden, hit, boundary))
@@ -89,7 +90,7 @@ def _to_sides(triangles, barycentric):
     """Distances of points on triangles to the three sides."""
     a, b, c = corners(triangles)
     lengths = norm(jnp.stack([c - b, a - c, b - a], 1))
-    return barycentric * norm(triangle_normals(triangles))[:, None] / jnp.where(lengths > 0, lengths, 1.0)
+    return safe_divide(barycentric * norm(triangle_normals(triangles))[:, None], lengths)
 
 
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):

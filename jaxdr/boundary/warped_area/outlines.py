@@ -18,6 +18,7 @@ from jaxdr.geometry.vector import (
     scale,
     triangle_normals,
 )
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 
 STRIP = 0.0625  # width of the strip along an outline, in widths of the kernel
@@ -46,7 +47,7 @@ def keep_inside(packed: PackedScene, faces: Faces, ends: SegmentEnds, width: Flo
     # Side k is opposite of corner k.
     start, end = jnp.roll(ends.corners, -1, axis=1), jnp.roll(ends.corners, -2, axis=1)
     lengths = norm(end - start)
-    inverse = 1.0 / jnp.where(lengths > 0, lengths, 1.0)
+    inverse = safe_divide(1.0, lengths)
     across = corners(cross(scale(end - start, inverse), unit[:, None]))
     area = norm(triangle_normals(ends.corners))
     height = area[:, None] * inverse

@@ -12,10 +12,12 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from jaxdr.boundary.shared.face_neighbours import Faces
 from jaxdr.boundary.shared.path_segments import SegmentEnds
+from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.divergence import Hidden, Measure, displacement, divergence_term, hidden_velocities
 from jaxdr.boundary.warped_area.estimator import Onward, WarpedArea, sent_back
 from jaxdr.geometry.vector import interpolate, norm, normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
@@ -26,10 +28,33 @@ from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
 
+def _camera(asked: Asked) -> str | None:
+    camera = asked.packed.camera
+    if isinstance(camera, PinholeCamera):
+        return None
+    return (
+        f'render: primary="warp" needs a camera with a position, not {type(camera).__name__}; take a '
+        'Perspective or a ThinLens, or primary="fixed_ray"'
+    )
+
+
+def _lights(asked: Asked) -> str | None:
+    if not asked.packed.light_count:
+        return None
+    return (
+        'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
+        'lights with an area, or primary="fixed_ray"'
+    )
+
+
 class WarpedCamera:
     """Term of the camera's segment, by the estimator of those behind the first hit."""
 
     name = "warp"
+    refusals = (
+        Refusal("parallel cameras", '`Perspective`, `ThinLens`, `primary="fixed_ray"`', _camera),
+        Refusal("lights without area", 'lights with an area, `primary="fixed_ray"`', _lights),
+    )
 
     def __init__(self, warp: WarpedArea):
         self.warp = warp
@@ -39,16 +64,7 @@ class WarpedCamera:
         if not any(context.moving.seen):
             return None
         packed = context.packed
-        if not isinstance(packed.camera, PinholeCamera):
-            raise ValueError(
-                f'render: primary="warp" needs a camera with a position, not {type(packed.camera).__name__}; take a '
-                'Perspective or a ThinLens, or primary="fixed_ray"'
-            )
-        if packed.light_count:
-            raise ValueError(
-                'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
-                'lights with an area, or primary="fixed_ray"'
-            )
+        refuse(self.refusals, Asked(packed, context.settings))
         return self.warp.prepare(context, key)
 
     def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
@@ -82,9 +98,9 @@ def warped_camera_term(
     value = f(ends.target)
     lit = (value != 0).any(-1)
     # A camera lies in no face that could hide anything.
-    around = warp.around(fixed, True, fixed.environment is not None)._replace(horizon=False)
+    around = warp.around(fixed, True, fixed.environment is not None, settings.rays)._replace(horizon=False)
     apex = _apex(fixed, fixed_view, ends)
-    velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key, settings.rays)
+    velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key)
 
     def moved(slot):
         row = velocities.row(slot)
@@ -140,7 +156,7 @@ def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentE
 
     detached = stop_gradient(importance(ends.target))
     seen = detached > 0
-    inverse = jnp.where(seen, 1.0 / jnp.where(seen, detached, 1.0), 0.0)
+    inverse = safe_divide(1.0, detached, seen, 0.0)
 
     def measure(position):
         towards = normalize(position - ends.apex)

@@ -7,7 +7,7 @@ import numpy as np
 import jaxdr as jd
 from jaxdr.boundary.guided_edges.boundary_segments import EmitterSampling
 from jaxdr.boundary.guided_edges.edge_lunes import edge_lunes
-from jaxdr.boundary.guided_edges.guide_target import segment_target
+from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.scene.packed import pack
 from jaxdr.transport.path import PathSettings
@@ -25,8 +25,9 @@ def projected(of, u):
     lunes = edge_lunes(packed, MOVING)
     lines = project_paths(packed, lunes, 4096, jax.random.key(0), "auto")
     points = jnp.concatenate([EmitterSampling.numbers(packed, lunes, *lines), u])
-    options = EmitterSampling, True, False, points, jax.random.key(1), SETTINGS
-    return lines[1].valid, segment_target(packed, lunes, jnp.asarray(MOVING), None, *options)
+    plan = StrategyPlan(EmitterSampling, True, False)
+    target = segment_target(packed, lunes, jnp.asarray(MOVING), None, plan, jax.random.key(1), SETTINGS)
+    return lines[1].valid, target(points)
 
 
 def torus(height):

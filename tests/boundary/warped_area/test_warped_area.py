@@ -13,6 +13,7 @@ from jaxdr.boundary.shared.face_neighbours import connect_faces
 from jaxdr.boundary.shared.path_segments import SegmentEnds
 from jaxdr.boundary.warped_area.continuous_velocity import (
     Auxiliary,
+    Convolution,
     Kernel,
     draw_auxiliary,
     log_weights,
@@ -58,7 +59,8 @@ def random_ends(count: int, infinite: bool) -> dict:
 def around(packed, faces, kernel: Kernel, ends: SegmentEnds, samples: int, key, infinite: bool) -> Auxiliary:
     """Auxiliary points of targets on planes without an end, or at infinity."""
     active = jnp.ones(ends.infinite.shape, bool)
-    return draw_auxiliary(packed, faces.normal, ends, active, kernel, samples, 1, key, "jax", False, infinite)
+    around = Convolution(kernel, samples, 1, True, False, infinite, rays="jax")
+    return draw_auxiliary(packed, faces.normal, ends, active, around, key)
 
 
 def in_float64(ends: dict) -> SegmentEnds:
@@ -171,7 +173,7 @@ def _velocities(packed, apex, faces, place, face, corners, tangent, keys):
     down = jnp.asarray([0.0, 0.0, -1.0])
     target, normal, corners, face = (jnp.broadcast_to(a, (keys, *jnp.shape(a))) for a in (place, down, corners, face))
     ends = SegmentEnds(apex.position, apex.face, target, normal, face, corners, jnp.zeros(keys, bool))
-    options = jnp.ones(keys, bool), WARPED.around(packed, True, False), jax.random.key(7), "auto"
+    options = jnp.ones(keys, bool), WARPED.around(packed, True, False), jax.random.key(7)
     velocities = hidden_velocities(packed, faces, apex, ends, *options)
     slots, row = velocities.slots, velocities.row(velocities.slots)
 
