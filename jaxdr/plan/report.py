@@ -51,7 +51,7 @@ def settings(integrator: Any) -> dict[str, Any]:
     """The fields of an integrator as a table. Raises ValueError for one that is not of this library's."""
     kind = type(integrator).__name__
     if INTEGRATORS.get(kind) is not type(integrator):
-        raise ValueError(f"a plan keeps {' and '.join(INTEGRATORS)}, not {kind}")
+        raise ValueError(f"a plan can keep {' and '.join(INTEGRATORS)}, but not {kind}")
     table: dict[str, Any] = {"kind": kind}
     for entry in dataclasses.fields(integrator):
         value = getattr(integrator, entry.name)
@@ -73,7 +73,7 @@ def _estimator_settings(estimator: Any) -> dict[str, Any] | None:
     if estimator is None:
         return None
     if not isinstance(estimator, eqx.Module):
-        raise ValueError(f"a plan keeps the fields of an equinox.Module, which {type(estimator).__name__} is not")
+        raise ValueError(f"a plan can keep the fields of an equinox.Module, which {type(estimator).__name__} is not")
     return {"kind": estimator_name(type(estimator))} | {
         entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)
     }
