@@ -37,7 +37,10 @@ class Motion:
         named = (self.vertex is not None) + bool(self.velocities)
         wanted = 1 if self.kind == "vertices" else 0
         require(
-            named == wanted, "vertex", "kind vertices, and no other, takes either vertex or velocities", self.vertex
+            named == wanted,
+            "vertex",
+            "kind vertices takes either vertex or velocities, other kinds take neither",
+            self.vertex,
         )
 
 
@@ -91,7 +94,12 @@ class ChartScene:
     directly_visible: bool = True
 
     def __post_init__(self):
-        require(self.name.replace("_", "").replace("-", "").isalnum(), "name", "letters, digits, _ and -", self.name)
+        require(
+            self.name.replace("_", "").replace("-", "").isalnum(),
+            "name",
+            "must have letters, digits, _ and - only",
+            self.name,
+        )
         given = bool(self.procedural) != bool(self.file)
         require(given, "procedural", "give either a procedural scene or a file", self.procedural)
         require(self.max_depth >= 1, "max_depth", "must be at least 1", self.max_depth)
@@ -196,7 +204,7 @@ class ChartConfig:
 
     def __post_init__(self):
         require(0 <= self.seed < 2**31, "seed", "must be between 0 and 2^31 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
         require(bool(self.scenes), "scenes", "give at least one", [])
         require(bool(self.estimators), "estimators", "give at least one", [])
         require(bool(self.samples), "samples", "give at least one count", [])

@@ -227,7 +227,7 @@ def _warn_of_caustics(packed: PackedScene, max_depth: int) -> None:
     if packed.has_delta_lobes and max_depth > 2 and not all(only_delta(group.bsdf) for group in packed.bsdfs):
         warnings.warn(
             "jaxdr: the derivative lacks visibility changes of reflected/refracted light from diffuse surfaces via "
-            "delta surfaces (a path that leaves a surface that spreads light, meets a mirror or smooth glass and goes "
-            "on); what the camera sees over delta surfaces is there",
+            "delta surfaces. Such a path leaves a surface that spreads light, meets a mirror or smooth glass, and goes "
+            "on. What the camera itself sees in mirrors and through smooth glass is complete",
             stacklevel=2,
         )

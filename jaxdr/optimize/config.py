@@ -354,7 +354,7 @@ class OptimizeConfig:
 
     def __post_init__(self):
         require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
         views, per_step = self.cameras.views, self.optimizer.views_per_step
         require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
         if self.levels:

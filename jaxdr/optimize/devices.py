@@ -59,7 +59,7 @@ def chosen_devices(count: int | None = None) -> list[Device]:
     """The first `count` devices of all processes; all by default. Raises ValueError where there are fewer."""
     devices = jax.devices()
     if count is not None and not 1 <= count <= len(devices):
-        raise ValueError(f"devices: {count} asked for, and there are {len(devices)} ({devices[0].device_kind})")
+        raise ValueError(f"devices: {count} asked for, but there are only {len(devices)} ({devices[0].device_kind})")
     if count is not None and jax.process_count() > 1 and count < len(devices):
         raise ValueError("devices: a run of several processes takes all devices of each; leave the number out")
     return devices[:count]

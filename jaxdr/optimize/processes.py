@@ -38,8 +38,8 @@ def start_processes(coordinator: str | None, count: int | None, number: int | No
         jax.distributed.initialize(coordinator, count, number, heartbeat_timeout_seconds=HEARTBEAT)
     except (ValueError, TypeError) as problem:
         raise ValueError(
-            f"processes: the cluster does not say enough ({problem}); give --coordinator HOST:PORT, --processes N and "
-            "--process I"
+            f"processes: the cluster does not say where the others are ({problem}); give "
+            "--coordinator HOST:PORT, --processes N and --process I"
         ) from None
     except RuntimeError as problem:
         raise ValueError(f"processes: can't join the others at {coordinator}: {problem}") from None

@@ -7,9 +7,9 @@ from typing import Any
 import equinox as eqx
 
 from jaxdr.boundary.named import estimator_class, estimator_name
-from jaxdr.integrators import INTEGRATORS, Integrator
+from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 
-KINDS: dict[str, Any] = {kind.__name__: kind for kind in INTEGRATORS.values()}
+INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTracer": BidirectionalPathTracer}
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Plan:
 def settings(integrator: Any) -> dict[str, Any]:
     """The fields of an integrator as a table. Raises ValueError for one that is not of this library's."""
     kind = type(integrator).__name__
-    if KINDS.get(kind) is not type(integrator):
-        raise ValueError(f"a plan keeps {' and '.join(KINDS)}, not {kind}")
+    if INTEGRATORS.get(kind) is not type(integrator):
+        raise ValueError(f"a plan can keep {' and '.join(INTEGRATORS)}, but not {kind}")
     table: dict[str, Any] = {"kind": kind}
     for entry in dataclasses.fields(integrator):
         value = getattr(integrator, entry.name)
@@ -66,14 +66,14 @@ def integrator(table: dict[str, Any]) -> Integrator:
     if estimator is not None:
         fields = {name: _value(value) for name, value in estimator.items() if name != "kind"}
         options["boundary"] = estimator_class(estimator["kind"])(**fields)
-    return KINDS[table["kind"]](**options)
+    return INTEGRATORS[table["kind"]](**options)
 
 
 def _estimator_settings(estimator: Any) -> dict[str, Any] | None:
     if estimator is None:
         return None
     if not isinstance(estimator, eqx.Module):
-        raise ValueError(f"a plan keeps the fields of an equinox.Module, which {type(estimator).__name__} is not")
+        raise ValueError(f"a plan can keep the fields of an equinox.Module, which {type(estimator).__name__} is not")
     return {"kind": estimator_name(type(estimator))} | {
         entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)
     }

@@ -97,7 +97,7 @@ def test_batches_are_filled_up():
 
 
 def test_too_many_devices():
-    with pytest.raises(ValueError, match="devices: 4096 asked for, and there are"):
+    with pytest.raises(ValueError, match="devices: 4096 asked for, but there are only"):
         chosen_devices(4096)
 
 

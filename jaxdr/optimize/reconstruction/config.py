@@ -168,11 +168,16 @@ class ReconstructConfig:
 
     def __post_init__(self):
         require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
         require(len(self.levels) >= 1, "levels", "there must be at least one", self.levels)
         primary = self.integrator.primary
         require(primary == "fixed_ray", "integrator.primary", 'must be "fixed_ray" with box pixels', primary)
-        require(not self.integrator.planned, "integrator", '"auto" is for `jaxdr optimize`; name both', self.integrator)
+        require(
+            not self.integrator.planned,
+            "integrator",
+            '"auto" is for `jaxdr optimize`; give max_depth and boundary',
+            self.integrator,
+        )
 
     @property
     def steps(self) -> int:

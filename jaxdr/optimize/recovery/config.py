@@ -84,11 +84,11 @@ class Parameter:
         require(any(self.axis), "axis", "must not be zero", self.axis)
         moving = self.moving
         if moving and (self.bounds is not None or self.smoothing is not None):
-            raise ValueError("motion: excludes bounds and smoothing")
+            raise ValueError("motion: can't go together with bounds or smoothing; leave it or those out")
         if self.smoothing is not None and not self.is_vertices:
-            raise ValueError("smoothing: is for vertices")
+            raise ValueError(f"smoothing: is for vertices, not for {self.name}")
         if self.is_vertices and not moving and (self.bounds is not None or self.initial is not None):
-            raise ValueError("motion: needed for bounds or initial of vertices; or leave those out")
+            raise ValueError("motion: needed for bounds or initial of vertices; give it, or leave those out")
         if moving and not (self.is_vertices or self.is_matrix):
             raise ValueError(f"motion: is for vertices and to_world, not for {self.name}")
         if moving and self.initial is not None:
@@ -150,7 +150,7 @@ class LevenbergMarquardt:
             require(getattr(self, key) > 0, key, "must be positive", getattr(self, key))
         require(bool(self.blur) and min(self.blur) >= 0, "blur", "must be a list of numbers from zero on", self.blur)
         least = 2 * len(self.blur)
-        require(self.iterations >= least, "iterations", f"must be at least {least}, two a blur", self.iterations)
+        require(self.iterations >= least, "iterations", f"must be at least {least}, two for each blur", self.iterations)
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class RecoveryConfig:
 
     def __post_init__(self):
         require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "names the folder for the results", self.output)
+        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
         require(bool(self.parameters), "parameters", "name at least one", [])
         names = [parameter.name for parameter in self.parameters]
         for i, (name, parameter) in enumerate(zip(names, self.parameters, strict=True)):
@@ -198,7 +198,12 @@ class RecoveryConfig:
             key, per_step = "optimizer.views_per_step", self.optimizer.views_per_step
             require(per_step <= views, key, f"must not exceed the number of views, {views}", per_step)
         if self.target.images:
-            require(len(self.target.images) == views, "target.images", f"need {views}, one a view", self.target.images)
+            require(
+                len(self.target.images) == views,
+                "target.images",
+                f"need {views}, one for each view",
+                self.target.images,
+            )
         if self.cameras is not None and "camera.to_world" in names:
             raise ValueError("cameras: give the views, so camera.to_world can't be a parameter; leave one of them out")
         if not self.target.images and not self.target.name and not self.target.file and self.scene.name:

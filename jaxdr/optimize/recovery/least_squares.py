@@ -94,7 +94,7 @@ class LeastSquaresSteps:
         scales = jnp.linalg.norm(jacobian, axis=0) / self.stretch
         for name, scale in self.unravel(scales).items():
             if not np.asarray(scale).all():
-                raise ValueError(f"{name}: the images do not depend on all of it at the start")
+                raise ValueError(f"{name}: the images do not depend on all of it at the start; begin where they do")
         return self._begin(targets, self.start * scales, scales, 0, 0)
 
     def template(self, targets: Float[np.ndarray, "N H W 3"]) -> LeastSquaresState:

@@ -76,7 +76,7 @@ def test_defaults_and_values(read):
         (HEAD + LIGHT + LEAST_SQUARES + "blur = []\n", r"optimizer\.blur: must be a list of numbers from zero on"),
         (
             HEAD + LIGHT + LEAST_SQUARES + "iterations = 3\nblur = [2, 0]\n",
-            r"optimizer\.iterations: must be at least 4, two a blur, got 3",
+            r"optimizer\.iterations: must be at least 4, two for each blur, got 3",
         ),
         (
             HEAD + LIGHT + "learning_rate = 1\n[optimizer]\nviews_per_step = 2\n",
