@@ -15,28 +15,26 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr.boundary.kernel_density.lobe_kernel import lobe_edges
 from jaxdr.boundary.kernel_density.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.kernel_density.plain_kernel import near_points, share_of_disc, shrinking_radii
+from jaxdr.boundary.kernel_density.strips import sees_past_edge, strip_in_face
 from jaxdr.boundary.shared.background import BehindEdges, sum_behind
 from jaxdr.boundary.shared.blocks import sum_over_blocks
-from jaxdr.boundary.shared.emitter_planes import emitter_face_at, emitter_groups, few_emitter_faces, part_inside
+from jaxdr.boundary.shared.emitter_planes import emitter_face_at, emitter_groups
 from jaxdr.boundary.shared.on_planes import OnPlanes, sum_on_planes
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
 from jaxdr.boundary.shared.projection import (
     Projection,
-    affine_coordinates,
-    affine_rates,
     displacement,
     never_silhouettes,
-    past_edge,
     project_edges,
 )
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
-from jaxdr.geometry.vector import corners, dot, norm, normalize, scale, triangle_normals
+from jaxdr.geometry.vector import dot, norm, normalize, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
-from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.moved_paths import layers, moved_contributions, rows_of, target_segments
 from jaxdr.transport.radiance import Answers, Requests
 from jaxdr.transport.sampler import seed_of
@@ -285,14 +283,14 @@ class KernelDensity(eqx.Module):
         if self.kernel == "edge":
             width = 2 * r if both_sides else r
             if self.clip_to_face:
-                width, whole_face, on_face = _strip_in_face(packed, ends, projection, r, both_sides)
+                width, whole_face, on_face = strip_in_face(packed, ends, projection, r, both_sides)
                 valid = valid & on_face
             share = safe_divide(1.0, width, valid)
         else:
             assert density is not None  # there where the kernel is one of points
             share = share_of_disc(density, projection.stretch, r, both_sides)
         if self.visibility_ray:
-            valid = valid & _sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
+            valid = valid & sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
         share = packed.edges.shared(edge, share * pairs.weight)
         return BoundaryPoints(segment, edge, apex, ends, projection, goal, share, valid, used)
 
@@ -367,59 +365,3 @@ def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Proj
     barycentric = jnp.maximum(barycentric, 0.0)
     barycentric = barycentric / barycentric.sum(-1, keepdims=True)
     return detached.surface_radiance(face, barycentric)
-
-
-def _inradius(triangles) -> Float[Array, " C"]:
-    """Radius of the circle inscribed in triangles."""
-    a, b, c = corners(triangles)
-    return norm(triangle_normals(triangles)) / (norm(b - a) + norm(c - b) + norm(a - c))
-
-
-def _strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection, r, both_sides: bool):
-    """(width of the kernel's strip across a boundary point, whether it was cut to the face, whether the point counts).
-
-    Strips are cut to the emitter where that has few faces, else to the target's face where that is larger than the
-    kernel; smaller faces are parts of one surface, and the strip goes on over their plane.
-    """
-    low, high = -r, r if both_sides else jnp.zeros_like(r)
-    target, normal = stop_gradient((ends.corners, ends.normal))
-    width, inside = _overlap(projection.barycentric, affine_rates(target, projection.normal), low, high)
-    large = _inradius(target) > r
-    if few_emitter_faces(packed):
-        on_emitter = (ends.face[:, None] == packed.emitter_faces).any(-1)
-        triangles = stop_gradient(packed.vertices)[packed.faces[packed.emitter_faces]]
-        same_shape = packed.face_shape[packed.emitter_faces] == packed.face_shape[ends.face][:, None]
-        height = jnp.abs(dot(triangles[None] - projection.point[:, None, None], normal[:, None, None]))
-        first, second, _ = corners(triangles)
-        coplanar = same_shape & (height.max(-1) <= 1e-4 * norm(second - first))
-        barycentric = affine_coordinates(triangles, projection.point[:, None])
-        rate = affine_rates(triangles, projection.normal[:, None])
-        widths, insides = _overlap(barycentric, rate, low[:, None], high[:, None])
-        width = jnp.where(on_emitter, jnp.where(coplanar, widths, 0.0).sum(-1), width)
-        inside = jnp.where(on_emitter, (coplanar & insides).any(-1), inside)
-        large = large | on_emitter
-    large = large & ~ends.infinite
-    return jnp.where(large, width, high - low), large, (inside & (width > 0)) | ~large
-
-
-def _overlap(barycentric, rate, low, high):
-    """(length of the line's parameter range [low, high] inside triangles, whether its origin is)."""
-    start, end = part_inside(barycentric, rate, low, high)
-    return end - start, (barycentric > 0).all(-1)
-
-
-def _sees_past_edge(
-    packed, apex: SurfacePoint, projection: Projection, r, whole_face, valid, rays: str
-) -> Bool[Array, " C"]:
-    """Whether the (detached) apex sees past the edge to the target's plane, along a ray just beside the edge."""
-    fraction = projection.fraction
-    past = past_edge(projection.edge_point, apex.position, projection.normal)
-    start = leave(apex, past - apex.position)
-    # Through `past` whatever the offset of the start.
-    reach = scale(past - start, safe_divide(1.0, fraction, fraction > 0))
-    # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
-    # that the target, less than a radius away, can be seen.
-    short = r / jnp.maximum(norm(reach), r)
-    stop = jnp.where(whole_face, 1.0 - 1e-4, jnp.maximum(1.0 - short, 0.5 * (1.0 + fraction)))
-    stop = jnp.where(valid, stop, 0.0)
-    return ~queries.occluded(packed.geometry, queries.Rays(start, reach, stop), rays)
