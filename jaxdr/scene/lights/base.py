@@ -17,8 +17,8 @@ class DeltaLight(eqx.Module):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
     A light is `infinite` if it shines from infinitely far away, in one direction. Its methods are called with fields
-    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off the fields stay as
-    they are.
+    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off, and where there
+    are borders, the fields stay as they are. Shadows move with all that `place` and `borders` depend on.
     """
 
     infinite: ClassVar[bool] = False
@@ -50,12 +50,12 @@ class DeltaLight(eqx.Module):
         """Density of `sample` (solid angle), detached; positive wherever there is light."""
         return jnp.full(direction.shape[:-1], 0.25 / math.pi, direction.dtype)
 
+    @abc.abstractmethod
     def borders(self) -> Float[Array, "K 3 3"] | None:
         """World points on the border of what is lit, where that ends abruptly: both ends of K lines and a point inside.
 
-        None for a light that fades.
+        None for a light that fades or shines to all sides.
         """
-        return None
 
 
 def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:
