@@ -1,15 +1,17 @@
 """What moves in a derivative: known when its program is traced."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 
+from jaxdr.chunked_sum import dependent
 from jaxdr.scene.bsdf import BSDF
-from jaxdr.scene.bsdf.base import nested
-from jaxdr.scene.scene import Scene, unwrap
-
-# Parameters of lights without area that move their shadows.
-PLACES = ("position", "direction", "to_world", "fov")
+from jaxdr.scene.packed import group_bsdfs
+from jaxdr.scene.scene import Scene, Shape, unwrap
+from jaxdr.scene.textures import TexturePoint
 
 
 class Moving(NamedTuple):
@@ -38,19 +40,44 @@ class Moving(NamedTuple):
         return any(self.seen) or any(self.lights) or self.environment
 
 
-def moving_in(active: Scene) -> Moving:
-    """Which geometry moves, from a scene whose leaves say whether they are differentiated."""
+def moving_in(scene: Scene, active: Scene) -> Moving:
+    """Which geometry moves in a scene where the leaves of `active` say which floats are differentiated.
+
+    Parts of a scene don't list what moves: their methods are traced, and what these return tells. So no name of a
+    parameter matters, and none can be forgotten.
+    """
+    sky = scene.environment
     return Moving(
-        shapes=tuple(bool(shape.mesh.vertices) or _bends(unwrap(shape.bsdf)) for shape in active.shapes.values()),
+        shapes=tuple(_moves(shape, flags) for shape, flags in _pairs(scene.shapes, active.shapes)),
         camera=any(jax.tree.leaves(active.camera)),
-        lights=tuple(any(getattr(light, name, False) for name in PLACES) for light in active.lights.values()),
-        environment=bool(getattr(active.environment, "to_world", False)),
+        lights=tuple(_changes(_shadow_lines, *pair) for pair in _pairs(scene.lights, active.lights)),
+        environment=sky is not None and _changes(lambda sky: sky.turn(), sky, active.environment),
     )
 
 
-def _bends(active: BSDF) -> bool:
-    """Whether directions of delta lobes change with the BSDF's own parameters, from one whose leaves say which do."""
-    if not active.delta:
-        return False
-    own = any(jax.tree.leaves([getattr(active, name) for name in active.bending]))
-    return own or any(map(_bends, nested(active)))
+def _moves(shape: Shape, active: Shape) -> bool:
+    bsdf = unwrap(shape.bsdf)
+    return bool(active.mesh.vertices) or (bsdf.delta and _changes(_lobe, bsdf, unwrap(active.bsdf)))
+
+
+def _changes(what: Callable[[Any], Any], part: Any, active: Any) -> bool:
+    """Whether `what(part)` has a derivative by the active leaves of the part."""
+    at, fixed = eqx.partition(part, active)
+    return any(dependent(lambda at: jax.tree.leaves(what(eqx.combine(at, fixed))), at))
+
+
+def _shadow_lines(light):
+    """What the places of a light's shadows depend on, but for the surfaces."""
+    return light.place(), light.borders()
+
+
+def _lobe(bsdf: BSDF):
+    """Direction of a delta lobe at one point. Where it changes, what is seen in it moves."""
+    third, none = jnp.full((1, 3), 1.0 / 3.0), jnp.zeros(1, jnp.int32)
+    point = TexturePoint(third[:, :2], third, jnp.zeros((1, 3), jnp.int32), none, jnp.ones((1, 3)))
+    (group,) = group_bsdfs([bsdf])
+    return group.at(none, point).sample_delta(third, third[:, :2]).wo
+
+
+def _pairs(one: dict, two: dict):
+    return zip(one.values(), two.values(), strict=True)

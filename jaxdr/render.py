@@ -89,8 +89,7 @@ def derivative_terms(
 
     Everything counts as moving unless `moving` says otherwise.
     """
-    turns = hasattr(scene.environment, "to_world")
-    moving = moving or Moving((True,) * len(scene.shapes), True, (True,) * len(scene.lights), turns)
+    moving = moving or moving_in(scene, jax.tree.map(eqx.is_inexact_array, scene))
     if integrator is None:
         integrator = default_integrator(scene, moving)
         _say_default(scene, integrator, moving)
@@ -127,7 +126,7 @@ def _render_jvp(program, primals, tangents):
 def _derivative(program: Program, active: tuple[bool, ...], moved, floats, others, arrays, key):
     """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
     flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
-    moving = moving_in(flags)
+    moving = moving_in(_join(program, floats, others), flags)
     if program.by_default:
         scene = _join(program, floats, others)
         arrays, static = eqx.partition(default_integrator(scene, moving), eqx.is_array)

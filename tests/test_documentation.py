@@ -134,6 +134,7 @@ CODE = {
     "docs/scaling.md": (with_a_scene("spot"), False),
     "docs/scene_files.md": (with_files, False),
     "docs/write_a_bsdf.md": (imports, False),
+    "docs/write_a_light.md": (imports, False),
     "docs/write_an_estimator.md": (with_a_scene("spot"), True),
 }
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.boundary.shared.term import Chunk, Context, Term, detached, named_key
 from jaxdr.moving import Moving
-from jaxdr.scene.bsdf.base import nested, spreads_through
+from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.radiance import joined, radiance, split
@@ -129,7 +129,7 @@ def _rough_glass(asked: Asked) -> str | None:
         if not spreads_through(bsdf):
             continue
         what = remedy = None
-        if nested(bsdf):
+        if bsdf.inside:
             what, remedy = f"in a {type(bsdf).__name__}", "rough glass alone"
         elif shape.mesh.normal_faces is not None:
             what, remedy = "with interpolated normals", "flat faces"

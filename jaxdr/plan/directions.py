@@ -58,7 +58,7 @@ def moving_along(scene: Scene, names: Sequence[str]) -> Moving:
     """What moves when the parameters `names` are differentiated."""
     parameters = scene.parameters()
     replaced = scene.replace({name: parameters[name] + 0 for name in names})
-    return moving_in(jax.tree.map(lambda new, old: new is not old, replaced, scene))
+    return moving_in(scene, jax.tree.map(lambda new, old: new is not old, replaced, scene))
 
 
 def _random(scene: Scene, name: str, value, key):

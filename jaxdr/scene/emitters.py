@@ -56,9 +56,12 @@ class DirectionSampler(eqx.Module):
 
 
 class Environment(eqx.Module):
-    """Light from infinitely far away. A new one is a file with a look-up by direction and a sampler.
+    """Light from infinitely far away. A new one is a file with a look-up by direction, a sampler and a turn.
 
     `uniform`: whether radiance and density are the same in all directions.
+
+    By a parameter that `turn` depends on, everything is differentiated in directions that turn along. By any other it
+    is in fixed ones: there the radiance has to be continuous, in the parameter and in the direction.
     """
 
     uniform: eqx.AbstractClassVar[bool]
@@ -71,9 +74,12 @@ class Environment(eqx.Module):
     def sampler(self) -> DirectionSampler:
         """What directions are drawn from."""
 
+    @abc.abstractmethod
     def turn(self) -> Float[Array, "3 3"]:
-        """The identity, differentiable as the rotation that takes directions along as the environment turns."""
-        return jnp.eye(3)
+        """The identity, differentiable as the rotation that takes directions along as the environment turns.
+
+        Where the radiance jumps, as at the rim of a sun, that has to go along; `jnp.eye(3)` if nothing turns.
+        """
 
 
 class UniformDirections(DirectionSampler):
@@ -118,3 +124,6 @@ class ConstantEnvironment(Environment):
 
     def sampler(self):
         return UniformDirections(stop_gradient(self.radiance))
+
+    def turn(self):
+        return jnp.eye(3, dtype=self.radiance.dtype)

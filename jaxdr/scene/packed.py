@@ -63,6 +63,15 @@ class BSDFGroup(eqx.Module):
     row: Int[Array, " S"]
     member: Bool[Array, " S"]
 
+    def at(self, shape: Int[Array, " N"], point: TexturePoint | None) -> BSDF:
+        """The BSDFs of shapes at points of theirs, where they are members: textures are looked up."""
+        row = self.row[shape]
+
+        def at_points(field):
+            return field.values(row, point) if point is not None and isinstance(field, Texture) else field[row]
+
+        return jax.tree.map(at_points, self.bsdf, is_leaf=lambda field: isinstance(field, Texture))
+
 
 class GlowGroup(eqx.Module):
     """Radiance of shapes by textures of one kind and size, fields stacked; `row` and `member` as of a `BSDFGroup`."""
@@ -319,7 +328,7 @@ def pack(scene: Scene) -> PackedScene:
         size=_size(vertices),
         face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
         edges=_pack_edges(meshes, first_vertex, first_face),
-        bsdfs=_group(bsdfs),
+        bsdfs=group_bsdfs(bsdfs),
         two_sided=jnp.asarray([isinstance(shape.bsdf, TwoSided) for shape in shapes]),
         first_vertex=tuple(int(v) for v in first_vertex[:-1]),
         first_face=tuple(int(f) for f in first_face),
@@ -403,7 +412,8 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
     )
 
 
-def _group(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
+def group_bsdfs(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
+    """BSDFs of one kind together."""
     return tuple(BSDFGroup(*group) for group in _stacked(bsdfs))
 
 

@@ -34,18 +34,19 @@ class LightGroup(eqx.Module):
 
 
 def group_lights(lights: list[DeltaLight]) -> tuple[LightGroup, ...]:
-    """Lights with the same static structure are stacked into one group, those with tables of their own are not."""
-    structures = [jax.tree.structure(light) if light.stackable else i for i, light in enumerate(lights)]
+    """Lights of the same static structure are stacked into one group, those with borders or tables are not."""
+    stacks = [light.stackable and light.borders() is None for light in lights]
+    structures = [jax.tree.structure(light) if stacks[i] else i for i, light in enumerate(lights)]
     groups = []
     for structure in dict.fromkeys(structures):
         members = [i for i, s in enumerate(structures) if s == structure]
         light = lights[members[0]]
-        if light.stackable:
+        if stacks[members[0]]:
             light = jax.tree.map(lambda *fields: jnp.stack(fields), *(lights[i] for i in members))
         row = np.zeros(len(lights), np.int32)
         row[members] = np.arange(len(members))
         member = np.isin(np.arange(len(lights)), members)
-        groups.append(LightGroup(light, jnp.asarray(row), jnp.asarray(member), lights[members[0]].stackable))
+        groups.append(LightGroup(light, jnp.asarray(row), jnp.asarray(member), stacks[members[0]]))
     return tuple(groups)
 
 

@@ -1,6 +1,5 @@
 """BSDFs at surface points: each point gets its shape's, and the values of its textures."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -8,14 +7,14 @@ from jaxdr.geometry.vector import components, corners, cross, dot, from_componen
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import PackedScene
-from jaxdr.scene.textures import Texture, TexturePoint, textures_in
+from jaxdr.scene.textures import TexturePoint, textures_in
 from jaxdr.transport.interaction import SurfacePoint
 
 
 def bsdfs_at(packed: PackedScene, point: SurfacePoint, shape: Int[Array, " N"]) -> list[tuple[BSDF, Bool[Array, " N"]]]:
     """For each kind of BSDF its fields at points of the shapes `shape`, one row each, and which points have it."""
     at = texture_point(packed, point) if packed.textured else None
-    return [(_take(group.bsdf, group.row[shape], at), group.member[shape]) for group in packed.bsdfs]
+    return [(group.at(shape, at), group.member[shape]) for group in packed.bsdfs]
 
 
 def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
@@ -71,10 +70,3 @@ def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint
             apart = jnp.abs(texture.lookup(row, first) - texture.lookup(row, second)).mean(-1)
             total = total + jnp.where(group.member[shape], apart, 0.0)
     return total
-
-
-def _take(bsdf: BSDF, row: Int[Array, " N"], at: TexturePoint | None) -> BSDF:
-    def at_points(field):
-        return field[row] if at is None or not isinstance(field, Texture) else field.values(row, at)
-
-    return jax.tree.map(at_points, bsdf, is_leaf=lambda field: isinstance(field, Texture))

@@ -103,7 +103,8 @@ def _moved_maps(active: Scene) -> str | None:
     """Where a texture that jumps inside faces moves over its surface; leaves say whether they are differentiated."""
     for name, shape in active.shapes.items():
         for field, texture in ((field, part) for field, whole in textures_of(shape) for part in whole.parts):
-            moves = bool(shape.mesh.uvs) or bool(getattr(texture, "to_uv", False))
+            # All but its data places a texture.
+            moves = bool(shape.mesh.uvs) or sum(jax.tree.leaves(texture)) > sum(jax.tree.leaves(texture.data()))
             if texture.uses_uv and moves and not texture.continuous:
                 return (
                     f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): it has no derivative "

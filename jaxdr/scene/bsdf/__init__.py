@@ -1,6 +1,7 @@
 """BSDFs, one model a file. Adding one: a file with a `BSDF` subclass, and its name here."""
 
 from jaxdr.scene.bsdf.base import BSDF as BSDF
+from jaxdr.scene.bsdf.base import Adapter as Adapter
 from jaxdr.scene.bsdf.base import DeltaSample as DeltaSample
 from jaxdr.scene.bsdf.base import TwoSided as TwoSided
 from jaxdr.scene.bsdf.blend import Blend as Blend

@@ -6,9 +6,12 @@ static fields.
 """
 
 import abc
+import functools
+import operator
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -39,16 +42,26 @@ class BSDF(eqx.Module):
     """Bidirectional scattering distribution function of one surface.
 
     `transmissive`: it tells the inside (wi.z < 0) from the outside and scatters through the surface; else it is black
-    from behind. `delta`: it has delta lobes; `eval` and `pdf` leave them out, and `pdf` integrates to the probability
-    that `sample_delta` chooses none of them, or to less where sampling fails. `tangential`: the x axis has to be along
-    increasing u (the texture coordinate); else it may be any tangent. `bending`: the fields that directions of delta
-    lobes change with.
+    from behind. `tangential`: the x axis has to be along increasing u (the texture coordinate); else it may be any
+    tangent. `inside`: the BSDFs that an `Adapter` is made of; only such may have any.
     """
 
     transmissive: ClassVar[bool] = False
-    delta: ClassVar[bool] = False
     tangential: ClassVar[bool] = False
-    bending: ClassVar[tuple[str, ...]] = ()
+    inside: ClassVar[tuple["BSDF", ...]] = ()
+
+    def __check_init__(self):
+        if _bsdfs_in(self) and not isinstance(self, Adapter):
+            raise TypeError(f"{type(self).__name__} holds a BSDF: make it a subclass of jaxdr.scene.bsdf.Adapter")
+
+    @property
+    def delta(self) -> bool:
+        """Whether it has delta lobes, as those with a `sample_delta` do.
+
+        `eval` and `pdf` leave them out, and `pdf` integrates to the probability that `sample_delta` chooses none of
+        them, or to less where sampling fails.
+        """
+        return type(self).sample_delta is not BSDF.sample_delta
 
     @abc.abstractmethod
     def eval(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -111,8 +124,6 @@ class BSDF(eqx.Module):
 class DeltaBSDF(BSDF):
     """A BSDF of delta lobes alone."""
 
-    delta: ClassVar[bool] = True
-
     def eval(self, wi, wo):
         return jnp.zeros_like(wo)
 
@@ -127,22 +138,57 @@ class DeltaBSDF(BSDF):
         """The delta lobe that `u` chooses."""
 
 
-def nested(bsdf: BSDF) -> list[BSDF]:
-    """The BSDFs that an adapter holds, such as the one in a mask or both of a blend."""
-    return [x for x in (getattr(bsdf, name) for name in bsdf.__dataclass_fields__) if isinstance(x, BSDF)]
+class Adapter(BSDF):
+    """A BSDF made of others, such as the one in a mask or both of a blend. What is not said here has to be written."""
+
+    @property
+    def inside(self) -> tuple[BSDF, ...]:
+        """The BSDFs that it is made of."""
+        return tuple(_bsdfs_in(self))
+
+    @property
+    def transmissive(self) -> bool:
+        return any(bsdf.transmissive for bsdf in self.inside)
+
+    @property
+    def delta(self) -> bool:
+        return any(bsdf.delta for bsdf in self.inside)
+
+    @property
+    def tangential(self) -> bool:
+        return any(bsdf.tangential for bsdf in self.inside)
+
+    @abc.abstractmethod
+    def sample_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
+        """The delta lobe that `u` chooses, if it chooses one."""
+
+    @abc.abstractmethod
+    def adjoint_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
+        """The same for light that arrives from `wi`."""
+
+    def delta_reverses(self, wi, wo):
+        reverses = [bsdf.delta_reverses(wi, wo) for bsdf in self.inside if bsdf.delta]
+        return functools.reduce(operator.and_, reverses, jnp.ones(wi.shape[:-1], bool))
+
+    def lobe_width(self, wi):
+        return functools.reduce(jnp.minimum, [bsdf.lobe_width(wi) for bsdf in self.inside])
+
+
+def _bsdfs_in(model: BSDF) -> list[BSDF]:
+    """Those in the fields of a model, but not those inside of them."""
+    leaves = jax.tree.leaves(model, is_leaf=lambda part: isinstance(part, BSDF) and part is not model)
+    return [leaf for leaf in leaves if isinstance(leaf, BSDF)]
 
 
 def only_delta(bsdf: BSDF) -> bool:
     """Whether a BSDF, with those inside it, has delta lobes alone."""
-    inside = nested(bsdf)
-    return isinstance(bsdf, DeltaBSDF) or (bool(inside) and bsdf.delta and all(map(only_delta, inside)))
+    return isinstance(bsdf, DeltaBSDF) or (bool(bsdf.inside) and bsdf.delta and all(map(only_delta, bsdf.inside)))
 
 
 def spreads_through(bsdf: BSDF) -> bool:
     """Whether a BSDF scatters light through the surface into more than single directions."""
-    inside = nested(bsdf)
-    if inside:
-        return any(map(spreads_through, inside))
+    if bsdf.inside:
+        return any(map(spreads_through, bsdf.inside))
     return bsdf.transmissive and not only_delta(bsdf)
 
 

@@ -1,13 +1,11 @@
 """Two materials in one."""
 
-import functools
-import operator
 from collections.abc import Callable
 
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale
-from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided, both_above, nested
+from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, both_above
 from jaxdr.scene.bsdf.normal_map import TurnedNormal
 from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
@@ -15,7 +13,7 @@ from jaxdr.scene.sampling import choose
 LEAST = 0.05  # probability of sampling either: at a weight of 0 or 1 the other one has a derivative as well
 
 
-class Blend(BSDF):
+class Blend(Adapter):
     """A mixture of two BSDFs: 1 - `weight` of the `first` and `weight` of the `second` (Mitsuba 3's `blendbsdf`).
 
     `weight` is in [0, 1], and may be a texture. For two-sided BSDFs write `TwoSided(Blend(weight, first, second))`. A
@@ -43,18 +41,6 @@ class Blend(BSDF):
                 "the Blend"
             )
         self.weight = number(weight, "Blend: weight", 0.0, 1.0)
-
-    @property
-    def transmissive(self) -> bool:
-        return self.first.transmissive or self.second.transmissive
-
-    @property
-    def delta(self) -> bool:
-        return self.first.delta or self.second.delta
-
-    @property
-    def tangential(self) -> bool:
-        return self.first.tangential or self.second.tangential
 
     def eval(self, wi, wo):
         return scale(self.first.eval(wi, wo), 1.0 - self.weight) + scale(self.second.eval(wi, wo), self.weight)
@@ -91,13 +77,6 @@ class Blend(BSDF):
         probability = jnp.where(second, chance * two.probability, (1.0 - chance) * one.probability)
         return DeltaSample(wo, weight, probability)
 
-    def delta_reverses(self, wi, wo):
-        reverses = [bsdf.delta_reverses(wi, wo) for bsdf in (self.first, self.second) if bsdf.delta]
-        return functools.reduce(operator.and_, reverses, jnp.ones(wi.shape[:-1], bool))
-
-    def lobe_width(self, wi):
-        return jnp.minimum(self.first.lobe_width(wi), self.second.lobe_width(wi))
-
     def _chance(self):
         """Of the second."""
         return LEAST + (1.0 - 2.0 * LEAST) * self.weight
@@ -105,4 +84,4 @@ class Blend(BSDF):
 
 def _turns(bsdf: BSDF) -> bool:
     """Whether normals are turned somewhere inside."""
-    return isinstance(bsdf, TurnedNormal) or any(map(_turns, nested(bsdf)))
+    return isinstance(bsdf, TurnedNormal) or any(map(_turns, bsdf.inside))

@@ -28,7 +28,6 @@ class BumpMap(TurnedNormal):
     height: Float[Array, "*n 2"] | Heights
     bsdf: BSDF
     scale: Float[Array, "*n"]
-    bending = ("height", "scale")
 
     def __init__(self, height: Texture, bsdf: BSDF | TwoSided, scale: ArrayLike = 1.0):
         self.height = Heights.of(height, "BumpMap: height")

@@ -21,7 +21,6 @@ class SmoothInterface(DeltaBSDF):
     specular_reflectance: Color
     specular_transmittance: Color
     transmissive = True
-    bending = ("eta",)
 
     def __init__(
         self,

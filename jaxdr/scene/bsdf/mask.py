@@ -1,17 +1,18 @@
 """Holes in a surface."""
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale
-from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
+from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
 
 
-class Mask(BSDF):
-    """A surface with holes: the BSDF acts on the share `opacity`. Through the rest, light goes straight on.
+class Mask(Adapter):
+    """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
 
     `opacity` is in [0, 1], and may be a texture. Both sides have the holes. For a two-sided BSDF write
     `TwoSided(Mask(opacity, bsdf))`. Holes are sampled in proportion to 1 - opacity. So at an opacity of exactly 1 the
@@ -22,7 +23,7 @@ class Mask(BSDF):
 
     opacity: Number
     bsdf: BSDF
-    delta = True
+    delta: ClassVar[bool] = True
 
     def __init__(self, opacity: Value, bsdf: BSDF | TwoSided):
         if not isinstance(bsdf, BSDF):
@@ -30,15 +31,6 @@ class Mask(BSDF):
             raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")
         self.opacity = number(opacity, "Mask: opacity", 0.0, 1.0)
         self.bsdf = bsdf
-
-    @property
-    def transmissive(self) -> bool:
-        """As the BSDF inside: what the holes let through does not tell the sides apart."""
-        return self.bsdf.transmissive
-
-    @property
-    def tangential(self) -> bool:
-        return self.bsdf.tangential
 
     def eval(self, wi, wo):
         return scale(self.bsdf.eval(wi, wo), self.opacity)
@@ -55,9 +47,6 @@ class Mask(BSDF):
     def adjoint_delta(self, wi, u):
         return self._through_or(self.bsdf.adjoint_delta, wi, u)
 
-    def delta_reverses(self, wi, wo):
-        return self.bsdf.delta_reverses(wi, wo)
-
     def _through_or(self, sample: Callable[..., DeltaSample], wi, u) -> DeltaSample:
         """A hole, or a delta lobe of the BSDF inside."""
         hole, left = choose(u, 1.0 - self.opacity)
@@ -72,6 +61,3 @@ class Mask(BSDF):
 
     def rims(self, wi):
         return self.bsdf.rims(wi)
-
-    def lobe_width(self, wi):
-        return self.bsdf.lobe_width(wi)

@@ -17,11 +17,11 @@ from jaxdr.geometry.vector import (
     scale,
     z_of,
 )
-from jaxdr.scene.bsdf.base import BSDF, DeltaSample, TwoSided
+from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, no_delta
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 
 
-class TurnedNormal(BSDF):
+class TurnedNormal(Adapter):
     """Adapter: a BSDF whose normal is turned at every point.
 
     A normal that faces away from the viewer is turned half around z. Light is shadowed at grazing angles as by a rough
@@ -33,14 +33,6 @@ class TurnedNormal(BSDF):
     @abc.abstractmethod
     def turned_normal(self) -> Float[Array, "*#n 3"]:
         """The normal, of any length, in the frame of the surface."""
-
-    @property
-    def transmissive(self) -> bool:
-        return self.bsdf.transmissive
-
-    @property
-    def delta(self) -> bool:
-        return self.bsdf.delta
 
     @property
     def tangential(self) -> bool:
@@ -61,6 +53,8 @@ class TurnedNormal(BSDF):
         return jnp.where(frame.keeps_side(wo)[..., None], wo, 0.0)
 
     def sample_delta(self, wi, u):
+        if not self.delta:
+            return no_delta(wi)
         frame = self._frame(wi)
         inside = self.bsdf.sample_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
@@ -103,7 +97,6 @@ class NormalMap(TurnedNormal):
 
     normal: Color
     bsdf: BSDF
-    bending = ("normal",)
 
     def __init__(self, normal: Value, bsdf: BSDF | TwoSided):
         self.normal = rgb(normal, "NormalMap: normal")

@@ -30,7 +30,6 @@ class Plastic(BSDF):
     eta: Float[Array, "*n"]
     specular_reflectance: Color
     nonlinear: bool = eqx.field(static=True)
-    delta = True
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
 """The interface of a camera, and what constructors check."""
 
 import abc
-from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -27,7 +26,7 @@ class Camera(eqx.Module):
     film: eqx.AbstractVar[Film]
     near_clip: eqx.AbstractVar[float]
     far_clip: eqx.AbstractVar[float]
-    aperture: ClassVar[bool] = False
+    aperture: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
     def view(self, u: Float[Array, "n 2"] | None = None) -> View:

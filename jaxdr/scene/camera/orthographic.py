@@ -25,6 +25,7 @@ class Orthographic(Camera):
     film: Film
     near_clip: float = eqx.field(static=True)
     far_clip: float = eqx.field(static=True)
+    aperture = False
 
     def __init__(self, to_world, film: Film, near_clip: float = 1e-2, far_clip: float = 1e4):
         self.to_world = checked_pose("Orthographic", to_world, scales=True)

@@ -17,6 +17,8 @@ class Perspective(PinholeCamera):
     Raises ValueError for a matrix that shears, fov outside (0, 180), and unless 0 < near_clip < far_clip.
     """
 
+    aperture = False
+
     def __init__(
         self,
         to_world,

@@ -1,7 +1,5 @@
 """Camera with a lens: depth of field."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -27,7 +25,7 @@ class ThinLens(PinholeCamera):
 
     aperture_radius: Float[Array, ""]
     focus_distance: Float[Array, ""]
-    aperture: ClassVar[bool] = True
+    aperture = True
 
     def __init__(
         self,

@@ -16,8 +16,9 @@ from jaxdr.scene.sampling import uniform_sphere
 class DeltaLight(eqx.Module):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
-    A light is `infinite` if it shines from infinitely far away, in one direction. `PackedScene` gathers the fields of
-    lights of one kind, so methods see one row for each point. With `stackable` off the fields stay as they are.
+    A light is `infinite` if it shines from infinitely far away, in one direction. Its methods are called with fields
+    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off, and where there
+    are borders, the fields stay as they are. Shadows move with all that `place` and `borders` depend on.
     """
 
     infinite: ClassVar[bool] = False
@@ -49,12 +50,12 @@ class DeltaLight(eqx.Module):
         """Density of `sample` (solid angle), detached; positive wherever there is light."""
         return jnp.full(direction.shape[:-1], 0.25 / math.pi, direction.dtype)
 
+    @abc.abstractmethod
     def borders(self) -> Float[Array, "K 3 3"] | None:
         """World points on the border of what is lit, where that ends abruptly: both ends of K lines and a point inside.
 
-        None for a light that fades.
+        None for a light that fades or shines to all sides.
         """
-        return None
 
 
 def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:

@@ -31,6 +31,9 @@ class DirectionalLight(DeltaLight):
     def place(self):
         return -normalize(self.direction)
 
+    def borders(self):
+        return None
+
     def intensity_in(self, direction):
         del direction
         return self.irradiance

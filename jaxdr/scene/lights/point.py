@@ -29,6 +29,9 @@ class PointLight(DeltaLight):
     def place(self):
         return self.position
 
+    def borders(self):
+        return None
+
     def intensity_in(self, direction):
         del direction
         return self.intensity

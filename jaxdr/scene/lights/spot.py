@@ -16,14 +16,8 @@ from jaxdr.scene.lights.base import DeltaLight, vector
 from jaxdr.scene.lights.projector import bilinear
 
 
-class SpotLight(DeltaLight):
-    """A cone of light from `position` along `direction` (of any length), with RGB `intensity` (W / sr).
-
-    The intensity is full within `beam_width` of the axis (degrees; default: 3/4 of the cutoff angle). From there it
-    falls linearly with the angle, to zero at `cutoff_angle`, as in Mitsuba.
-
-    Raises ValueError unless 0 <= beam_width < cutoff_angle <= 180, and for a direction of zero length.
-    """
+class Cone(DeltaLight):
+    """What lights in a cone share: see `SpotLight`."""
 
     position: Float[Array, "*n 3"]
     direction: Float[Array, "*n 3"]
@@ -31,35 +25,33 @@ class SpotLight(DeltaLight):
     cutoff_angle: Float[Array, "*n"]
     beam_width: Float[Array, "*n"]
 
-    def __init__(
-        self,
-        position: ArrayLike,
-        direction: ArrayLike,
-        intensity: ArrayLike = 1.0,
-        cutoff_angle: ArrayLike = 20.0,
-        beam_width: ArrayLike | None = None,
-    ):
-        self.position = vector(position, "SpotLight: position")
-        self.direction = vector(direction, "SpotLight: direction")
-        self.intensity = as_rgb(intensity, "SpotLight: intensity")
+    def __init__(self, position, direction, intensity, cutoff_angle, beam_width):
+        kind = type(self).__name__
+        self.position = vector(position, f"{kind}: position")
+        self.direction = vector(direction, f"{kind}: direction")
+        self.intensity = as_rgb(intensity, f"{kind}: intensity")
         self.cutoff_angle = as_array(cutoff_angle)
         self.beam_width = as_array(0.75 * on_host(self.cutoff_angle) if beam_width is None else beam_width)
         for name in ("cutoff_angle", "beam_width"):
             if getattr(self, name).shape != ():
-                raise ValueError(f"SpotLight: {name} must be a number (degrees)")
+                raise ValueError(f"{kind}: {name} must be a number (degrees)")
         if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
-            raise ValueError("SpotLight: direction must not be zero")
+            raise ValueError(f"{kind}: direction must not be zero")
         if not any(isinstance(angle, Tracer) for angle in (self.cutoff_angle, self.beam_width)):
             beam, cutoff = float(self.beam_width), float(self.cutoff_angle)
             if not 0 <= beam < cutoff <= 180:
                 raise ValueError(
-                    f"SpotLight: need 0 <= beam_width < cutoff_angle <= 180 (degrees), got {beam:g} and {cutoff:g}"
+                    f"{kind}: need 0 <= beam_width < cutoff_angle <= 180 (degrees), got {beam:g} and {cutoff:g}"
                 )
 
     def place(self):
         return self.position
 
-    def intensity_in(self, direction):
+    def borders(self):
+        return None
+
+    def within(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Intensity of the cone alone."""
         cutoff, beam = jnp.deg2rad(self.cutoff_angle), jnp.deg2rad(self.beam_width)
         cosine = dot(direction, normalize(self.direction))
         within, lit = cosine >= jnp.cos(beam), cosine > jnp.cos(cutoff)
@@ -93,8 +85,31 @@ class SpotLight(DeltaLight):
         return 2.0 * jnp.sin(0.5 * jnp.deg2rad(stop_gradient(self.cutoff_angle))) ** 2
 
 
-class TexturedSpotLight(SpotLight):
-    """A spot whose intensity is multiplied by an image, as by a slide in front of it.
+class SpotLight(Cone):
+    """A cone of light from `position` along `direction` (of any length), with RGB `intensity` (W / sr).
+
+    The intensity is full within `beam_width` of the axis (degrees; default: 3/4 of the cutoff angle). From there it
+    falls linearly with the angle, to zero at `cutoff_angle`, as in Mitsuba.
+
+    Raises ValueError unless 0 <= beam_width < cutoff_angle <= 180, and for a direction of zero length.
+    """
+
+    def __init__(
+        self,
+        position: ArrayLike,
+        direction: ArrayLike,
+        intensity: ArrayLike = 1.0,
+        cutoff_angle: ArrayLike = 20.0,
+        beam_width: ArrayLike | None = None,
+    ):
+        super().__init__(position, direction, intensity, cutoff_angle, beam_width)
+
+    def intensity_in(self, direction):
+        return self.within(direction)
+
+
+class TexturedSpotLight(Cone):
+    """A spot whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
 
     - `texture` [H, W, 3]: linear RGB. Values are interpolated between texel centres and repeat beyond.
     - `up` [3]: turns the image, of any length. The frame has z along `direction` and y along `up`, without the part of
@@ -141,7 +156,7 @@ class TexturedSpotLight(SpotLight):
         column, row = (
             (0.5 + jnp.where(lit, part, 0.0) / reach) * size for part, size in ((across, width), (down, height))
         )
-        return super().intensity_in(direction) * bilinear(self.texture, from_components(column, row), "repeat")
+        return self.within(direction) * bilinear(self.texture, from_components(column, row), "repeat")
 
     def power(self, radius):
         return super().power(radius) * jnp.maximum(luminance(self.texture), 0.0).mean()

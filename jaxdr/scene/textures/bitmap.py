@@ -15,7 +15,55 @@ FILTERS = ("bilinear", "nearest")
 WRAPS = ("repeat", "mirror", "clamp")
 
 
-class Bitmap(ImageTexture):
+class PixelTexture(ImageTexture):
+    """What textures made of pixels share: see `Bitmap`."""
+
+    pixels: Float[Array, "*k H W C"]
+    to_uv: Float[Array, "*k 2 3"] | None
+    filter: str = eqx.field(static=True)
+    wrap: str | tuple[str, str] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        pixels: ArrayLike,
+        filter: str,
+        wrap: str | tuple[str, str],
+        to_uv: ArrayLike | None,
+    ):
+        if filter not in FILTERS:
+            raise ValueError(f"Bitmap: filter must be one of {', '.join(FILTERS)}; got {filter!r}")
+        wraps = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+        if len(wraps) != 2 or not set(wraps) <= set(WRAPS):
+            count = "one" if isinstance(wrap, str) else "two, for u and v,"
+            raise ValueError(f"Bitmap: wrap must be {count} of {', '.join(WRAPS)}; got {wrap!r}")
+        self.pixels = channels_last(pixels, "Bitmap: pixels [H, W, C]", 2)
+        self.to_uv = affine(to_uv, "Bitmap")
+        self.filter = filter
+        self.wrap = wrap if isinstance(wrap, str) else wraps
+
+    @property
+    def continuous(self) -> bool:
+        return self.filter == "bilinear"
+
+    def data(self):
+        return (self.pixels,)
+
+    def bilinear(self, row: Int[Array, " N"], x: Float[Array, " N"], y: Float[Array, " N"]) -> Float[Array, "N C"]:
+        """Values at points of the image, in pixels from its top left."""
+        x, y = x - 0.5, y - 0.5
+        left, top = jnp.floor(x), jnp.floor(y)
+        right, below = x - left, y - top
+        upper = scale(self._pixel(row, left, top), 1.0 - right) + scale(self._pixel(row, left + 1, top), right)
+        lower = scale(self._pixel(row, left, top + 1), 1.0 - right) + scale(self._pixel(row, left + 1, top + 1), right)
+        return scale(upper, 1.0 - below) + scale(lower, below)
+
+    def _pixel(self, row, x, y) -> Float[Array, "N C"]:
+        height, width = self.pixels.shape[-3:-1]
+        along_u, along_v = (self.wrap, self.wrap) if isinstance(self.wrap, str) else self.wrap
+        return self.pixels[row, _wrapped(y, height, along_v), _wrapped(x, width, along_u)]
+
+
+class Bitmap(PixelTexture):
     """An image, `pixels` [H, W] or [H, W, C] (C = 1 or 3; linear floats, the top row first), over UVs in [0, 1]^2.
 
     Values belong to the centres of pixels, as in Mitsuba 3's `bitmap`.
@@ -28,11 +76,6 @@ class Bitmap(ImageTexture):
     `wrap`.
     """
 
-    pixels: Float[Array, "*k H W C"]
-    to_uv: Float[Array, "*k 2 3"] | None
-    filter: str = eqx.field(static=True)
-    wrap: str | tuple[str, str] = eqx.field(static=True)
-
     def __init__(
         self,
         pixels: ArrayLike,
@@ -41,16 +84,7 @@ class Bitmap(ImageTexture):
         wrap: str | tuple[str, str] = "repeat",
         to_uv: ArrayLike | None = None,
     ):
-        if filter not in FILTERS:
-            raise ValueError(f"Bitmap: filter must be one of {', '.join(FILTERS)}; got {filter!r}")
-        wraps = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
-        if len(wraps) != 2 or not set(wraps) <= set(WRAPS):
-            count = "one" if isinstance(wrap, str) else "two, for u and v,"
-            raise ValueError(f"Bitmap: wrap must be {count} of {', '.join(WRAPS)}; got {wrap!r}")
-        self.pixels = channels_last(pixels, "Bitmap: pixels [H, W, C]", 2)
-        self.to_uv = affine(to_uv, "Bitmap")
-        self.filter = filter
-        self.wrap = wrap if isinstance(wrap, str) else wraps
+        super().__init__(pixels, filter, wrap, to_uv)
 
     @classmethod
     def from_file(
@@ -69,13 +103,6 @@ class Bitmap(ImageTexture):
             raise ValueError(f"{path}: there is no channel {channel}; the image has {image.shape[-1]}")
         return cls(image[..., channel], **settings)
 
-    @property
-    def continuous(self) -> bool:
-        return self.filter == "bilinear"
-
-    def data(self):
-        return (self.pixels,)
-
     def lookup(self, row, point):
         height, width = self.pixels.shape[-3:-1]
         across, down = self.image_point(row, point)
@@ -83,20 +110,6 @@ class Bitmap(ImageTexture):
         if self.filter == "nearest":
             return self._pixel(row, jnp.floor(x), jnp.floor(y))
         return self.bilinear(row, x, y)
-
-    def bilinear(self, row: Int[Array, " N"], x: Float[Array, " N"], y: Float[Array, " N"]) -> Float[Array, "N C"]:
-        """Values at points of the image, in pixels from its top left."""
-        x, y = x - 0.5, y - 0.5
-        left, top = jnp.floor(x), jnp.floor(y)
-        right, below = x - left, y - top
-        upper = scale(self._pixel(row, left, top), 1.0 - right) + scale(self._pixel(row, left + 1, top), right)
-        lower = scale(self._pixel(row, left, top + 1), 1.0 - right) + scale(self._pixel(row, left + 1, top + 1), right)
-        return scale(upper, 1.0 - below) + scale(lower, below)
-
-    def _pixel(self, row, x, y) -> Float[Array, "N C"]:
-        height, width = self.pixels.shape[-3:-1]
-        along_u, along_v = (self.wrap, self.wrap) if isinstance(self.wrap, str) else self.wrap
-        return self.pixels[row, _wrapped(y, height, along_v), _wrapped(x, width, along_u)]
 
 
 def _wrapped(index, size: int, wrap: str):

@@ -6,10 +6,10 @@ from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import components, from_components
 from jaxdr.scene.textures.base import Texture
-from jaxdr.scene.textures.bitmap import Bitmap
+from jaxdr.scene.textures.bitmap import Bitmap, PixelTexture
 
 
-class Heights(Bitmap):
+class Heights(PixelTexture):
     """A bilinear image [H, W, 1] of heights whose look-up gives their slope along the x and the y axis of the surface.
 
     The slope is the difference of heights half a texel to both sides, which is continuous.
@@ -18,7 +18,7 @@ class Heights(Bitmap):
     uses_slopes = True
 
     def __init__(self, pixels: ArrayLike, *, wrap: str | tuple[str, str] = "repeat", to_uv: ArrayLike | None = None):
-        super().__init__(pixels, wrap=wrap, to_uv=to_uv)
+        super().__init__(pixels, "bilinear", wrap, to_uv)
 
     @staticmethod
     def of(texture: Texture, name: str) -> "Heights":

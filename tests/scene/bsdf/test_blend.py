@@ -41,7 +41,7 @@ def bends(bsdf, where):
     """Whether the derivative by this field of the BSDF moves what is seen in its shape."""
     scene = jd.Scene({"a": jd.Shape(jd.shapes.rectangle(), bsdf)}, CAMERA)
     still = jax.tree.map(lambda _: False, scene)
-    return moving_in(eqx.tree_at(lambda s: where(s.shapes["a"].bsdf), still, True)).shapes == (True,)
+    return moving_in(scene, eqx.tree_at(lambda s: where(s.shapes["a"].bsdf), still, True)).shapes == (True,)
 
 
 def test_what_bends_inside():

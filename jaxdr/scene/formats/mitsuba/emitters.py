@@ -78,7 +78,7 @@ def _one_of(properties: Properties, name: str, tag: str, default: ArrayLike, of_
     return given
 
 
-def _spot(element: Element) -> SpotLight:
+def _spot(element: Element) -> SpotLight | TexturedSpotLight:
     properties = Properties(element)
     matrix = properties.value("to_world", "transform", np.eye(4))
     intensity = _light_color(properties, "intensity")
