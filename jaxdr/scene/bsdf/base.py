@@ -138,6 +138,14 @@ def only_delta(bsdf: BSDF) -> bool:
     return isinstance(bsdf, DeltaBSDF) or (bool(inside) and bsdf.delta and all(map(only_delta, inside)))
 
 
+def has_lobe(bsdf: BSDF) -> bool:
+    """Whether a BSDF, or one inside it, has a lobe that may be narrow and is no delta lobe: it says how wide."""
+    inside = nested(bsdf)
+    if inside:
+        return any(map(has_lobe, inside))
+    return type(bsdf).lobe_width is not BSDF.lobe_width
+
+
 def spreads_through(bsdf: BSDF) -> bool:
     """Whether a BSDF scatters light through the surface into more than single directions."""
     inside = nested(bsdf)
