@@ -395,8 +395,8 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
     width = max(m.edges.faces.shape[1] for m in meshes)
 
     def padded(tables):
-        short = [width - table.shape[1] for table in tables]
-        return [jnp.pad(t, ((0, 0), (0, n)), constant_values=-1) if n else t for t, n in zip(tables, short, strict=True)]
+        missing = [((0, 0), (0, width - table.shape[1])) for table in tables]
+        return [jnp.pad(t, m, constant_values=-1) if any(m[1]) else t for t, m in zip(tables, missing, strict=True)]
 
     counts = [m.edges.vertices.shape[0] for m in meshes]
     doubled = any(m.edges.first is not None for m in meshes)
