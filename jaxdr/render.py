@@ -47,8 +47,9 @@ def render(
     - `key`: a JAX random key. The same key and arguments give the same image, bit for bit on CPU. Image and derivative
       use independent keys that are split from it.
     - `spp`: samples per pixel.
-    - `integrator`: left out, it is `PathTracer()`, but with `LineSampling` where `KernelDensity` fails: under area
-      emitters of more than 16 faces, with meshes of 300,000 faces and more, and where an environment map turns. An
+    - `integrator`: left out, it is `PathTracer()`, but with another estimator where `KernelDensity` fails: under area
+      emitters of more than 16 faces, with meshes of 300,000 faces and more, and where an environment map turns. That is
+      `LineSampling`; under such emitters `GuidedEdges`, where all surfaces are diffuse and flat and there is no sky. An
       `EstimatorChoice` says so once. Only the structure of the scene and what is differentiated decide, never values;
       `jaxdr.plan` measures which estimator suits.
 

@@ -25,6 +25,10 @@ CASES = {
     "tiny": "a lamp of 1,280 faces, a two hundred and fiftieth of its distance wide",
     "near_floor": "a lamp of 320 faces, twice its radius above the floor",
     "tiny_flat": "a flat lamp of 32 faces, a hundred and fiftieth of its distance wide",
+    "wide": "a lamp of 1,280 faces, two fifths of its distance wide",
+    "tiny_indirect": "tiny, with indirect light",
+    "near_floor_indirect": "near_floor, with indirect light",
+    "wide_indirect": "wide, with indirect light",
     "direct_spot": "the reference scene; its lamp has few faces",
 }
 COLUMNS = {
@@ -46,17 +50,20 @@ def scene_of(case: str, oracle: Path):
     import jaxdr as jd
     from jaxdr.geometry import shapes
 
+    case = case.removesuffix("_indirect")
     if case == "direct_spot":
         scene = jd.load_mitsuba(str(oracle / case / "scene.xml"))
         return eqx.tree_at(lambda s: s.camera.film, scene, jd.Film(32, 32)), "spot"
     if case == "tiny_flat":
         pose = jd.look_at((0.9, -0.5, 2.4), (0.0, 0.0, 0.3), (0.3, 0.8, 0.1))
         lamp = shapes.transformed(shapes.plane(0.016, 4), pose)
+    elif case == "wide":
+        lamp = shapes.sphere(3, radius=0.5, center=(0.9, -0.5, 2.4))
     elif case == "tiny":
         lamp = shapes.sphere(3, radius=0.005, center=(0.9, -0.5, 2.4))
     else:
         lamp = shapes.sphere(2, radius=0.2, center=(0.7, -0.3, 0.4))
-    size, place = (0.4, (0.0, 0.0, 0.7)) if case.startswith("tiny") else (0.3, (0.1, 0.0, 0.3))
+    size, place = (0.4, (0.0, 0.0, 0.7)) if case != "near_floor" else (0.3, (0.1, 0.0, 0.3))
     turned = np.add(place, (0.3, 0.5, 0.1))
     blocker = shapes.transformed(shapes.box(size), jd.look_at(place, turned, (0.0, 0.0, 1.0)))
     corners = np.asarray(lamp.vertices, float)[np.asarray(lamp.faces)]
@@ -78,13 +85,14 @@ def functions(case: str, oracle: Path):
     import jaxdr as jd
 
     scene, shape = scene_of(case, oracle)
+    depth = 3 if case.endswith("_indirect") else 2
     name = f"{shape}.vertices"
     still = scene.parameters()[name]
     velocity = jnp.asarray(VELOCITY, still.dtype)
     estimators = {"LineSampling": jd.LineSampling(), "GuidedEdges": jd.GuidedEdges()}
 
     def at(t, key, spp, boundary):
-        return jd.render(scene.replace({name: still + t * velocity}), key, spp, jd.PathTracer(2, boundary))
+        return jd.render(scene.replace({name: still + t * velocity}), key, spp, jd.PathTracer(depth, boundary))
 
     def derivative(boundary):
         return jd.jit(lambda t, key: jax.jvp(lambda t: at(t, key, SPP, boundary), (t,), (jnp.ones(()),))[1])

@@ -193,7 +193,8 @@ class PathTracer(eqx.Module):
             packed, form = context.packed, context.form
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
         primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, form)
-        record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, settings, primary.near)
+        start = primary.first, primary.direction, primary.u
+        record = trace_paths(packed, *start, key_path, settings, primary.near, pairs=moving.any)
         radiance = record.radiance * primary.weight[:, None]
         if record.near is not None:
             radiance += near_field_term(packed, primary, record)

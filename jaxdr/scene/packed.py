@@ -299,8 +299,8 @@ def _emitter_tables(packed: PackedScene):
 
 def _rows_of(first, shapes: tuple[bool, ...]) -> Int[Array, " n"]:
     """Rows first[i] to first[i + 1] of every chosen shape i."""
-    chosen = [jnp.arange(int(first[i]), int(first[i + 1]), dtype=jnp.int32) for i, used in enumerate(shapes) if used]
-    return jnp.concatenate(chosen)
+    chosen = [np.arange(first[i], first[i + 1]) for i, used in enumerate(shapes) if used]
+    return jnp.asarray(np.concatenate(chosen), jnp.int32)
 
 
 def pack(scene: Scene) -> PackedScene:
@@ -318,9 +318,9 @@ def pack(scene: Scene) -> PackedScene:
     radiance = emitter_faces = None
     if emitting:
         radiance = _constant_radiance(glows, meshes[0].vertices.dtype)
-        emitter_faces = jnp.concatenate([jnp.arange(first_face[i], first_face[i + 1]) for i in emitting])
+        emitter_faces = jnp.asarray(np.concatenate([np.arange(first_face[i], first_face[i + 1]) for i in emitting]))
     vertices = jnp.concatenate([m.vertices for m in meshes])
-    faces = jnp.concatenate([m.faces + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)])
+    faces = _numbered([m.faces for m in meshes], first_vertex)
     packed = PackedScene(
         vertices=vertices,
         faces=faces,
@@ -361,6 +361,13 @@ def pack(scene: Scene) -> PackedScene:
     return dataclasses.replace(packed, choice=choice)
 
 
+def _numbered(tables: list[Int[Array, "_ K"]], first) -> Int[Array, "N K"]:
+    """Tables of meshes as one; their indices count on from `first`, -1 stays. Operations don't grow with the meshes."""
+    joined = jnp.concatenate(tables)
+    offset = np.repeat(np.asarray(first[: len(tables)]), [table.shape[0] for table in tables])
+    return jnp.where(joined >= 0, joined + jnp.asarray(offset[:, None], joined.dtype), -1)
+
+
 def _normals(meshes):
     """Shading normals of all smooth meshes and corner indices into them, -1 for flat faces; None when all are flat."""
     if all(m.normal_faces is None for m in meshes):
@@ -396,17 +403,17 @@ def _uvs(shapes):
 def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
     width = max(m.edges.faces.shape[1] for m in meshes)
 
-    def shift(table, offset):
-        table = jnp.pad(table, ((0, 0), (0, width - table.shape[1])), constant_values=-1)
-        return jnp.where(table >= 0, table + int(offset), -1)
+    def padded(tables):
+        missing = [((0, 0), (0, width - table.shape[1])) for table in tables]
+        return [jnp.pad(t, m, constant_values=-1) if any(m[1]) else t for t, m in zip(tables, missing, strict=True)]
 
     counts = [m.edges.vertices.shape[0] for m in meshes]
     doubled = any(m.edges.first is not None for m in meshes)
     return PackedEdges(
-        vertices=jnp.concatenate([m.edges.vertices + int(v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
-        faces=jnp.concatenate([shift(m.edges.faces, f) for m, f in zip(meshes, first_face[:-1], strict=True)]),
-        opposite=jnp.concatenate([shift(m.edges.opposite, v) for m, v in zip(meshes, first_vertex[:-1], strict=True)]),
-        interior=jnp.concatenate([m.edges.kind == INTERIOR for m in meshes]),
+        vertices=_numbered([m.edges.vertices for m in meshes], first_vertex),
+        faces=_numbered(padded([m.edges.faces for m in meshes]), first_face),
+        opposite=_numbered(padded([m.edges.opposite for m in meshes]), first_vertex),
+        interior=jnp.concatenate([m.edges.kind for m in meshes]) == INTERIOR,
         shape=jnp.asarray(np.repeat(np.arange(len(meshes)), counts), jnp.int32),
         share=jnp.concatenate([edge_shares(m.edges, m.vertices) for m in meshes]) if doubled else None,
     )

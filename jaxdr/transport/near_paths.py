@@ -10,9 +10,10 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import footprint
-from jaxdr.transport.path import PathRecord, transfer_to
+from jaxdr.transport.path import PathRecord
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
+from jaxdr.transport.transfer import transfer_to
 
 
 def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRecord) -> Float[Array, "N 3"]:

@@ -22,21 +22,16 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr import loops
 from jaxdr.geometry import queries
-from jaxdr.geometry.vector import dot, normalize, scale
+from jaxdr.geometry.vector import normalize, scale
 from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
-from jaxdr.transport.interaction import (
-    SurfacePoint,
-    either,
-    intersect,
-    leave,
-    material_hit,
-    on_fixed_ray,
-)
+from jaxdr.transport.interaction import SurfacePoint, either, intersect, material_hit, on_fixed_ray
+from jaxdr.transport.mirrored_pairs import Ends, Previous, has_pairs, pair_derivatives
 from jaxdr.transport.near_field import Footprint, NearField, footprint
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
+from jaxdr.transport.transfer import Transfer, Vertex, transfer_to, unoccluded
 
 
 class Segments(NamedTuple):
@@ -115,14 +110,6 @@ class PathSettings(NamedTuple):
     records: bool = True
 
 
-class Vertex(NamedTuple):
-    """Where N paths are: at a point, the unit direction `wi` back along the path, and the throughput (RGB)."""
-
-    point: SurfacePoint
-    wi: Float[Array, "N 3"]
-    throughput: Float[Array, "N 3"]
-
-
 class Lobe(NamedTuple):
     """Directions that are given where `pdf` (solid angle) is positive, in place of BSDF samples; detached."""
 
@@ -165,6 +152,7 @@ def trace_paths(
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None = None,
+    pairs: bool = False,
 ) -> PathRecord:
     """Paths that go on from first hits, by next-event estimation and BSDF sampling.
 
@@ -172,12 +160,15 @@ def trace_paths(
     combined by the balance heuristic (Veach 1997). With `settings.mis` off, only next-event estimation reaches
     emitters. Delta lobes are an exception: only BSDF samples find their light. `near` is the other form of the first
     hits. The radiance is that of the fixed form, see `near_field_term`.
+
+    With `pairs`, which changes no value, narrow lobes have the derivatives of antithetic pairs: see `mirrored_pairs`.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
         return PathRecord(radiance, None, None)
-    parts = gather(packed, Vertex(first, -direction, jnp.ones_like(direction)), bounces, u, key, settings, near)
+    start = Vertex(first, -direction, jnp.ones_like(direction))
+    parts = gather(packed, start, bounces, u, key, settings, near, pairs)
     light, emission = parts.light, parts.emission
     own = stop_gradient(light + emission)
     # What every BSDF-sampled segment carries from its far end: the light that later bounces add, summed from the end.
@@ -209,6 +200,7 @@ def gather(
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None,
+    pairs: bool = False,
 ) -> Bounce:
     """All bounces of paths from their first vertex on, [B, N, ...]; `u` are the numbers of the first."""
     if bounces == 1:
@@ -219,16 +211,25 @@ def gather(
         seen = stop_gradient(footprint(near.camera, start.point.position, start.point.normal))
 
     @queries.rematerialised
-    def step(at, bounce):
+    def step(state, bounce):
+        at, previous = state
         numbers = jnp.where(bounce == 0, u, uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype))
         forms = None
         if near is not None:  # first hits alone have two forms
             sees = seen._replace(size2=jnp.where(bounce == 0, seen.size2, 0.0))
             forms = TwoForms(sees, near.point.position - start.point.position)
         goes_on = bounce < bounces - 1 if ends_early(packed, settings) else True
-        return scatter(packed, at, numbers, settings, goes_on, forms)
+        behind = None
+        if previous is not None:
+            saw = None if seen is None else seen._replace(size2=jnp.where(bounce == 1, seen.size2, 0.0))
+            behind = Previous(*previous, saw, None if forms is None else forms.apart)
+        following, added = scatter(packed, at, numbers, settings, goes_on, forms, previous=behind)
+        if previous is not None:
+            previous = at, jnp.ones_like(at.point.valid) if added.vertices is None else ~added.vertices.delta
+        return (following, previous), added
 
-    return loops.scan(step, start, jnp.arange(bounces))[1]
+    nobody = (start, jnp.zeros_like(start.point.valid)) if pairs and has_pairs(packed) else None
+    return loops.scan(step, (start, nobody), jnp.arange(bounces))[1]
 
 
 def ends_early(packed: PackedScene, settings: PathSettings) -> bool:
@@ -244,14 +245,16 @@ def scatter(
     onwards: bool | Bool[Array, "*#N"] = True,
     forms: TwoForms | None = None,
     given: Lobe | None = None,
+    previous: Previous | None = None,
 ) -> tuple[Vertex | None, Bounce]:
     """(next vertex, what this vertex adds): light by emitter sampling, and BSDF sampling where it goes `onwards`.
 
     With `forms`, the shares of the material form are found as well, and the path goes on from the mixture. `given`
-    takes the place of BSDF samples.
+    takes the place of BSDF samples. With the `previous` vertices derivatives at narrow lobes are those of pairs, see
+    `mirrored_pairs`.
     """
     scatterer = Scatterer(packed, at.point, at.wi)
-    light, light_share, direct = _connect(packed, at, scatterer, u[:, :2], settings, forms)
+    light, light_share, ends, direct = _connect(packed, at, scatterer, u[:, :2], settings, forms)
     if onwards is False:
         return None, Bounce(light, jnp.zeros_like(light), light_share, None, direct, None)
     sampled = _sample(packed, at, scatterer, u[:, 2:], onwards, given)
@@ -279,6 +282,10 @@ def scatter(
             mixed = at.point.position + moved - target.position
             back = jnp.where(hit[:, None], normalize(jnp.where(hit[:, None], mixed, 1.0)), -direction)
     emission = _found_emission(packed, scatterer, Vertex(target, back, throughput), transfer, sampled, settings)
+    if previous is not None:
+        found = _found_ends(packed, target, transfer, direction, sampled, ends, settings)
+        both = (light, ends), (emission, found)
+        light, emission = pair_derivatives(packed, previous, at, scatterer, *both, settings.mis, settings.rays)
     following = target._replace(valid=hit & (throughput != 0).any(-1))
     scattered = _record(at, target, transfer, sampled) if settings.records else None
     vertices = None
@@ -336,39 +343,8 @@ def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: 
     return target, direction
 
 
-class Transfer(NamedTuple):
-    """From a vertex towards a target: `value` = f_s |cos| G J (RGB; G counts the target's cosine, 1 at infinity).
-
-    `towards` unit, `cosine` at the target (signed), `geometry` = G J; all of them differentiable.
-    """
-
-    value: Float[Array, "N 3"]
-    towards: Float[Array, "N 3"]
-    distance2: Float[Array, " N"]
-    cosine: Float[Array, " N"]
-    geometry: Float[Array, " N"]
-
-
-def transfer_to(
-    scatterer: Scatterer,
-    target: SurfacePoint,
-    infinite: Bool[Array, " N"],
-    direction: Float[Array, "N 3"],
-    delta: Bool[Array, " N"] | None = None,
-) -> Transfer:
-    """Transfer towards points, or in `direction` where `infinite`; `delta` ones have no area, and so no cosine."""
-    offset = target.position - scatterer.point.position
-    towards = jnp.where(infinite[:, None], direction, normalize(offset))
-    distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
-    cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
-    if delta is not None:
-        cosine = jnp.where(delta, 1.0, cosine)
-    geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
-    return Transfer(scale(scatterer.eval(towards), geometry), towards, distance2, cosine, geometry)
-
-
 def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings, forms: TwoForms | None):
-    """(direct light at a vertex from one emitter sample, its share in material form, the segment to it)."""
+    """(direct light at a vertex from one emitter sample, its share in material form, the sample, the segment to it)."""
     point = at.point
     sample = sample_emitter(packed, u, point.position)
     delta = sample.is_delta
@@ -376,11 +352,7 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     towards = transfer.towards
     facing = stop_gradient(transfer.cosine) > 0
     reachable = point.valid & facing & (stop_gradient(transfer.value) != 0).any(-1)
-    start = scatterer.leave(towards)
-    end = leave(sample.point, -towards)
-    end = jnp.where(sample.infinite[:, None], start + 2.0 * packed.size * stop_gradient(towards), end)
-    reach = jnp.where(reachable, 1.0, 0.0).astype(start.dtype)
-    visible = reachable & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), settings.rays)
+    visible = unoccluded(packed, scatterer, sample.point, sample.infinite, towards, reachable, settings.rays)
     share = None
     if forms is not None:
         far = sample.infinite if delta is None else sample.infinite | delta
@@ -393,8 +365,9 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
         # What nothing else finds has the weight one.
         light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
     light = jnp.where(visible[:, None], light, 0.0)
+    ends = Ends(sample.point, sample.infinite, sample.direction, visible, point.valid, sample.light)
     if not settings.records:
-        return light, share, None
+        return light, share, ends, None
     # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
     carries = reachable if delta is None else reachable & ~delta
     lit = point.valid & scatterer.spreads() if packed.has_delta_lobes else point.valid
@@ -413,7 +386,7 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
         throughput=jnp.where(lit[:, None], stop_gradient(at.throughput), 0.0),
         unlit=unlit,
     )
-    return light, share, segment
+    return light, share, ends, segment
 
 
 def _found_emission(
@@ -432,6 +405,24 @@ def _found_emission(
     if sampled.chosen is not None:
         weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
     return scale(found.throughput * emitted(packed, target, found.wi), stop_gradient(weight))
+
+
+def _found_ends(
+    packed, target: SurfacePoint, transfer: Transfer, direction, sampled: _Sampled, ends: Ends, settings: PathSettings
+) -> Ends:
+    """The emitters that BSDF samples find where emitter samples might have; `ends` are those of emitter samples."""
+    hit = target.valid
+    glows = jnp.full_like(hit, packed.environment is not None)
+    if packed.emitter_density is not None:
+        on_surface = (packed.emitter_density[target.face] > 0) & (stop_gradient(transfer.cosine) > 0)
+        glows = jnp.where(hit, on_surface, glows)
+    else:
+        glows = glows & ~hit
+    drawn = sampled.active & glows & settings.mis & (stop_gradient(transfer.value) != 0).any(-1)
+    if sampled.chosen is not None:
+        drawn = drawn & ~sampled.chosen
+    light = None if ends.light is None else jnp.full_like(ends.light, -1)
+    return Ends(target, ~hit, direction, drawn, drawn, light)
 
 
 def _record(at: Vertex, target: SurfacePoint, transfer: Transfer, sampled: _Sampled) -> Segments:

@@ -29,6 +29,15 @@ def two_lamps():
     return jd.Scene({"ball": jd.Shape(sphere(1)), **shapes}, CAMERA)
 
 
+def over_metal():
+    lit = scene(ROUND)
+    return jd.Scene({**lit.shapes, "floor": jd.Shape(FLAT, jd.RoughConductor(0.1))}, CAMERA)
+
+
+def under_a_sky():
+    return jd.Scene(scene(ROUND).shapes, CAMERA, jd.ConstantEnvironment(0.1))
+
+
 def lit_by_a_spot():
     light = jd.PointLight((0.0, 0.0, 3.0), 1.0)
     return jd.Scene({"box": jd.Shape(box())}, CAMERA, lights={"light": light})
@@ -39,9 +48,12 @@ TURNS = Moving((False,), False, environment=True)
 CHOSEN = {
     "a lamp of two triangles": (scene, None, jd.KernelDensity, None),
     "a lamp of twelve": (lambda: scene(box(center=(0, 0, 3))), None, jd.KernelDensity, None),
-    "a round lamp": (lambda: scene(ROUND), None, jd.LineSampling, "more than 16 faces"),
-    "a flat lamp of 32": (lambda: scene(FLAT), None, jd.LineSampling, "more than 16 faces"),
-    "two lamps of twelve": (two_lamps, None, jd.LineSampling, "more than 16 faces"),
+    "a round lamp": (lambda: scene(ROUND), None, jd.GuidedEdges, "more than 16 faces"),
+    "a flat lamp of 32": (lambda: scene(FLAT), None, jd.GuidedEdges, "more than 16 faces"),
+    "two lamps of twelve": (two_lamps, None, jd.GuidedEdges, "more than 16 faces"),
+    "a round lamp with normals": (lambda: scene(ROUND.smooth()), None, jd.LineSampling, "more than 16 faces"),
+    "a round lamp over metal": (lambda: over_metal(), None, jd.LineSampling, "more than 16 faces"),
+    "a round lamp under a sky": (lambda: under_a_sky(), None, jd.LineSampling, "more than 16 faces"),
     "a point light": (lit_by_a_spot, None, jd.KernelDensity, None),
     "a constant sky": (lambda: outdoors(jd.ConstantEnvironment(1.0)), VERTICES, jd.KernelDensity, None),
     "a still map": (lambda: outdoors(SKY), VERTICES, jd.KernelDensity, None),
@@ -58,7 +70,7 @@ def test_what_is_chosen(name):
     assert chosen == jd.PathTracer(boundary=boundary())
     reason = default_reason(of, moving)
     assert (reason is None) == (why is None)
-    assert why is None or (why in reason and reason.startswith("LineSampling is taken in place of KernelDensity: "))
+    assert why is None or (why in reason and reason.startswith(f"{boundary.__name__} is taken in place of "))
 
 
 def test_a_mesh_of_many_faces(monkeypatch):
@@ -69,7 +81,7 @@ def test_a_mesh_of_many_faces(monkeypatch):
 
 def test_the_depth_is_kept():
     assert default_integrator(scene(), None, 2) == jd.PathTracer(2)
-    assert default_integrator(scene(ROUND), None, 2) == jd.PathTracer(2, jd.LineSampling())
+    assert default_integrator(scene(ROUND), None, 2) == jd.PathTracer(2, jd.GuidedEdges())
 
 
 @pytest.mark.parametrize("lamp", [None, ROUND], ids=["two triangles", "round"])
@@ -95,7 +107,7 @@ def said(of, name) -> list[str]:
 
 def test_a_choice_is_said_where_it_matters():
     (message,) = said(scene(ROUND), "box.vertices")
-    assert message.startswith("jaxdr: no integrator was given; LineSampling is taken in place of KernelDensity: ")
+    assert message.startswith("jaxdr: no integrator was given; GuidedEdges is taken in place of KernelDensity: ")
     assert not said(scene(ROUND), "floor.bsdf.reflectance")
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxdr as jd
+from experiments import program_size
 from jaxdr.geometry.shapes import box, displaced_sphere, rectangle, sphere
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import concave_edges, pack
@@ -155,3 +156,13 @@ def test_concave_edges():
     packed = pack(of)
     share = [np.asarray(concave_edges(packed))[np.asarray(packed.edges.shape) == k].mean() for k in range(3)]
     assert share[0] == share[2] == 0 and 0.05 < share[1] < 0.5
+
+
+def test_operations_do_not_grow_with_the_shapes():
+    def equations(count):
+        shapes = {f"box{i}": jd.Shape(box(center=(i, 0, 0)), jd.Diffuse(0.5)) for i in range(count)}
+        leaves, structure = jax.tree.flatten(jd.Scene(shapes, CAMERA))
+        jaxpr = jax.make_jaxpr(lambda leaves: pack(jax.tree.unflatten(structure, leaves)))(leaves).jaxpr
+        return len(list(program_size.equations(jaxpr)))
+
+    assert equations(12) == equations(2)

@@ -185,6 +185,13 @@ def only_delta(bsdf: BSDF) -> bool:
     return isinstance(bsdf, DeltaBSDF) or (bool(bsdf.inside) and bsdf.delta and all(map(only_delta, bsdf.inside)))
 
 
+def has_lobe(bsdf: BSDF) -> bool:
+    """Whether a BSDF, or one inside it, has a lobe that may be narrow and is no delta lobe: it says how wide."""
+    if bsdf.inside:
+        return any(map(has_lobe, bsdf.inside))
+    return type(bsdf).lobe_width is not BSDF.lobe_width
+
+
 def spreads_through(bsdf: BSDF) -> bool:
     """Whether a BSDF scatters light through the surface into more than single directions."""
     if bsdf.inside:

@@ -1,0 +1,132 @@
+"""Noise of derivatives by light that narrow lobes send to a diffuse surface, of versions of the library.
+
+    python -m experiments.narrow_lobes.run --versions before=CHECKOUT after=.
+
+A diffuse ball moves over a floor that is a rough mirror. Each version answers in a process of its own: projections of
+its derivative images on central differences of other keys, their spread, and processor seconds of a call.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from experiments import common
+
+STUDY = "narrow_lobes"
+STEP, POSITIONS = 0.02, 8
+SIZE = 32
+ROUGHNESS = (0.01, 0.03, 0.1, 0.3)
+BOUNDARIES = ("LineSampling", "KernelDensity")
+REFERENCES, REFERENCE_SPP = 3, 512
+COLUMNS = {
+    "version": ("version", "s"),
+    "roughness": ("roughness", "g"),
+    "boundary": ("boundary", "s"),
+    "projection": ("projection", ".3f"),
+    "standard error": ("error", ".3f"),
+    "of one call": ("spread", ".3g"),
+    "of the reference": ("reference_error", ".2g"),
+    "seconds": ("seconds", ".2f"),
+    "variance · seconds": ("work", ".3g"),
+}
+
+
+def scene_of(roughness: float):
+    """A ball and its floor, under a square lamp."""
+    import jaxdr as jd
+    from jaxdr.geometry import shapes
+
+    lamp = shapes.transformed(shapes.plane(0.6), jd.look_at((0.8, 0.5, 2.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    named = {
+        "ball": jd.Shape(shapes.sphere(2, radius=0.4, center=(0.0, 0.0, 0.5)), jd.Diffuse((0.7, 0.6, 0.5))),
+        "floor": jd.Shape(shapes.plane(4.0), jd.RoughConductor(roughness)),
+        "lamp": jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(8.0)),
+    }
+    view = jd.Perspective(jd.look_at((0.6, -3.0, 1.0), (0.0, 0.0, 0.4), (0, 0, 1)), 30.0, jd.Film(SIZE, SIZE))
+    return jd.Scene(named, view)
+
+
+def measure(roughness: float, boundaries: list[str], calls: int, spp: int, references: int) -> list[dict]:
+    """Rows of one roughness, of the version that is imported."""
+    import jax
+    import jax.numpy as jnp
+
+    import jaxdr as jd
+
+    scene = scene_of(roughness)
+    still, velocity = scene.parameters()["ball.vertices"], jnp.asarray((1.0, 0.4, 0.2))
+
+    def at(t, key, samples, boundary):
+        moved = scene.replace({"ball.vertices": still + t * velocity})
+        return jd.render(moved, key, samples, jd.PathTracer(3, boundary))
+
+    image = jd.jit(lambda t, key: at(t, key, REFERENCE_SPP, None))
+    truths = []
+    for number in range(2 * references):
+        key = jax.random.key(10_000 + number)
+        ahead, behind = (np.asarray(image(jnp.float32(t), key), float) for t in (STEP, -STEP))
+        truths.append((ahead - behind) / (2 * STEP))
+    weights = np.mean(truths[::2], 0)  # of other keys than what they are compared with
+    exact = [np.sum(weights * truth) for truth in truths[1::2]]
+    unit, unit_error = np.mean(exact), np.std(exact, ddof=1) / np.sqrt(references)
+    rows = []
+    for name in boundaries:
+        boundary = getattr(jd, name)()
+        derivative = jd.jit(lambda t, key, b=boundary: jax.jvp(lambda t: at(t, key, spp, b), (t,), (jnp.ones(()),))[1])
+        derivative(jnp.float32(0), jax.random.key(0)).block_until_ready()
+        shares, start = [], time.process_time()
+        for call in range(calls):
+            t = STEP * (2.0 * (call % POSITIONS + 0.5) / POSITIONS - 1.0)
+            shares.append(np.sum(weights * np.asarray(derivative(jnp.float32(t), jax.random.key(call)), float)) / unit)
+        seconds, spread = (time.process_time() - start) / calls, float(np.std(shares, ddof=1))
+        rows.append(
+            {
+                "roughness": roughness,
+                "boundary": name,
+                "projection": float(np.mean(shares)),
+                "error": spread / calls**0.5,
+                "reference_error": float(unit_error / unit),
+                "spread": spread,
+                "seconds": seconds,
+                "work": spread**2 * seconds,
+            }
+        )
+    return rows
+
+
+def main():
+    made = common.parser(__doc__)
+    made.add_argument("--versions", nargs="+", default=["after=."], help="name=CHECKOUT")
+    made.add_argument("--measure", help="for its own use")
+    made.add_argument("--roughness", type=float, nargs="+", default=ROUGHNESS)
+    made.add_argument("--boundaries", nargs="+", default=BOUNDARIES)
+    made.add_argument("--calls", type=int, default=32)
+    made.add_argument("--spp", type=int, default=16)
+    options = made.parse_args()
+    if options.measure:
+        arguments = json.loads(options.measure)
+        answers, sys.stdout = sys.stdout, sys.stderr  # Warp prints that it has started
+        print(json.dumps(measure(*arguments)), file=answers)
+        return
+    rows = []
+    for roughness in options.roughness:
+        for version in options.versions:
+            name, _, folder = version.partition("=")
+            code = Path(folder).resolve()
+            calls, references = (2, 2) if options.quick else (options.calls, REFERENCES)
+            arguments = json.dumps([roughness, list(options.boundaries), calls, options.spp, references])
+            environment = os.environ | {"PYTHONPATH": f"{code}{os.pathsep}{common.ROOT}"}
+            command = [sys.executable, str(Path(__file__).resolve()), "--measure", arguments]
+            answer = subprocess.run(command, env=environment, cwd=code, stdout=subprocess.PIPE, check=True, text=True)
+            rows += [{"version": name} | row for row in json.loads(answer.stdout)]
+            print(common.table(rows, COLUMNS), flush=True)
+    common.write_json(common.results(STUDY, options.quick) / "rows.json", {"rows": rows})
+
+
+if __name__ == "__main__":
+    main()

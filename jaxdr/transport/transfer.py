@@ -1,0 +1,69 @@
+"""What light does between two vertices of a path."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Bool, Float
+
+from jaxdr.geometry import queries
+from jaxdr.geometry.vector import dot, normalize, scale
+from jaxdr.scene.packed import PackedScene
+from jaxdr.transport.interaction import SurfacePoint, leave
+from jaxdr.transport.shading import Scatterer
+
+
+class Vertex(NamedTuple):
+    """Where N paths are: at a point, the unit direction `wi` back along the path, and the throughput (RGB)."""
+
+    point: SurfacePoint
+    wi: Float[Array, "N 3"]
+    throughput: Float[Array, "N 3"]
+
+
+class Transfer(NamedTuple):
+    """From a vertex towards a target: `value` = f_s |cos| G J (RGB; G counts the target's cosine, 1 at infinity).
+
+    `towards` unit, `cosine` at the target (signed), `geometry` = G J; all of them differentiable.
+    """
+
+    value: Float[Array, "N 3"]
+    towards: Float[Array, "N 3"]
+    distance2: Float[Array, " N"]
+    cosine: Float[Array, " N"]
+    geometry: Float[Array, " N"]
+
+
+def transfer_to(
+    scatterer: Scatterer,
+    target: SurfacePoint,
+    infinite: Bool[Array, " N"],
+    direction: Float[Array, "N 3"],
+    delta: Bool[Array, " N"] | None = None,
+) -> Transfer:
+    """Transfer towards points, or in `direction` where `infinite`; `delta` ones have no area, and so no cosine."""
+    offset = target.position - scatterer.point.position
+    towards = jnp.where(infinite[:, None], direction, normalize(offset))
+    distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))
+    cosine = jnp.where(infinite, 1.0, -dot(target.normal, towards))
+    if delta is not None:
+        cosine = jnp.where(delta, 1.0, cosine)
+    geometry = jnp.where(infinite, 1.0, jnp.abs(cosine) / distance2 * target.area_ratio())
+    return Transfer(scale(scatterer.eval(towards), geometry), towards, distance2, cosine, geometry)
+
+
+def unoccluded(
+    packed: PackedScene,
+    scatterer: Scatterer,
+    target: SurfacePoint,
+    infinite: Bool[Array, " N"],
+    towards: Float[Array, "N 3"],
+    asked: Bool[Array, " N"],
+    rays: str,
+) -> Bool[Array, " N"]:
+    """Whether nothing is between vertices and targets in the directions `towards`; False where not `asked`."""
+    start = scatterer.leave(towards)
+    end = leave(target, -towards)
+    end = jnp.where(infinite[:, None], start + 2.0 * packed.size * stop_gradient(towards), end)
+    reach = jnp.where(asked, 1.0, 0.0).astype(start.dtype)
+    return asked & ~queries.occluded(packed.geometry, queries.Rays(start, end - start, reach), rays)
