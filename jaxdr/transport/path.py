@@ -222,7 +222,8 @@ def gather(
         behind = None
         if previous is not None:
             saw = None if seen is None else seen._replace(size2=jnp.where(bounce == 1, seen.size2, 0.0))
-            behind = Previous(*previous, saw, None if forms is None else forms.apart)
+            vertex, spread = previous
+            behind = Previous(vertex, spread, saw, None if forms is None else forms.apart)
         following, added = scatter(packed, at, numbers, settings, goes_on, forms, previous=behind)
         if previous is not None:
             previous = at, jnp.ones_like(at.point.valid) if added.vertices is None else ~added.vertices.delta
