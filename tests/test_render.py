@@ -11,6 +11,7 @@ import pytest
 import jaxdr as jd
 from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.moving import Moving
+from jaxdr.transport.keys import inner_key
 
 WIDTH, HEIGHT = 12, 8
 KEYS = jax.random.split(jax.random.key(20), 12)
@@ -137,7 +138,7 @@ def test_terms_add_up_to_the_derivative():
     """`render`'s derivative is the sum of its terms' for its derivative key; boundary terms are zero in value."""
     of, key = scene(), KEYS[4]
     vertices = of.parameters()["ball.vertices"]
-    derivative_key = jax.random.split(key)[1]
+    derivative_key = jax.random.split(inner_key(key))[1]
     flags = [name == "ball" for name in of.shapes]
 
     @jax.jit

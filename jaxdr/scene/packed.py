@@ -277,17 +277,17 @@ def _emitter_tables(packed: PackedScene):
     textures some of it always is: the means that they are chosen by see neither every texel nor what a black one may
     become.
     """
-    packed = stop_gradient(packed)
-    assert packed.emitter_faces is not None  # asked only where something glows
-    area = packed.triangles(packed.emitter_faces).area
+    faces, packed = packed.emitter_faces, stop_gradient(packed)
+    assert faces is not None  # asked only where something glows
+    area = packed.triangles(faces).area
     if packed.glow:
         power = area * _mean_luminance(packed)
         total = power.sum()
         share = (1.0 - EVENLY) / jnp.where(total > 0, total, 1.0)
         chosen = power * share + area * (EVENLY / area.sum())
     else:
-        power = chosen = area * luminance(packed.radiance[packed.face_shape[packed.emitter_faces]])
-    weight, faces, count = jnp.where(chosen.sum() > 0, chosen, area), packed.emitter_faces, packed.faces.shape[0]
+        power = chosen = area * luminance(packed.radiance[packed.face_shape[faces]])
+    weight, count = jnp.where(chosen.sum() > 0, chosen, area), packed.faces.shape[0]
     cumulative = jnp.cumsum(weight)
     cdf = cumulative / cumulative[-1]
     density = jnp.diff(cdf, prepend=0.0) / jnp.where(area > 0, area, 1.0)

@@ -128,7 +128,7 @@ def test_derivative_leaves_the_image_alone_and_has_its_own_samples():
         return jd.render(scene.replace({name: r}), key, spp=2, integrator=integrator)
 
     both = jax.jit(lambda key: jax.jvp(lambda r: lit(r, key), (radiance,), (radiance,)))
-    keys = jax.random.split(KEY, 64)
+    keys = jax.random.split(KEY, 512)
     values, tangents = (np.stack(a) for a in zip(*(jax.device_get(both(key)) for key in keys), strict=True))
     np.testing.assert_array_equal(values[0], jax.jit(lit)(radiance, keys[0]))
     noise, other = values - values.mean(0), tangents - tangents.mean(0)

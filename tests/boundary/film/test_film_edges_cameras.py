@@ -113,7 +113,7 @@ def estimate(of: jd.Scene, keys=16):
     return {n: (a.mean(0), a.std(0, ddof=1) / np.sqrt(keys)) for n, a in stacked.items()}
 
 
-WINDOWS = {"whole": None, "crop": (4, 5, 5, 6)}
+WINDOWS = {"whole": None, "crop": (2, 5, 5, 6)}
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -124,7 +124,7 @@ def test_black_quadrangle_before_a_white_sky(kind, window):
     whole = crop or (0, 0, SIZE, SIZE)
     found, truth = estimate(scene(kind, CORNERS, crop)), exact(kind, CORNERS, whole)
     covered = area(CORNERS, NUMBERS[kind], whole)
-    assert covered > 0.1 * whole[2] * whole[3]
+    assert 0.1 < covered / (whole[2] * whole[3]) < 0.8
     mean, error = found.pop("sum")
     assert abs(whole[2] * whole[3] - covered - mean) < 4.5 * error
     assert set(found) == set(truth)
@@ -145,7 +145,7 @@ def test_beyond_the_far_plane_is_nothing(kind):
     corners = eye + sides @ np.stack([left, up, forward])
     far = 1.5 / (1.1 if kind == "parallel" else 1.0)  # the parallel camera's depth is scaled
     window = (SIZE // 2, 0, SIZE // 2, SIZE)  # the right half: moving to the left takes off what covers it
-    found = estimate(scene(kind, corners, window, far_clip=far), keys=8)
+    found = estimate(scene(kind, corners, window, far_clip=far))
     cut = corners.copy()
     cut[2:] = 0.5 * (corners[2:] + corners[[1, 0]])
     expected = exact(kind, cut, window)["vertices"].sum(0) @ left
