@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.extend.random import define_prng_impl
-from jaxtyping import Array, Int, PRNGKeyArray, UInt32
+from jaxtyping import Array, PRNGKeyArray, UInt32
 
 WORDS = 4
 NAME = "jaxdr_pcg4d"
@@ -63,8 +63,8 @@ def _derived(key: UInt32[Array, " 4"], number: UInt32[Array, "*n"], purpose: int
     return jax.lax.rem(words, words | jnp.uint32(0xFFFF0000))
 
 
-def _seed(seed: Int[Array, ""]) -> UInt32[Array, " 4"]:
-    return _derived(jnp.zeros(WORDS, jnp.uint32), seed.astype(jnp.uint32), _FOLD_IN)
+def _seed(seed: Any) -> UInt32[Array, " 4"]:
+    return _fold_in(jnp.zeros(WORDS, jnp.uint32), seed)
 
 
 def _split(key: UInt32[Array, " 4"], shape: tuple[int, ...]) -> UInt32[Array, "*shape 4"]:

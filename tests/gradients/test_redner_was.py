@@ -134,7 +134,7 @@ def test_before_a_sky():
 def test_what_is_not_covered():
     of = cube_scene()
     with pytest.raises(ValueError, match="RednerWAS: direct light only, but max_depth is 3"):
-        jax.grad(lambda s: jd.render(s, KEY, 1, jd.PathTracer(3, jd.RednerWAS())).sum(), allow_int=True)(of)
+        jax.jit(jax.grad(lambda s: jd.render(s, KEY, 1, jd.PathTracer(3, jd.RednerWAS())).sum(), allow_int=True))(of)
     for wrong in ({"spread": -1.0}, {"sigma0": 0.0}, {"samples": 0}):
         with pytest.raises(ValueError, match="RednerWAS: "):
             jd.RednerWAS(**wrong)
