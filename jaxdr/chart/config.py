@@ -1,7 +1,6 @@
 """What `jaxdr chart` is told: frozen dataclasses, one a TOML table."""
 
 import dataclasses
-import inspect
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -9,7 +8,8 @@ from typing import Any, Literal
 from jaxdr.boundary.named import estimator_class
 from jaxdr.chart.scenes import check_scene_options
 from jaxdr.integrators import INTEGRATORS, Integrator
-from jaxdr.optimize.config import Vector, found_file, require
+from jaxdr.optimize.config import Vector
+from jaxdr.optimize.config_checks import check_options, found_file, require
 from jaxdr.optimize.strict_toml import build
 
 
@@ -128,8 +128,8 @@ class Estimator:
             made = estimator_class(self.boundary)
         except ValueError as problem:
             raise ValueError(f"boundary: {problem}") from None
-        _check_options("options", made, self.options, self.boundary)
-        _check_options("integrator_options", INTEGRATORS[self.integrator], self.integrator_options, self.integrator)
+        check_options("options", made, self.options, self.boundary)
+        check_options("integrator_options", INTEGRATORS[self.integrator], self.integrator_options, self.integrator)
         for name in ("max_depth", "boundary"):
             if name in self.integrator_options:
                 raise ValueError(f"integrator_options.{name}: is set by the scene's max_depth, and by boundary")
@@ -255,13 +255,6 @@ def chart_config(table: dict, path: Path) -> ChartConfig:
         file = found("file", scene.file, "a scene file")
         scenes.append(dataclasses.replace(scene, motion=motion, reference=reference, file=file))
     return dataclasses.replace(config, scenes=tuple(scenes))
-
-
-def _check_options(key: str, function, options: dict, name: str) -> None:
-    known = inspect.signature(function).parameters
-    for option in options:
-        if option not in known:
-            raise ValueError(f"{key}.{option}: {name} has no such option (known: {', '.join(known)})")
 
 
 def _check_ladder(samples: tuple[int, ...], key: str = "samples") -> None:

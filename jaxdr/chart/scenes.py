@@ -1,7 +1,6 @@
 """The scenes of a chart: procedural ones by name, scene files, and how one of their shapes moves."""
 
 import dataclasses
-import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxdr.geometry import shapes
 from jaxdr.geometry.shapes import plane, transformed
 from jaxdr.moving import Moving
+from jaxdr.optimize.config_checks import check_choice, check_options
 from jaxdr.optimize.recovery import scenes as recovery_scenes
 from jaxdr.scene.bsdf import Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
@@ -66,12 +66,8 @@ class Case(NamedTuple):
 
 def check_scene_options(name: str, options: dict) -> None:
     """Raise ValueError for an unknown procedural scene, or an option that its function does not have."""
-    if name not in SCENES:
-        raise ValueError(f"procedural: expected one of {', '.join(SCENES)}, got {name!r}")
-    known = inspect.signature(SCENES[name]).parameters
-    for option in options:
-        if option not in known:
-            raise ValueError(f"options.{option}: {name} has no such option (known: {', '.join(known)})")
+    check_choice("procedural", name, SCENES)
+    check_options("options", SCENES[name], options, name)
 
 
 def load_case(name: str, file: str, procedural: str, options: dict, motion) -> Case:

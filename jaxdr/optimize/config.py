@@ -1,7 +1,6 @@
 """What `jaxdr optimize` is told: frozen dataclasses, one a TOML table. Lengths are in scene units, z is up."""
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,16 @@ from jaxdr.boundary.named import estimator_class
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import PathTracer
+from jaxdr.optimize.config_checks import (
+    at_least,
+    check_choice,
+    check_options,
+    check_run,
+    found_file,
+    not_negative,
+    positive,
+    require,
+)
 from jaxdr.optimize.field_aligned import LEAST
 from jaxdr.optimize.strict_toml import build, read_toml
 from jaxdr.plan.plan import AUTO
@@ -29,29 +38,8 @@ TARGET_SHAPES: dict[str, Callable[..., Mesh]] = {
 }
 
 
-def require(condition: bool, key: str, rule: str, value) -> None:
-    """Raise ValueError that starts with the key unless the condition holds."""
-    if not condition:
-        raise ValueError(f"{key}: {rule}, got {value!r}")
-
-
 def _as_tuple(color: Color) -> tuple[float, ...]:
     return color if isinstance(color, tuple) else (color,)
-
-
-def _check_call(key: str, choices: dict, name: str, options: dict) -> None:
-    """Check a name against a table of functions, and parameters against the chosen function's."""
-    if name not in choices:
-        raise ValueError(f"{key}: expected one of {', '.join(choices)}, got {name!r}")
-    _check_options(name, choices[name], options, "parameters")
-
-
-def _check_options(name: str, function, options: dict, options_key: str) -> None:
-    """Check options against a function's parameters."""
-    known = inspect.signature(function).parameters
-    for option in options:
-        if option not in known:
-            raise ValueError(f"{options_key}.{option}: {name} has no such parameter (known: {', '.join(known)})")
 
 
 @dataclass(frozen=True)
@@ -72,9 +60,10 @@ class Target:
 
     def __post_init__(self):
         require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
-        require(self.size > 0, "size", "must be positive", self.size)
+        positive(self, "size")
         if self.shape:
-            _check_call("shape", TARGET_SHAPES, self.shape, self.parameters)
+            check_choice("shape", self.shape, TARGET_SHAPES)
+            check_options("parameters", TARGET_SHAPES[self.shape], self.parameters, self.shape, "parameter")
         elif self.parameters:
             raise ValueError("parameters: only a procedural shape has parameters, a mesh file has none")
 
@@ -94,7 +83,7 @@ class Initial:
     def __post_init__(self):
         require(0 <= self.subdivisions <= 8, "subdivisions", "must be between 0 and 8", self.subdivisions)
         require(self.vertices == 0 or self.vertices >= 12, "vertices", "must be at least 12", self.vertices)
-        require(self.radius > 0, "radius", "must be positive", self.radius)
+        positive(self, "radius")
 
 
 @dataclass(frozen=True)
@@ -112,8 +101,8 @@ class Cameras:
 
     def __post_init__(self):
         low, high = self.elevation
-        require(self.views >= 1, "views", "must be at least 1", self.views)
-        require(self.distance > 0, "distance", "must be positive", self.distance)
+        at_least(1, self, "views")
+        positive(self, "distance")
         require(0 < self.fov < 180, "fov", "must be between 0 and 180 degrees", self.fov)
         require(self.resolution >= 1, "resolution", "must be at least 1 pixel", self.resolution)
         require(-90 < low <= high < 90, "elevation", "must be two increasing angles between -90 and 90", (low, high))
@@ -130,8 +119,7 @@ class Light:
     radiance: Color = 10.0
 
     def __post_init__(self):
-        require(self.width > 0, "width", "must be positive", self.width)
-        require(self.height > 0, "height", "must be positive", self.height)
+        positive(self, "width", "height")
         require(self.position != self.target, "position", "must differ from target", self.position)
 
 
@@ -144,7 +132,7 @@ class Floor:
     reflectance: Color = 0.5
 
     def __post_init__(self):
-        require(self.size > 0, "size", "must be positive", self.size)
+        positive(self, "size")
 
 
 @dataclass(frozen=True)
@@ -185,7 +173,7 @@ class Integrator:
             made = estimator_class(self.boundary, (AUTO,))
         except ValueError as problem:
             raise ValueError(f"boundary: {problem}") from None
-        _check_options(self.boundary, made, self.boundary_options, "boundary_options")
+        check_options("boundary_options", made, self.boundary_options, self.boundary, "parameter")
         try:
             return made(**self.boundary_options)
         except ValueError as problem:
@@ -211,8 +199,7 @@ class Samples:
     pictures: int = 64
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 1, name, "must be at least 1", value)
+        at_least(1, self)
 
 
 def require_one_size(of: "Remesh | Level") -> None:
@@ -235,8 +222,8 @@ class Remesh:
     until: int = 0
 
     def __post_init__(self):
-        require(self.iteration >= 1, "iteration", "must be at least 1", self.iteration)
-        require(self.every >= 0, "every", "must not be negative", self.every)
+        at_least(1, self, "iteration")
+        not_negative(self, "every")
         rule = "needs every, and must be larger than iteration"
         require(self.until == 0 or (self.every > 0 and self.until > self.iteration), "until", rule, self.until)
         require(self.edge_length >= 0, "edge_length", "must be positive", self.edge_length)
@@ -268,8 +255,7 @@ class Level:
     vertices: int = 0
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 0, name, "must not be negative", value)
+        not_negative(self)
         require_one_size(self)
 
     @property
@@ -297,12 +283,9 @@ class Optimizer:
     remesh: tuple[Remesh, ...] = ()
 
     def __post_init__(self):
-        require(self.iterations >= 1, "iterations", "must be at least 1", self.iterations)
-        for name in ("learning_rate", "final_learning_rate"):
-            require(getattr(self, name) > 0, name, "must be positive", getattr(self, name))
-        require(self.lam >= 0, "lam", "must not be negative", self.lam)
-        require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
-        require(self.signal_to_noise > 0, "signal_to_noise", "must be positive", self.signal_to_noise)
+        at_least(1, self, "iterations", "views_per_step")
+        positive(self, "learning_rate", "final_learning_rate", "signal_to_noise")
+        not_negative(self, "lam")
         at = [i for remesh in self.remesh for i in remesh.steps(self.iterations)]
         require(at == sorted(set(at)), "remesh", "iterations must increase", at)
 
@@ -320,8 +303,7 @@ class Reporting:
     chamfer_samples: int = 20_000
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 1, name, "must be at least 1", value)
+        at_least(1, self)
 
 
 @dataclass(frozen=True)
@@ -353,8 +335,7 @@ class OptimizeConfig:
     report: Report = Report()
 
     def __post_init__(self):
-        require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
+        check_run(self)
         views, per_step = self.cameras.views, self.optimizer.views_per_step
         require(per_step <= views, "optimizer.views_per_step", f"must not exceed cameras.views = {views}", per_step)
         if self.levels:
@@ -415,16 +396,3 @@ def optimize_config(table: dict, path: Path) -> OptimizeConfig:
 def with_integrator(table: dict) -> dict:
     """The table of a config file, whose integrator is left to `jaxdr.plan` if it has none."""
     return {"integrator": {"max_depth": AUTO, "boundary": AUTO}} | table
-
-
-def found_file(config: Path, key: str, name: str, kind: str = "a file") -> str:
-    """Where a file is that a config names: beside the config, or relative to the current folder.
-
-    Raises ValueError that names config, key and the places tried.
-    """
-    candidates = [config.parent / name, Path(name)]
-    found = [candidate for candidate in candidates if candidate.is_file()]
-    if not found:
-        tried = " or ".join(dict.fromkeys(str(candidate) for candidate in candidates))
-        raise ValueError(f"{config}: {key}: expected {kind}, found none at {tried}")
-    return str(found[0])

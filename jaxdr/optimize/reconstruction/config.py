@@ -3,11 +3,11 @@
 Lengths are relative to the object: its longest side, at the start, is 1.
 """
 
-import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxdr.optimize.config import Integrator, require
+from jaxdr.optimize.config import Integrator
+from jaxdr.optimize.config_checks import at_least, check_run, not_negative, positive, require
 from jaxdr.optimize.strict_toml import build
 
 
@@ -45,8 +45,7 @@ class Priors:
     background: float = 0.1
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 0, name, "must not be negative", value)
+        not_negative(self)
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,7 @@ class Rates:
     final: float = 0.1
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value > 0, name, "must be positive", value)
+        positive(self)
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,8 @@ class Level:
 
     def __post_init__(self):
         for name, least in (("steps", 1), ("resolution", 8), ("vertices", 50), ("views", 1), ("sky", 3)):
-            require(getattr(self, name) >= least, name, f"must be at least {least}", getattr(self, name))
-        require(self.lam >= 0, "lam", "must not be negative", self.lam)
+            at_least(least, self, name)
+        not_negative(self, "lam")
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,7 @@ class Samples:
     pictures: int = 256
 
     def __post_init__(self):
-        for name, value in dataclasses.asdict(self).items():
-            require(value >= 1, name, "must be at least 1", value)
+        at_least(1, self)
 
 
 @dataclass(frozen=True)
@@ -123,9 +120,8 @@ class Report:
     texture: int = 1024
 
     def __post_init__(self):
-        for name in ("pictures", "checkpoint"):
-            require(getattr(self, name) >= 1, name, "must be at least 1", getattr(self, name))
-        require(self.turntable >= 0, "turntable", "must not be negative", self.turntable)
+        at_least(1, self, "pictures", "checkpoint")
+        not_negative(self, "turntable")
         require(16 <= self.texture <= 8192, "texture", "must be between 16 and 8192", self.texture)
 
 
@@ -137,7 +133,7 @@ class Memory:
     pictures: float = 2.0
 
     def __post_init__(self):
-        require(self.pictures >= 0, "pictures", "must not be negative", self.pictures)
+        not_negative(self)
 
 
 LEVELS = (
@@ -167,8 +163,7 @@ class ReconstructConfig:
     memory: Memory = Memory()
 
     def __post_init__(self):
-        require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
+        check_run(self)
         require(len(self.levels) >= 1, "levels", "there must be at least one", self.levels)
         primary = self.integrator.primary
         require(primary == "fixed_ray", "integrator.primary", 'must be "fixed_ray" with box pixels', primary)

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from jaxdr.optimize.config import Cameras, Integrator, Reporting, Samples, Vector, found_file, require, with_integrator
+from jaxdr.optimize.config import Cameras, Integrator, Reporting, Samples, Vector, with_integrator
+from jaxdr.optimize.config_checks import at_least, check_run, found_file, not_negative, positive, require
 from jaxdr.optimize.recovery.parameters import Motion
-from jaxdr.optimize.recovery.scenes import check_options
+from jaxdr.optimize.recovery.scenes import check_scene
 from jaxdr.optimize.strict_toml import build
 
 FILE_OPTIONS = ("mesh", "albedo")  # options of procedural scenes that name files
@@ -27,7 +28,7 @@ class SceneSource:
     def __post_init__(self):
         require(bool(self.name) != bool(self.file), "name", "give either a name or a file", self.name)
         if self.name:
-            check_options(self.name, self.options)
+            check_scene(self.name, self.options)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class TargetSource:
         if self.images and self.options:
             raise ValueError("options: images have none")
         if self.name:
-            check_options(self.name, self.options)
+            check_scene(self.name, self.options)
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,8 @@ class Parameter:
     final_learning_rate: float | None = None
 
     def __post_init__(self):
-        for key in ("learning_rate", "final_learning_rate"):
-            value = getattr(self, key)
-            require(value is None or value > 0, key, "must be positive", value)
-        require(self.smoothing is None or self.smoothing >= 0, "smoothing", "must not be negative", self.smoothing)
+        positive(self, "learning_rate", "final_learning_rate")
+        not_negative(self, "smoothing")
         require(any(self.axis), "axis", "must not be zero", self.axis)
         moving = self.moving
         if moving and (self.bounds is not None or self.smoothing is not None):
@@ -122,8 +121,7 @@ class Adam:
     loss: Literal["l1", "l2", "two_key_l2"] = "l1"
 
     def __post_init__(self):
-        require(self.iterations >= 1, "iterations", "must be at least 1", self.iterations)
-        require(self.views_per_step >= 1, "views_per_step", "must be at least 1", self.views_per_step)
+        at_least(1, self, "iterations", "views_per_step")
 
 
 @dataclass(frozen=True)
@@ -146,8 +144,7 @@ class LevenbergMarquardt:
     blur: tuple[float, ...] = (0.0,)
 
     def __post_init__(self):
-        for key in ("tolerance", "damping"):
-            require(getattr(self, key) > 0, key, "must be positive", getattr(self, key))
+        positive(self, "tolerance", "damping")
         require(bool(self.blur) and min(self.blur) >= 0, "blur", "must be a list of numbers from zero on", self.blur)
         least = 2 * len(self.blur)
         require(self.iterations >= least, "iterations", f"must be at least {least}, two for each blur", self.iterations)
@@ -179,8 +176,7 @@ class RecoveryConfig:
     report: Report = Report()
 
     def __post_init__(self):
-        require(0 <= self.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", self.seed)
-        require(bool(self.output.strip()), "output", "must name the folder for the results", self.output)
+        check_run(self)
         require(bool(self.parameters), "parameters", "name at least one", [])
         names = [parameter.name for parameter in self.parameters]
         for i, (name, parameter) in enumerate(zip(names, self.parameters, strict=True)):
@@ -207,7 +203,7 @@ class RecoveryConfig:
         if self.cameras is not None and "camera.to_world" in names:
             raise ValueError("cameras: give the views, so camera.to_world can't be a parameter; leave one of them out")
         if not self.target.images and not self.target.name and not self.target.file and self.scene.name:
-            check_options(self.scene.name, self.target.options)
+            check_scene(self.scene.name, self.target.options)
 
 
 def recovery_config(table: dict, path: Path) -> RecoveryConfig:

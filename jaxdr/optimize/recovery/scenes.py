@@ -3,7 +3,6 @@
 A procedural scene is one function and one line in `SCENES`.
 """
 
-import inspect
 import math
 from collections.abc import Callable
 
@@ -15,6 +14,7 @@ from jaxdr.geometry.load import load_mesh
 from jaxdr.geometry.shapes import centred, plane, transformed
 from jaxdr.geometry.uvs import spherical_uvs
 from jaxdr.optimize.config import TARGET_SHAPES
+from jaxdr.optimize.config_checks import check_choice, check_options
 from jaxdr.scene.bsdf import Diffuse, RoughConductor, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter, ConstantEnvironment
@@ -52,9 +52,9 @@ def textured_object(
     UVs are those of the file, or longitude and latitude. Raises ValueError for files that can't be read, and for other
     names.
     """
-    _choice("shape", shape, ROUND)
-    _choice("texture", texture, TEXTURES)
-    _choice("shading", shading, ("flat", "smooth"))
+    check_choice("shape", shape, ROUND)
+    check_choice("texture", texture, TEXTURES)
+    check_choice("shading", shading, ("flat", "smooth"))
     made = load_mesh(mesh, shading=shading) if mesh else TARGET_SHAPES[shape](subdivisions)
     made = centred(made, size)
     made = made.smooth() if shading == "smooth" else made.flat()
@@ -92,7 +92,7 @@ def glossy_object(
     The sky is an environment map of `sky_height` x twice as many texels (`procedural_sky`), with the zenith at +z.
     Raises ValueError as the parts do.
     """
-    _choice("shape", shape, ROUND)
+    check_choice("shape", shape, ROUND)
     made = centred(TARGET_SHAPES[shape](subdivisions), size).smooth()
     up = np.eye(4)
     up[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # the map's +y is the world's +z
@@ -173,13 +173,10 @@ def load_scene(name: str, file: str, options: dict) -> Scene:
         raise ValueError(f"file: {problem}") from None
 
 
-def check_options(name: str, options: dict) -> None:
+def check_scene(name: str, options: dict) -> None:
     """Raise ValueError for an unknown scene, or an option that its function does not have."""
-    _choice("name", name, SCENES)
-    known = inspect.signature(SCENES[name]).parameters
-    for option in options:
-        if option not in known:
-            raise ValueError(f"options.{option}: {name} has no such option (known: {', '.join(known)})")
+    check_choice("name", name, SCENES)
+    check_options("options", SCENES[name], options, name)
 
 
 def patches(height: int) -> Float[np.ndarray, "H W 3"]:
@@ -223,8 +220,3 @@ def _floor() -> Shape:
 
 def _camera(origin, fov: float, resolution: int) -> Perspective:
     return Perspective(look_at(origin, (0.0, 0.0, -0.15), (0, 0, 1)), fov, Film(resolution, resolution))
-
-
-def _choice(key: str, value: str, known) -> None:
-    if value not in known:
-        raise ValueError(f"{key}: expected one of {', '.join(known)}, got {value!r}")
