@@ -34,13 +34,13 @@ from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, w
 from jaxdr.integrators import INTEGRATORS, Integrator, PathTracer
 from jaxdr.integrators.defaults import default_integrator, default_reason
 from jaxdr.optimize.config import optimize_config
-from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
 from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
 from jaxdr.optimize.reconstruction.config import reconstruct_config
-from jaxdr.optimize.reconstruction.loop import reconstruct
+from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
-from jaxdr.optimize.recovery.loop import recover
+from jaxdr.optimize.recovery.recover import recover
+from jaxdr.optimize.shape import optimize
 from jaxdr.optimize.strict_toml import override_table, read_toml, split_assignment
 from jaxdr.plan.directions import moving_along
 from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan

@@ -16,7 +16,7 @@ from trimesh.visual.material import PBRMaterial
 import jaxdr as jd
 from jaxdr import cli
 from jaxdr.images import load_image
-from jaxdr.optimize import loop, phase
+from jaxdr.optimize import phase, shape
 
 from .optimize.fake import render as fake_optimize_render
 
@@ -281,7 +281,7 @@ def test_debug_shows_the_traceback():
 
 def test_optimize_stops_at_ctrl_c_and_resumes(workplace, monkeypatch, capsys):
     monkeypatch.setattr(phase, "render", fake_optimize_render)
-    original = loop.RunFolder.add_metrics
+    original = shape.RunFolder.add_metrics
 
     def add_metrics(self, row):
         original(self, row)
@@ -289,7 +289,7 @@ def test_optimize_stops_at_ctrl_c_and_resumes(workplace, monkeypatch, capsys):
             signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(loop.RunFolder, "add_metrics", add_metrics)
+        patch.setattr(shape.RunFolder, "add_metrics", add_metrics)
         assert cli.main(["optimize", "run.toml", "--set", "seed=4"]) == 130
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == (

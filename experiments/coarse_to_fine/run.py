@@ -28,7 +28,7 @@ def run(config, seed, quick, target):
     from pathlib import Path
 
     from jaxdr.optimize.config import read_config
-    from jaxdr.optimize.loop import optimize
+    from jaxdr.optimize.shape import optimize
 
     folder = common.scratch(STUDY) / f"{Path(config).stem}_{seed}"
     changes = [f"output={folder}", f"seed={seed}", "report.chamfer=10", "report.pictures=1000"]

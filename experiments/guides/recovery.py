@@ -35,7 +35,7 @@ COLUMNS = {
 def run(setting, seed, quick, target):
     """(summary, rows of metrics.csv) of a run."""
     from jaxdr.optimize.config import read_config
-    from jaxdr.optimize.loop import optimize
+    from jaxdr.optimize.shape import optimize
 
     folder = common.scratch(STUDY) / f"recovery_{seed}_{setting.replace(', ', '_')}"
     changes = [f"output={folder}", f"seed={seed}", "report.pictures=1000", "report.chamfer=10"]

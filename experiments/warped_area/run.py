@@ -21,7 +21,7 @@ import jaxdr as jd
 from experiments import common
 from experiments.warped_area import scenes
 from jaxdr.optimize.recovery.config import recovery_config
-from jaxdr.optimize.recovery.loop import recover
+from jaxdr.optimize.recovery.recover import recover
 from jaxdr.optimize.recovery.scenes import star_light
 from jaxdr.optimize.strict_toml import read_toml
 

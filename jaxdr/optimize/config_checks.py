@@ -13,7 +13,7 @@ def require(condition: bool, key: str, rule: str, value) -> None:
         raise ValueError(f"{key}: {rule}, got {value!r}")
 
 
-def at_least(least: float, of: Any, *keys: str) -> None:
+def at_least(least: int, of: Any, *keys: str) -> None:
     """Raise ValueError for the first field of a dataclass that is less; without `keys` all fields are asked."""
     for key, value in _values(of, keys):
         require(value >= least, key, f"must be at least {least}", value)

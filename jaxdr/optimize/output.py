@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +12,6 @@ from jaxdr.atomic_file import atomic_path
 from jaxdr.geometry.load import save_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import diverging, labelled_grid, save_png, to_srgb
-from jaxdr.optimize.config import OptimizeConfig
-from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.run_files import RunFiles
 from jaxdr.plan.report import Plan
 
@@ -40,9 +39,9 @@ class RunFolder(RunFiles):
 
     subfolders = ("pictures", "meshes")
 
-    def __init__(self, config: OptimizeConfig | RecoveryConfig, columns: Sequence[str] = COLUMNS):
+    def __init__(self, config: Any, columns: Sequence[str] = COLUMNS, kind: str = "shape optimisation"):
         super().__init__(config, columns)
-        self.kind = "recovery" if isinstance(config, RecoveryConfig) else "shape optimisation"
+        self.kind = kind
 
     def targets(self, level: int | None = None) -> Path:
         """Where the target views are, once all of them were rendered; those of a coarse level have a file each."""
@@ -63,18 +62,15 @@ class RunFolder(RunFiles):
                 f"{path}: the target views can't be read ({problem}); start again with --overwrite"
             ) from None
 
-    @property
-    def has_plan(self) -> bool:
-        """Whether a plan was made for the run."""
-        return (self.path / "plan.json").exists()
-
     def save_plan(self, plan: Plan) -> None:
         """Write `plan.json`: a resumed run does not measure again."""
         self.write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
 
-    def load_plan(self) -> Plan:
-        """The plan that the run was begun with. Raises ValueError when it is damaged."""
+    def load_plan(self) -> Plan | None:
+        """The plan that the run was begun with, if one was made. Raises ValueError when it is damaged."""
         path = self.path / "plan.json"
+        if not path.exists():
+            return None
         try:
             return Plan.from_dict(json.loads(path.read_text()))
         except (OSError, ValueError) as problem:

@@ -4,10 +4,12 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
@@ -17,6 +19,7 @@ from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer
 from jaxdr.optimize.devices import ALONE, Device, Divided, Division, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, Problem
+from jaxdr.optimize.progress import NotFinite
 from jaxdr.render import render
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene, Shape
@@ -168,3 +171,23 @@ def view_gradient(
         return value, division.mean(pullback(sum(cotangents))[0])
 
     return gradient
+
+
+def items_of_step(
+    poses: Float[Array, "N 4 4"], targets: Float[np.ndarray, "N H W 3"], views: Sequence[int], key: PRNGKeyArray
+) -> list[tuple]:
+    """The (camera-to-world, target, key) of the views of a step, whose numbers are given."""
+    keys = [jax.random.fold_in(key, slot) for slot in range(len(views))]
+    return [(poses[view], jnp.asarray(targets[view]), own) for view, own in zip(views, keys, strict=True)]
+
+
+def finite(tree: PyTree) -> bool:
+    """Whether all numbers of a pytree of arrays are finite."""
+    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array)))
+
+
+def check_finite(view: int, loss: Array, gradient: PyTree, step: int) -> None:
+    """Raise `NotFinite` for the loss or gradient of a view that is not finite in a step."""
+    wrong = [name for name, value in (("loss", loss), ("gradient", gradient)) if not finite(value)]
+    if wrong:
+        raise NotFinite(f"the {wrong[0]} of view {view} is not finite in step {step}")

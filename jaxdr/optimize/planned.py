@@ -22,7 +22,6 @@ def planned(
     spp: int,
     key: PRNGKeyArray,
     folder: RunFolder,
-    resume: bool,
 ) -> Plan | None:
     """The plan for derivatives of `spp` samples by `params`, or None where the config names the integrator.
 
@@ -31,8 +30,8 @@ def planned(
     """
     if not options.planned:
         return None
-    if resume and folder.has_plan:
-        return folder.load_plan()
+    if (kept := folder.load_plan()) is not None:
+        return kept
 
     def measured() -> dict[str, np.ndarray]:
         print("jaxdr: plan: a pilot measures which integrator to take; see [integrator] to choose it", file=sys.stderr)

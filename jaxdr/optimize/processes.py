@@ -8,15 +8,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import jax
 import numpy as np
 from jax.experimental import multihost_utils
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.progress import deferred_interrupt
-from jaxdr.optimize.run_files import RunFiles, faults_told
+from jaxdr.optimize.run_files import RunFiles
 
 # How errors of collective operations begin. JAX raises them as one class or another.
 STATUS = re.compile("(ABORTED|CANCELLED|DEADLINE_EXCEEDED|FAILED_PRECONDITION|INTERNAL|UNAVAILABLE|UNKNOWN): ")
@@ -157,16 +156,3 @@ def leave_at_once(code: int) -> NoReturn:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
-
-
-@contextlib.contextmanager
-def run_in(run: Any, resume: bool, overwrite: bool) -> Iterator[None]:
-    """Give a run the `folder` in which this process works on it, and the `interruption` that signals set."""
-    checkpoint = run.folder.checkpoint
-    with (
-        folder_of_process(run.folder, resume, overwrite) as run.folder,
-        deferred_interrupt() as run.interruption,
-        faults_told(run.folder),
-        told_of_lost_processes(checkpoint),
-    ):
-        yield

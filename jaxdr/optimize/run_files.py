@@ -116,7 +116,12 @@ class RunFiles:
         return [line for line in whole if line.count(",") == len(self.columns) - 1 and line.partition(",")[0].isdigit()]
 
 
-def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], None] | None = None) -> None:
+def say(text: str) -> None:
+    """A line for people, where there is no progress bar."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], None]) -> None:
     """Save what only shows how a run goes on: where it can't be written that is said, and the run goes on.
 
     Checkpoints, metrics and results are not saved this way: without them there would be nothing to go on from.
@@ -124,7 +129,7 @@ def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], 
     try:
         save()
     except CannotWrite as problem:
-        (say or _say)(f"after step {done}: {problem}; it only shows the progress, so the run goes on without it")
+        say(f"after step {done}: {problem}; it only shows the progress, so the run goes on without it")
 
 
 @contextmanager
@@ -148,7 +153,3 @@ def _left(folder: RunFiles) -> str:
     except (OSError, ValueError) as problem:
         return f"the checkpoint can't be read now ({problem})"
     return f"the checkpoint of step {step} in {folder.checkpoint} is whole"
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -11,14 +11,14 @@ from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progre
 
 
 def target_views(
-    folder: RunFolder, resume: bool, images: Iterable[Float[np.ndarray | Array, "H W 3"]], level: int | None = None
+    folder: RunFolder, images: Iterable[Float[np.ndarray | Array, "H W 3"]], level: int | None = None
 ) -> Float[np.ndarray, "N H W 3"]:
     """`images`, which are kept in the run's folder; when a run is resumed those that it kept.
 
     They are asked for one by one (see `rendered`). `level`: number of a level with images of its own. Raises
     `NotFinite`.
     """
-    if resume and folder.targets(level).exists():
+    if folder.targets(level).exists():
         return folder.load_targets(level)
     targets = []
     for i, image in enumerate(images):

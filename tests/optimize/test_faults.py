@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from jaxdr import atomic_file
-from jaxdr.optimize import loop, phase
+from jaxdr.optimize import phase, shape
 from jaxdr.optimize.checkpoint import load_checkpoint
-from jaxdr.optimize.loop import optimize
 from jaxdr.optimize.progress import Interrupted, Stopped
+from jaxdr.optimize.shape import optimize
 
 from .fake import render as fake_render
 from .test_loop import checkpoint, rows, small_config
@@ -26,7 +26,7 @@ def config(tmp_path, monkeypatch):
 
 def full_from(monkeypatch, step, names):
     """A disk that is full, for files whose names end so, once so many steps are recorded."""
-    done, replace, add_metrics = [], os.replace, loop.RunFolder.add_metrics
+    done, replace, add_metrics = [], os.replace, shape.RunFolder.add_metrics
 
     def add(self, row):
         add_metrics(self, row)
@@ -37,7 +37,7 @@ def full_from(monkeypatch, step, names):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replace(source, target)
 
-    monkeypatch.setattr(loop.RunFolder, "add_metrics", add)
+    monkeypatch.setattr(shape.RunFolder, "add_metrics", add)
     monkeypatch.setattr(atomic_file.os, "replace", full)
 
 
@@ -73,14 +73,14 @@ def test_a_picture_that_cannot_be_written_is_said_and_survived(config, tmp_path,
 
 
 def test_a_folder_that_vanishes_is_told(config, tmp_path, monkeypatch):
-    add_metrics = loop.RunFolder.add_metrics
+    add_metrics = shape.RunFolder.add_metrics
 
     def vanish(self, row):
         add_metrics(self, row)
         if row["iteration"] == 2:
             shutil.rmtree(self.path)
 
-    monkeypatch.setattr(loop.RunFolder, "add_metrics", vanish)
+    monkeypatch.setattr(shape.RunFolder, "add_metrics", vanish)
     with pytest.raises(Stopped, match=r"No such file or directory.*run is gone, and its checkpoint with it"):
         optimize(config)
 
@@ -98,37 +98,37 @@ def test_half_a_line_of_metrics_is_dropped(config, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(loop._Run, "finish", stop)
+        patch.setattr(shape.ShapeTask, "finish", stop)
         with pytest.raises(KeyboardInterrupt):
             optimize(config)
     path = tmp_path / "run/metrics.csv"
     for left in ("7", "7,0.1\n", "\n"):
         before = path.read_text()
         path.write_text(before + left)
-        loop.RunFolder(config).start_metrics(6)
+        shape.RunFolder(config).start_metrics(6)
         assert path.read_text() == before
 
 
 def test_sigterm_is_like_ctrl_c(config, monkeypatch):
-    add_metrics = loop.RunFolder.add_metrics
+    add_metrics = shape.RunFolder.add_metrics
 
     def terminate(self, row):
         add_metrics(self, row)
         if row["iteration"] == 3:
             signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr(loop.RunFolder, "add_metrics", terminate)
+    monkeypatch.setattr(shape.RunFolder, "add_metrics", terminate)
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(Interrupted, match="stopped after step 3"):
         optimize(config)
     assert signal.getsignal(signal.SIGTERM) == before
-    folder = loop.RunFolder(config)
+    folder = shape.RunFolder(config)
     assert load_checkpoint(folder.checkpoint, folder.owner).place.step == 3
 
 
 def test_a_folder_of_another_kind_of_run_is_told(config, tmp_path):
     optimize(config)
-    folder = loop.RunFolder(config)
+    folder = shape.RunFolder(config)
     folder.kind = "recovery"
     with pytest.raises(ValueError, match=r"holds a shape optimisation, this is a recovery; choose another output"):
         folder.open(resume=True, overwrite=False)

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxdr.optimize import loop, phase
+from jaxdr.optimize import phase, shape
 from jaxdr.optimize.config import Level, OptimizeConfig, Optimizer, Remesh, Target
-from jaxdr.optimize.loop import Interrupted, NotFinite, optimize
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.problem import OBJECT, build_problem
+from jaxdr.optimize.progress import Interrupted, NotFinite
+from jaxdr.optimize.shape import optimize
 from jaxdr.optimize.signal import signal_to_noise
 
 from .fake import render as fake_render
@@ -69,17 +70,18 @@ def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch
     levels = (Level(resolution=8, image=1, gradient=1), Level(gradient=2), Level(vertices=300, gradient=3))
     made = config(tmp_path / "run", levels, signal_to_noise=1e9)
     made = dataclasses.replace(made, report=dataclasses.replace(made.report, pictures=12))
-    original, traced = loop._Run.step, []
+    original, traced = shape.ShapeTask.step, []
 
-    def step(self, phase, state, targets, iteration):
-        if self.coming is not None:
+    def step(self, current, done, say):
+        self.compiled.result()
+        if current.phase.level + 1 < len(levels):
             self.coming.result()
         count = len(seen)
-        result = original(self, phase, state, targets, iteration)
+        result = original(self, current, done, say)
         traced.append(len(seen) - count)
         return result
 
-    monkeypatch.setattr(loop._Run, "step", step)
+    monkeypatch.setattr(shape.ShapeTask, "step", step)
     optimize(made)
     assert columns(made, "level", "vertices")[-1] == ("2", "300")
     assert not any(traced)
@@ -148,14 +150,14 @@ def test_the_optimiser_goes_on_where_the_topology_does(tmp_path):
 
 def test_another_preconditioner_starts_afresh_from_the_shape_as_it_is(tmp_path, monkeypatch):
     made = config(tmp_path / "run", levels=(Level(), Level(lam=0.5)), signal_to_noise=1e9)
-    original, vertices = loop._Run.next_level, []
+    original, vertices = shape.ShapeTask.next_level, []
 
     def next_level(self, phase, state, *arguments):
         phases = (phase, state), original(self, phase, state, *arguments)
         vertices.extend(np.asarray(phase.vertices(state)) for phase, state in phases)
         return phases[1]
 
-    monkeypatch.setattr(loop._Run, "next_level", next_level)
+    monkeypatch.setattr(shape.ShapeTask, "next_level", next_level)
     optimize(made)
     np.testing.assert_allclose(*vertices, atol=1e-6)
     assert int(checkpoint(made)["state/optimizer/0/count"]) == 10 and int(checkpoint(made)["start"]) == 2
@@ -181,7 +183,7 @@ def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
 
         return made._replace(gradients=gradients, update=update)
 
-    monkeypatch.setattr(loop, "make_phase", spied)
+    monkeypatch.setattr(shape, "make_phase", spied)
     made = config(tmp_path / "run", levels=(Level(), Level()))
     made = dataclasses.replace(made, optimizer=dataclasses.replace(made.optimizer, iterations=2))
     optimize(made)
@@ -221,7 +223,7 @@ def test_gpytoolbox_is_asked_for_before_the_start(tmp_path, monkeypatch):
     def missing():
         raise ImportError('pip install "jaxdr[remesh]"')
 
-    monkeypatch.setattr(loop, "require_gpytoolbox", missing)
+    monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     with pytest.raises(ImportError):
         optimize(config(tmp_path / "run"))
     assert not (tmp_path / "run").exists()

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from jaxdr.geometry.load import load_mesh
-from jaxdr.optimize import loop, phase
+from jaxdr.optimize import phase, shape, targets
 from jaxdr.optimize.config import Cameras, Initial, OptimizeConfig, Optimizer, Remesh, Report, Samples, Target
-from jaxdr.optimize.loop import Interrupted, NotFinite, optimize, views_of_step
 from jaxdr.optimize.preconditioner import LargeSteps
-from jaxdr.optimize.problem import OBJECT, build_problem
+from jaxdr.optimize.problem import OBJECT, build_problem, views_of_step
+from jaxdr.optimize.progress import Interrupted, NotFinite
+from jaxdr.optimize.shape import optimize
 
 from .fake import render as fake_render
 
@@ -74,14 +75,14 @@ def checkpoint(config):
 
 def press_ctrl_c_after(monkeypatch, iteration):
     """A real SIGINT while that iteration is being recorded."""
-    original = loop.RunFolder.add_metrics
+    original = shape.RunFolder.add_metrics
 
     def add_metrics(self, row):
         original(self, row)
         if row["iteration"] == iteration:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(loop.RunFolder, "add_metrics", add_metrics)
+    monkeypatch.setattr(shape.RunFolder, "add_metrics", add_metrics)
 
 
 def test_a_run_improves_and_leaves_everything(config, tmp_path):
@@ -141,9 +142,9 @@ def test_resume_after_a_crash_repeats_the_lost_steps(config, monkeypatch):
         if row["iteration"] == 5:
             raise RuntimeError("power cut")
 
-    original = loop.RunFolder.add_metrics
+    original = shape.RunFolder.add_metrics
     with monkeypatch.context() as patch:
-        patch.setattr(loop.RunFolder, "add_metrics", crash)
+        patch.setattr(shape.RunFolder, "add_metrics", crash)
         with pytest.raises(RuntimeError, match="power cut"):
             optimize(config)
     assert checkpoint(config)["step"] == 4
@@ -153,7 +154,7 @@ def test_resume_after_a_crash_repeats_the_lost_steps(config, monkeypatch):
 
 def test_interrupted_while_rendering_targets(config, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(loop.Progress, "step", lambda self, **values: signal.raise_signal(signal.SIGINT))
+        patch.setattr(targets.Progress, "step", lambda self, **values: signal.raise_signal(signal.SIGINT))
         with pytest.raises(Interrupted, match="while rendering the target views"):
             optimize(config)
     optimize(config, resume=True)
@@ -189,8 +190,8 @@ def test_a_failed_remeshing_is_said_and_survived(config, monkeypatch, capsys):
     def fail(mesh, edge_length):
         raise ValueError("remesh: the result is not manifold")
 
-    monkeypatch.setattr(loop, "require_gpytoolbox", lambda: None)
-    monkeypatch.setattr(loop, "remesh", fail)
+    monkeypatch.setattr(shape, "require_gpytoolbox", lambda: None)
+    monkeypatch.setattr(shape, "remesh", fail)
     optimize(with_optimizer(config, remesh=(Remesh(iteration=3, edge_length=0.15),)))
     assert "after step 3: kept the mesh as it was (remesh: the result is not manifold)" in capsys.readouterr().err
     assert {row["vertices"] for row in rows(config)} == {"162"}
@@ -200,10 +201,10 @@ def test_missing_packages_are_found_before_anything_is_written(config, tmp_path,
     def missing():
         raise ImportError('pip install "jaxdr[remesh]"')
 
-    monkeypatch.setattr(loop, "require_gpytoolbox", missing)
+    monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     with pytest.raises(ImportError):
         optimize(with_optimizer(config, remesh=(Remesh(iteration=3, edge_length=0.15),)))
-    monkeypatch.setattr(loop, "require_pyinstantmeshes", missing)
+    monkeypatch.setattr(shape, "require_pyinstantmeshes", missing)
     with pytest.raises(ImportError):
         optimize(with_optimizer(config, remesh=(Remesh(iteration=3, vertices=99, field_aligned=True),)))
     assert not (tmp_path / "run").exists()
@@ -213,7 +214,7 @@ def test_a_remeshing_that_never_comes_needs_no_package(config, monkeypatch):
     def missing():
         raise ImportError('pip install "jaxdr[remesh]"')
 
-    monkeypatch.setattr(loop, "require_gpytoolbox", missing)
+    monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     assert (
         optimize(with_optimizer(config, remesh=(Remesh(iteration=10, edge_length=0.15, every=2),)))["iterations"] == 6
     )

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.optimize import loop, phase, planned
+from jaxdr.optimize import phase, planned, shape
 from jaxdr.optimize.config import Cameras, Initial, Integrator, OptimizeConfig, Optimizer, Report, Samples, Target
 from jaxdr.optimize.config import read_config as read
-from jaxdr.optimize.loop import optimize
+from jaxdr.optimize.shape import optimize
 from jaxdr.plan.report import Plan
 
 from .fake import render as fake_render
@@ -67,7 +67,7 @@ def test_a_resumed_run_measures_nothing(asked, tmp_path, monkeypatch):
     once = config(tmp_path / "run", iterations=4)
     optimize(config(tmp_path / "straight", iterations=4))
 
-    original = loop.RunFolder.add_metrics
+    original = shape.RunFolder.add_metrics
 
     def stop(self, row):
         original(self, row)
@@ -75,7 +75,7 @@ def test_a_resumed_run_measures_nothing(asked, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(loop.RunFolder, "add_metrics", stop)
+        patch.setattr(shape.RunFolder, "add_metrics", stop)
         with pytest.raises(KeyboardInterrupt):
             optimize(once)
     asked["plans"].clear()

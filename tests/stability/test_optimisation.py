@@ -11,7 +11,7 @@ import jaxdr as jd
 from jaxdr.geometry import shapes
 from jaxdr.optimize import phase
 from jaxdr.optimize.folds import folded_share
-from jaxdr.optimize.loop import optimize
+from jaxdr.optimize.shape import optimize
 from tests.optimize.fake import render as fake_render
 from tests.optimize.test_loop import small_config
 from tests.stability.stage import cube, table

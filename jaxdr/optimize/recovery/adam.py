@@ -12,11 +12,10 @@ from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
 from jaxdr.optimize.devices import Device, Divided, divide
-from jaxdr.optimize.phase import view_gradient
+from jaxdr.optimize.phase import check_finite, items_of_step, view_gradient
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.recovery.config import Adam, Parameter, RecoveryConfig
-from jaxdr.optimize.recovery.problem import Latents, Problem, finite
+from jaxdr.optimize.recovery.problem import Latents, Problem
 
 
 class AdamState(NamedTuple):
@@ -69,16 +68,11 @@ class AdamSteps:
         """The state after a step, and its row of the metrics. Raises `NotFinite`."""
         key, views = jax.random.fold_in(self.key, iteration), self.problem.views
         chosen = views_of_step(len(views), self.options.views_per_step, iteration, self.seed)
-        items = [
-            (jnp.asarray(views[view], float), jnp.asarray(targets[view]), jax.random.fold_in(key, slot))
-            for slot, view in enumerate(chosen)
-        ]
+        items = items_of_step(jnp.asarray(views, float), targets, chosen, key)
         losses, parts = [], []
         found = self.gradients((self.problem.scene, state.latents), items)
         for view, (loss, part) in zip(chosen, found, strict=True):
-            wrong = [n for n, v in (("loss", loss), ("gradient", part)) if not finite(v)]
-            if wrong:
-                raise NotFinite(f"the {wrong[0]} of view {view} is not finite in step {iteration + 1}")
+            check_finite(view, loss, part, iteration + 1)
             losses.append(float(loss))
             parts.append(part)
         gradient = jax.tree.map(lambda *leaves: sum(leaves) / len(chosen), *parts)

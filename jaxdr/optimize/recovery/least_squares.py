@@ -13,9 +13,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.compilation import jit
 from jaxdr.optimize.devices import Device
+from jaxdr.optimize.phase import finite
 from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.recovery.config import LevenbergMarquardt, RecoveryConfig
-from jaxdr.optimize.recovery.problem import Latents, Problem, finite
+from jaxdr.optimize.recovery.problem import Latents, Problem
 from jaxdr.scene.scene import Scene
 
 MOST = 256  # numbers: a derivative image of every view is held for each

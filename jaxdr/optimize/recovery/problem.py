@@ -4,8 +4,6 @@ import difflib
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -152,8 +150,3 @@ def _placed(place: str, function: Callable, *arguments):
     except ValueError as problem:
         separator = "." if str(problem).split(":")[0].isidentifier() else ": "
         raise ValueError(f"{place}{separator}{problem}") from None
-
-
-def finite(tree) -> bool:
-    """Whether all numbers of a pytree of arrays are finite."""
-    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array)))

@@ -13,7 +13,7 @@ from PIL import Image
 import jaxdr as jd
 from jaxdr.cli import main
 from jaxdr.optimize.progress import Interrupted, Stopped
-from jaxdr.optimize.reconstruction import loop
+from jaxdr.optimize.reconstruction import reconstruct
 from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
 from jaxdr.views import pictures
 from tests.views.folders import SIZE, tell_apart, write_nerf
@@ -44,7 +44,7 @@ def config(folder, output, **changes) -> ReconstructConfig:
 @pytest.fixture(scope="module")
 def finished(folder, tmp_path_factory):
     output = tmp_path_factory.mktemp("out") / "whole"
-    return output, loop.reconstruct(config(folder, output))
+    return output, reconstruct.reconstruct(config(folder, output))
 
 
 def test_everything_is_there(folder, finished):
@@ -76,18 +76,18 @@ def test_everything_is_there(folder, finished):
 def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_path, monkeypatch):
     whole, summary = finished
     output = tmp_path / "parts"
-    step = loop._Run.step
+    step = reconstruct.ReconstructionTask.step
 
-    def press(self, stage, state, done):
+    def press(self, current, done, say):
         self.interruption.requested = done == 2  # in the first step of the second level
-        return step(self, stage, state, done)
+        return step(self, current, done, say)
 
-    monkeypatch.setattr(loop._Run, "step", press)
+    monkeypatch.setattr(reconstruct.ReconstructionTask, "step", press)
     with pytest.raises(Interrupted, match="stopped after step 3"):
-        loop.reconstruct(config(folder, output))
+        reconstruct.reconstruct(config(folder, output))
     assert (output / "asset.glb").exists() and list(output.glob("light.*")) and not (output / "metrics.json").exists()
-    monkeypatch.setattr(loop._Run, "step", step)
-    resumed = loop.reconstruct(config(folder, output), resume=True)
+    monkeypatch.setattr(reconstruct.ReconstructionTask, "step", step)
+    resumed = reconstruct.reconstruct(config(folder, output), resume=True)
     timeless = lambda d: {k: v for k, v in d.items() if not k.startswith("seconds")}  # noqa: E731
     assert timeless(resumed) == timeless(summary)
     one, other = np.load(whole / "checkpoint.npz"), np.load(output / "checkpoint.npz")
@@ -105,7 +105,7 @@ def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_p
     output, read = tmp_path / "streamed", []
     original = pictures.read_picture
     monkeypatch.setattr(pictures, "read_picture", lambda *files: (read.append(files), original(*files))[1])
-    loop.reconstruct(config(folder, output, memory={"pictures": 0.0}))
+    reconstruct.reconstruct(config(folder, output, memory={"pictures": 0.0}))
     assert len(read) > 5 * 8  # of eight pictures
     for name in ("asset.glb", "test/r_0.png", "test/r_1.png", "report.html", "pictures/00004.png"):
         assert (whole / name).read_bytes().replace(b"whole", b"") == (output / name).read_bytes(), name
@@ -114,16 +114,16 @@ def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_p
 def test_a_photograph_that_vanishes_is_told_with_the_checkpoint(folder, tmp_path, monkeypatch):
     photos = tmp_path / "photos"
     shutil.copytree(folder, photos)
-    step = loop._Run.step
+    step = reconstruct.ReconstructionTask.step
 
-    def unplug(self, stage, state, done):
-        result = step(self, stage, state, done)
+    def unplug(self, current, done, say):
+        result = step(self, current, done, say)
         shutil.rmtree(photos / "train", ignore_errors=True)
         return result
 
-    monkeypatch.setattr(loop._Run, "step", unplug)
+    monkeypatch.setattr(reconstruct.ReconstructionTask, "step", unplug)
     with pytest.raises(Stopped, match=r"r_\d\.png: there is no such file; the checkpoint of step 0 in .* is whole"):
-        loop.reconstruct(config(photos, tmp_path / "out", memory={"pictures": 0.0}))
+        reconstruct.reconstruct(config(photos, tmp_path / "out", memory={"pictures": 0.0}))
 
 
 def test_a_held_out_picture_that_cannot_be_read_is_told_before_the_start(tmp_path):
@@ -131,7 +131,7 @@ def test_a_held_out_picture_that_cannot_be_read_is_told_before_the_start(tmp_pat
     path = photos / "test" / "r_1.png"
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(ValueError, match=r"test/r_1\.png: not a readable PNG"):
-        loop.reconstruct(config(photos, tmp_path / "out"))
+        reconstruct.reconstruct(config(photos, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -139,16 +139,16 @@ def test_results_are_not_overwritten_unasked(folder, finished):
     output, _ = finished
     before = (output / "asset.glb").stat().st_mtime_ns
     with pytest.raises(ValueError, match="already holds results"):
-        loop.reconstruct(config(folder, output))
+        reconstruct.reconstruct(config(folder, output))
     with pytest.raises(ValueError, match="finished; there is nothing to resume"):
-        loop.reconstruct(config(folder, output), resume=True)
+        reconstruct.reconstruct(config(folder, output), resume=True)
     with pytest.raises(ValueError, match="seed was 0, is 1"):
-        loop.reconstruct(config(folder, output, seed=1), resume=True)
+        reconstruct.reconstruct(config(folder, output, seed=1), resume=True)
     assert (output / "asset.glb").stat().st_mtime_ns == before
 
 
 def test_without_masks_it_starts_from_a_sphere(tmp_path):
-    run = loop._Run(
+    run = reconstruct.ReconstructionTask(
         config(write_nerf(tmp_path, alpha=False), tmp_path / "out"), jd.load_views(tmp_path), jax.devices()[:1]
     )
     assert run.kind == "sphere"

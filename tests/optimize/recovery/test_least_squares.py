@@ -15,8 +15,8 @@ from jaxdr.optimize.progress import Interrupted
 from jaxdr.optimize.recovery import problem
 from jaxdr.optimize.recovery.config import LevenbergMarquardt, Parameter, RecoveryConfig, Report, SceneSource
 from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps, gaussian_filter
-from jaxdr.optimize.recovery.loop import recover
 from jaxdr.optimize.recovery.problem import build_problem
+from jaxdr.optimize.recovery.recover import recover
 
 SCENE = """<scene version="3.0.0">
     <sensor type="perspective" id="camera">

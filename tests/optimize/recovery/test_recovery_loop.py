@@ -16,7 +16,7 @@ from jaxdr.optimize.output import RunFolder
 from jaxdr.optimize.progress import Interrupted, NotFinite
 from jaxdr.optimize.recovery import problem
 from jaxdr.optimize.recovery.config import Adam, Parameter, RecoveryConfig, Report, SceneSource, TargetSource
-from jaxdr.optimize.recovery.loop import recover
+from jaxdr.optimize.recovery.recover import recover
 
 VERTICES, TEXELS = "object.vertices", "object.bsdf.reflectance.pixels"
 

@@ -1,28 +1,32 @@
-"""The loop of `jaxdr reconstruct`: from photographs with known cameras to a mesh with textures and the light."""
+"""Reconstruction: from photographs with known cameras to a mesh with textures and the light."""
 
-import time
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.checkpoint import Place
+from jaxdr.optimize.checkpoint import Checkpoint, Place
 from jaxdr.optimize.devices import Device, chosen_devices
+from jaxdr.optimize.phase import finite
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.processes import any_process, mesh_of_writer, run_in
-from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
+from jaxdr.optimize.processes import mesh_of_writer
+from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.reconstruction.asset import require_xatlas
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
+from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
 from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, next_unknowns
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
-from jaxdr.optimize.run_files import shown_if_possible
+from jaxdr.optimize.run import Say, Task, run
+from jaxdr.optimize.run_files import say, shown_if_possible
 from jaxdr.views.evaluate import require_skimage
 from jaxdr.views.load import load_views
 from jaxdr.views.reading import read_ahead
@@ -51,25 +55,29 @@ def reconstruct(
     require_skimage()
     require_xatlas()
     views = load_views(config.folder, holdout=config.holdout or None, keep=config.memory.pictures / 2)
-    run = _Run(config, views, chosen_devices(devices))
-    with run_in(run, resume, overwrite):
-        return run.run(resume)
+    return run(ReconstructionTask(config, views, chosen_devices(devices)), resume, overwrite)
 
 
 def _check(view: View) -> None:
     view.picture.read()
 
 
-class _Run:
-    """One call of `reconstruct`."""
+class Current(NamedTuple):
+    """A level, what a step changes, and what the last view of the last step showed, with its photograph."""
+
+    stage: Stage
+    state: State
+    picture: tuple[Float[np.ndarray, "H W 4"], Cut] | None = None
+
+
+class ReconstructionTask(Task[Current]):
+    """A call of `reconstruct`."""
+
+    name = "reconstruct"
 
     def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
-        self.config, self.views, self.devices = config, views, devices
-        self.fitted = views.fitted
-        self.folder = OutputFolder(config)
-        self.interruption = Interruption()
-        self.key = jax.random.key(config.seed)
-        self.clock = time.monotonic()
+        super().__init__(config, config.steps, devices)
+        self.folder, self.views, self.fitted = OutputFolder(config), views, views.fitted
         keep = int(config.memory.pictures / 2 * 2**30)
         self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)
         for _ in read_ahead(_check, views.held_out):  # now, not when all steps are done
@@ -81,33 +89,12 @@ class _Run:
         self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
         self.photos.pose = self.pose
 
-    def run(self, resume: bool) -> dict:
-        total = self.config.steps
-        done, stage, state = self.restored() if resume else self.fresh()
-        self.folder.start_metrics(done)
-        if done == 0:
-            self.save_checkpoint(stage, state, 0)  # from here on a run without a checkpoint has lost it
-        with Progress("reconstruct", total, done) as progress:
-            if not self.photos.masked:
-                progress.say(f"{self.config.folder}: there are no masks; the start is a {self.kind}, the sky is fitted")
-            while done < total:
-                if done == self.end_of(stage.number):
-                    stage, state = self.next_level(stage, state, done, progress)
-                stage.photographs.expect(self.coming_views(stage, done))
-                state, row, shown = self.step(stage, state, done)
-                done += 1
-                self.folder.add_metrics({**row, "step": done, "seconds": round(self.seconds(), 2)})
-                progress.step(loss=row["loss"], level=float(stage.number + 1))
-                if self.due(done, self.config.report.pictures):
-                    shown_if_possible(done, partial(self.folder.save_picture, done, *shown), progress.say)
-                stop = any_process(self.interruption.requested)
-                if self.due(done, self.config.report.checkpoint) or stop:
-                    self.save_checkpoint(stage, state, done)
-                if stop and done < total:
-                    progress.say("writing the asset as it is")
-                    save_asset(self.folder, self.result(stage, state), self.config.report.texture)
-                    raise Interrupted(f"stopped after step {done}; checkpoint in {self.folder.checkpoint}")
-        return self.finish(stage, state)
+    def begin(self, saved: Checkpoint | None) -> Current:
+        """The first level, or that of the checkpoint."""
+        stage, state = self.fresh() if saved is None else self.restored(saved)
+        if not self.photos.masked:
+            say(f"{self.config.folder}: there are no masks; the start is a {self.kind}, the sky is fitted")
+        return Current(stage, state)
 
     def coming_views(self, stage: Stage, done: int) -> list[int]:
         """Numbers of the views of the step after `done` ones, and of the next few steps of the level."""
@@ -119,19 +106,16 @@ class _Run:
         """Steps done when a level ends."""
         return sum(each.steps for each in self.config.levels[: level + 1])
 
-    def fresh(self) -> tuple[int, Stage, State]:
+    def fresh(self) -> tuple[Stage, State]:
         """The beginning."""
         level = self.config.levels[0]
         mesh = mesh_of_writer(lambda: remesh_to(self.surface, level.vertices).smooth())
         unknowns = first_unknowns(self.config, self.photos, mesh)
         stage = make_stage(self.config, self.photos, 0, 0, mesh, self.devices)
-        return 0, stage, stage.fresh(unknowns)
+        return stage, stage.fresh(unknowns)
 
-    def restored(self) -> tuple[int, Stage, State]:
-        """Steps done, stage and state of the checkpoint; the beginning where there is none yet."""
-        saved = self.folder.load_checkpoint()
-        if saved is None:
-            return self.fresh()
+    def restored(self, saved: Checkpoint) -> tuple[Stage, State]:
+        """Stage and state of a checkpoint."""
         place = saved.place
         mesh = Mesh(place.vertices, place.faces).smooth()
         stage = make_stage(self.config, self.photos, place.level, place.start, mesh, self.devices)
@@ -143,26 +127,29 @@ class _Run:
             jnp.zeros((rows, 2 * (rows - 1), 3)),
             jnp.zeros((len(self.fitted), 3)),
         )
-        self.clock -= place.seconds
-        return place.step, stage, saved.state(stage.fresh(template))
+        return stage, saved.state(stage.fresh(template))
 
-    def next_level(self, stage: Stage, state: State, done: int, progress: Progress) -> tuple[Stage, State]:
+    def next_level(self, stage: Stage, state: State, done: int, say: Say) -> tuple[Stage, State]:
         """The next level: another mesh and sky, optimisers that begin."""
         number = stage.number + 1
         level = self.config.levels[number]
         current, unknowns = stage.current_mesh(state), stage.unknowns(state)
         mesh, unknowns, problem = next_unknowns(self.config, self.photos, number, current, unknowns)
         if problem:
-            progress.say(f"after step {done}: kept the mesh as it was ({problem})")
-        progress.say(
+            say(f"after step {done}: kept the mesh as it was ({problem})")
+        say(
             f"after step {done}: level {number + 1} of {len(self.config.levels)}: {len(mesh.vertices)} vertices, "
             f"photographs of {level.resolution} pixels, a sky of {level.sky} rows"
         )
         stage = make_stage(self.config, self.photos, number, done, mesh, self.devices)
         return stage, stage.fresh(unknowns)
 
-    def step(self, stage: Stage, state: State, done: int) -> tuple[State, dict, tuple]:
-        """Mean gradient over the views of this step, and the move it causes; what the last of them shows."""
+    def step(self, current: Current, done: int, say: Say) -> tuple[Current, dict]:
+        """Go on to the next level, where it is time; then move along the mean gradient over the views of this step."""
+        stage, state, _ = current
+        if done == self.end_of(stage.number):
+            stage, state = self.next_level(stage, state, done, say)
+        stage.photographs.expect(self.coming_views(stage, done))
         count = min(self.config.levels[stage.number].views, len(self.fitted))
         chosen = views_of_step(len(self.fitted), count, done - stage.start, self.config.seed)
         key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), done)
@@ -174,13 +161,8 @@ class _Run:
         ]
         found = stage.gradient((mesh, unknowns), items)
         for view, (loss, gradient, _) in zip(chosen, found, strict=True):
-            finite = [np.isfinite(leaf).all() for leaf in jax.tree.leaves((loss, gradient))]
-            if not all(finite):
-                self.save_checkpoint(stage, state, done)
-                raise NotFinite(
-                    f"loss or gradient of {self.fitted[view].path} is not finite in step {done + 1}; the state before "
-                    f"that step is in {self.folder.checkpoint}"
-                )
+            if not finite((loss, gradient)):
+                raise NotFinite(f"loss or gradient of {self.fitted[view].path} is not finite in step {done + 1}")
             losses.append(float(loss))
             total = gradient if total is None else jax.tree.map(jnp.add, total, gradient)
         mean = jax.tree.map(lambda leaf: leaf / len(chosen), total)
@@ -190,18 +172,40 @@ class _Run:
             "vertices": len(mesh.vertices),
             "level": stage.number + 1,
         }
-        return stage.update(state, mean), row, (np.asarray(found[-1][2]), stage.photographs[chosen[-1]])
+        picture = np.asarray(found[-1][2]), stage.photographs[chosen[-1]]
+        return Current(stage, stage.update(state, mean), picture), row
 
-    def result(self, stage: Stage, state: State) -> Result:
-        """What was found, in the world of the cameras."""
-        return Result.of(stage.mesh, stage.unknowns(state), self.pose)
+    def shown(self, current: Current, row: dict) -> dict[str, float]:
+        """Loss, and the level counted from 1."""
+        return {"loss": row["loss"], "level": float(row["level"])}
 
-    def finish(self, stage: Stage, state: State) -> dict:
-        """Write the asset, judge it by the held-out photographs, write the report."""
-        result = self.result(stage, state)
+    def saved(self, current: Current, done: int) -> tuple[Place, State]:
+        """The mesh with which the level began, and the state of the optimisers."""
+        stage = current.stage
+        mesh = np.asarray(stage.mesh.vertices), np.asarray(stage.mesh.faces)
+        return Place(done, self.seconds(), stage.number, stage.start, stage.start, *mesh), current.state
+
+    def draw(self, current: Current, done: int, say: Say) -> None:
+        """What the last step saw; before the first one there is nothing."""
+        if current.picture is not None:
+            shown_if_possible(done, partial(self.folder.save_picture, done, *current.picture), say)
+
+    def save_asset(self, current: Current) -> Result:
+        """Write the asset and the light as they are; returns them in the world of the cameras."""
+        result = Result.of(current.stage.mesh, current.stage.unknowns(current.state), self.pose)
         save_asset(self.folder, result, self.config.report.texture)
+        return result
+
+    def stopped(self, current: Current, say: Say) -> None:
+        """Write the asset as it is."""
+        say("writing the asset as it is")
+        self.save_asset(current)
+
+    def finish(self, current: Current, done: int) -> dict:
+        """Write the asset, judge it by the held-out photographs, write the report."""
+        result = self.save_asset(current)
         summary = {
-            "steps": self.config.steps,
+            "steps": done,
             "seconds_fitting": round(self.seconds(), 2),
             "vertices": len(result.mesh.vertices),
             "start": self.kind,
@@ -211,16 +215,4 @@ class _Run:
         }
         summary |= judge(self.folder, result, self.views, self.config, jax.random.fold_in(self.key, PICTURES))
         summary["seconds"] = round(self.seconds(), 2)
-        self.folder.save_summary(summary)
         return summary
-
-    def due(self, done: int, interval: int) -> bool:
-        return done % interval == 0 or done == self.config.steps
-
-    def seconds(self) -> float:
-        return time.monotonic() - self.clock
-
-    def save_checkpoint(self, stage: Stage, state: State, done: int) -> None:
-        mesh = np.asarray(stage.mesh.vertices), np.asarray(stage.mesh.faces)
-        place = Place(done, self.seconds(), stage.number, stage.start, stage.start, *mesh)
-        self.folder.save_checkpoint(place, state)

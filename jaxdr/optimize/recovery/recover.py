@@ -1,7 +1,6 @@
-"""The loop of a recovery: targets, steps of a method, metrics, pictures, checkpoints."""
+"""Recovery of parameters: targets, steps of a method, and what is written of them."""
 
-import time
-from typing import Any, NoReturn
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,17 +8,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
-from jaxdr.optimize.checkpoint import Place
+from jaxdr.optimize.checkpoint import Checkpoint, Place
 from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.output import RunFolder, views_to_show
 from jaxdr.optimize.planned import planned
-from jaxdr.optimize.processes import any_process, run_in
-from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 from jaxdr.optimize.recovery.adam import AdamSteps
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.errors import Errors
 from jaxdr.optimize.recovery.least_squares import LeastSquaresSteps
 from jaxdr.optimize.recovery.problem import Problem, build_problem
+from jaxdr.optimize.run import Say, Task, run
 from jaxdr.optimize.run_files import shown_if_possible
 from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
@@ -45,22 +43,25 @@ def recover(
     - Raises `Interrupted` after Ctrl-C or SIGTERM, and `Stopped` where a checkpoint or result can't be written.
     - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
     """
-    run = _Run(config, chosen_devices(devices))
-    with run_in(run, resume, overwrite):
-        return run.run(resume)
+    return run(RecoveryTask(config, chosen_devices(devices)), resume, overwrite)
 
 
-class _Run:
-    """One call of `recover`."""
+class Current(NamedTuple):
+    """What a step of the method changes, and the targets of the views."""
+
+    state: Any
+    targets: Float[np.ndarray, "N H W 3"]
+
+
+class RecoveryTask(Task[Current]):
+    """A call of `recover`."""
 
     def __init__(self, config: RecoveryConfig, devices: list[Device]):
-        self.config, self.devices = config, devices
-        self.key = jax.random.key(config.seed)
+        super().__init__(config, config.optimizer.iterations, devices)
         self.set_problem(build_problem(config))
-        self.folder = RunFolder(config, ("iteration", *self.method.columns, "seconds", *self.errors.names))
+        columns = ("iteration", *self.method.columns, "seconds", *self.errors.names)
+        self.folder = RunFolder(config, columns, "recovery")
         self.plan: Plan | None = None
-        self.interruption = Interruption()
-        self.clock = time.monotonic()
 
     def set_problem(self, problem: Problem) -> None:
         """What is optimised, and all that is made for it."""
@@ -70,75 +71,58 @@ class _Run:
         self.errors = Errors(problem, self.config)
         self.image = jit(problem.image, static_argnums=4)
 
-    def plan_integrator(self, resume: bool) -> None:
+    def plan_integrator(self) -> None:
         """Where the config leaves the integrator to a plan: of derivatives of the scene at its start."""
         options, names = self.config.integrator, [parameter.name for parameter in self.config.parameters]
         scene, spp = self.problem.scene.replace(self.problem.values(self.problem.start())), self.config.samples.gradient
         key = jax.random.fold_in(self.key, PLAN)
-        self.plan = planned(options, scene, names, spp, key, self.folder, resume)
+        self.plan = planned(options, scene, names, spp, key, self.folder)
         if self.plan is not None:
             self.set_problem(self.problem._replace(integrator=self.plan.integrator))
 
-    def run(self, resume: bool) -> dict:
-        total = self.config.optimizer.iterations
+    def begin(self, saved: Checkpoint | None) -> Current:
+        """With the targets; a method may look at them before its first step."""
         if self.config.integrator.planned:
-            self.plan_integrator(resume)
-        targets = self.targets(resume)
-        saved = self.folder.load_checkpoint() if resume else None
-        if saved is not None:
-            state, iteration = saved.state(self.method.template(targets)), saved.place.step
-            self.clock -= saved.place.seconds
-        else:
-            state, iteration = self.method.fresh(targets), 0
-        self.folder.start_metrics(iteration)
-        if iteration == 0:
-            self.save_checkpoint(state, 0)  # from here on a run without a checkpoint has lost it
-            self.save_pictures(state, targets, 0)
+            self.plan_integrator()
+        targets = self.targets()
+        state = self.method.fresh(targets) if saved is None else saved.state(self.method.template(targets))
+        return Current(state, targets)
 
-        with Progress("optimise", total, iteration) as progress:
-            while iteration < total and not self.method.done(state):
-                try:
-                    after, row = self.method.step(state, targets, iteration)
-                except NotFinite as problem:
-                    self.stop(state, iteration, problem)
-                state, iteration = after, iteration + 1
-                last = iteration == total or self.method.done(state)
-                if last or iteration % self.config.report.errors == 0:
-                    row |= self.errors(self.method.latents(state))
-                self.folder.add_metrics({**row, "iteration": iteration, "seconds": round(self.seconds(), 2)})
-                progress.step(**{name: row[name] for name in self.method.columns})
-                if last or iteration % self.config.report.pictures == 0:
-                    self.save_pictures(state, targets, iteration)
-                stop = any_process(self.interruption.requested)
-                if last or iteration % self.config.report.checkpoint == 0 or stop:
-                    self.save_checkpoint(state, iteration)
-                if stop and not last:
-                    raise Interrupted(f"stopped after step {iteration}; checkpoint in {self.folder.checkpoint}")
-        return self.finish(state, targets, iteration)
+    def step(self, current: Current, done: int, say: Say) -> tuple[Current, dict]:
+        """A step of the method; now and then, and in the end, the errors of its result."""
+        state, row = self.method.step(current.state, current.targets, done)
+        after = current._replace(state=state)
+        if self.last(after, done + 1) or (done + 1) % self.config.report.errors == 0:
+            row |= self.errors(self.method.latents(state))
+        return after, row
 
-    def stop(self, state: Any, iteration: int, problem: NotFinite) -> NoReturn:
-        """Keep the state before a step that failed, and say so."""
-        self.save_checkpoint(state, iteration)
-        raise NotFinite(f"{problem}; the state before that step is in {self.folder.checkpoint}") from None
+    def last(self, current: Current, done: int) -> bool:
+        """Whether the method has done all iterations, or would do no more."""
+        return done == self.steps or self.method.done(current.state)
 
-    def save_checkpoint(self, state: Any, iteration: int) -> None:
-        self.folder.save_checkpoint(Place(iteration, self.seconds()), state)
+    def shown(self, current: Current, row: dict) -> dict[str, float]:
+        """What the method says of a step."""
+        return {name: row[name] for name in self.method.columns}
 
-    def targets(self, resume: bool) -> Float[np.ndarray, "N H W 3"]:
+    def saved(self, current: Current, done: int) -> tuple[Place, Any]:
+        """The state of the method."""
+        return Place(done, self.seconds()), current.state
+
+    def targets(self) -> Float[np.ndarray, "N H W 3"]:
         """Target views: read, rendered, or read back when a run is resumed."""
         images, scene, spp = self.problem.images, self.problem.target, self.config.samples.target
         if images is None:
             image, key = jit(self.problem.target_image, static_argnums=3), jax.random.fold_in(self.key, TARGETS)
             images = rendered(lambda *view: image(scene, *view, spp), self.poses(), key, self.interruption)
-        return target_views(self.folder, resume, images)
+        return target_views(self.folder, images)
 
-    def finish(self, state: Any, targets, iteration: int) -> dict:
-        """Write result and summary."""
-        before, after = self.problem.start(), self.method.latents(state)
+    def finish(self, current: Current, done: int) -> dict:
+        """Write the values that were found."""
+        before, after, targets = self.problem.start(), self.method.latents(current.state), current.targets
         errors = [self.errors(latents) for latents in (before, after)]
         values = {name: np.asarray(value) for name, value in self.problem.values(after).items()}
         summary = {
-            "iterations": iteration,
+            "iterations": done,
             "seconds": round(self.seconds(), 2),
             "loss_initial": self.loss(before, targets),
             "loss_final": self.loss(after, targets),
@@ -149,11 +133,7 @@ class _Run:
         if self.plan is not None:
             summary["plan"] = self.plan.to_dict()
         self.folder.save_values(values)
-        self.folder.save_summary(summary)
         return summary
-
-    def seconds(self) -> float:
-        return time.monotonic() - self.clock
 
     def poses(self) -> Float[Array, "N 4 4"]:
         return jnp.asarray(self.problem.views, float)
@@ -164,22 +144,20 @@ class _Run:
         images = [self.image(self.problem.scene, latents, pose, key, spp) for pose in self.poses()]
         return float(((np.stack(images) - targets) ** 2).mean())
 
-    def save_pictures(self, state: Any, targets, iteration: int) -> None:
-        latents = self.method.latents(state)
+    def draw(self, current: Current, done: int, say: Say) -> None:
+        """A grid of some views; meshes and textures that are recovered."""
+        latents, scene, spp = self.method.latents(current.state), self.problem.scene, self.config.samples.pictures
         shown = views_to_show(self.config.report.views, len(self.problem.views))
         poses, key = self.poses(), jax.random.fold_in(self.key, PICTURES)
-        images = np.stack(
-            [self.image(self.problem.scene, latents, poses[view], key, self.config.samples.pictures) for view in shown]
-        )
+        images = np.stack([self.image(scene, latents, poses[view], key, spp) for view in shown])
 
         def save():
-            self.folder.save_grid(iteration, targets[shown], images)
+            self.folder.save_grid(done, current.targets[shown], images)
             for name, value in self.problem.values(latents).items():
                 name, _, what = name.rpartition(".")
                 if what == "vertices":
-                    mesh = self.problem.scene.shapes[name].mesh.with_vertices(value)
-                    self.folder.save_mesh(f"{iteration:05d}.{name}", mesh)
+                    self.folder.save_mesh(f"{done:05d}.{name}", scene.shapes[name].mesh.with_vertices(value))
                 elif what == "pixels":
-                    self.folder.save_texture(f"{iteration:05d}.{name}", np.asarray(value))
+                    self.folder.save_texture(f"{done:05d}.{name}", np.asarray(value))
 
-        shown_if_possible(iteration, save)
+        shown_if_possible(done, save, say)
