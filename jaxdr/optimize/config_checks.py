@@ -14,7 +14,7 @@ def require(condition: bool, key: str, rule: str, value) -> None:
 
 
 def at_least(least: int, of: Any, *keys: str) -> None:
-    """Raise ValueError for the first field of a dataclass that is less; without `keys` all fields are asked."""
+    """Raise ValueError for the first field of a dataclass that is less, of those in `keys`; of all without `keys`."""
     for key, value in _values(of, keys):
         require(value >= least, key, f"must be at least {least}", value)
 

@@ -41,10 +41,8 @@ def optimize(
     number derives from the seed and the iteration. So a run that was interrupted and is resumed ends with the same
     bits.
 
-    - Raises ValueError for a config that can't be run, an output folder in use, or too few devices.
-    - Raises ImportError before the start, where remeshing is asked for and not installed.
-    - Raises `Interrupted` after Ctrl-C or SIGTERM, and `Stopped` where a checkpoint or result can't be written.
-    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    Raises as `jaxdr.optimize.run.run` does; ValueError for a config that can't be run, or too few devices; ImportError
+    before the start, where remeshing is asked for and not installed.
     """
     beside = ThreadPoolExecutor(1, "jaxdr ahead")
     try:
@@ -118,7 +116,6 @@ class ShapeTask(Task[Current]):
             self.problem = self.problem._replace(integrator=self.plan.integrator)
 
     def fresh(self) -> tuple[Phase, State]:
-        """The beginning."""
         phase = make_phase(self.config, self.programs[0], self.initial, 0)
         return phase, phase.fresh_state()
 
@@ -220,7 +217,6 @@ class ShapeTask(Task[Current]):
         return gradient, row
 
     def shown(self, current: Current, row: dict) -> dict[str, float]:
-        """Loss, size of the gradient, and the Chamfer distance as it was when it was measured."""
         return {"loss": row["loss"], "gradient": row["gradient_norm"], "chamfer": current.distance}
 
     def after(self, current: Current, done: int, row: dict, say: Say) -> Current:
@@ -272,7 +268,6 @@ class ShapeTask(Task[Current]):
         return Place(done, self.seconds(), phase.level, phase.since, phase.start, *mesh), current.state
 
     def draw(self, current: Current, done: int, say: Say) -> None:
-        """A grid of some views, and the mesh."""
         phase = current.phase
         shown = views_to_show(self.config.report.views, self.config.cameras.views)
         mesh, key = phase.current_mesh(current.state), jax.random.fold_in(self.key, PICTURES)

@@ -45,11 +45,9 @@ def reconstruct(
     `devices`: how many of JAX's devices share the work, by default all, those of other processes too. Every random
     number derives from the seed and the step. So a run that was interrupted and is resumed ends with the same bits.
 
-    - Raises ValueError for photographs or settings that can't be used, an output folder in use, or too few devices.
-    - Raises ImportError before the start, where an optional package is missing.
-    - Raises `Interrupted` after Ctrl-C or SIGTERM; checkpoint, asset and light are written before.
-    - Raises `Stopped` where a checkpoint or result can't be written, or a photograph can't be read any more.
-    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    Raises as `jaxdr.optimize.run.run` does (before `Interrupted` asset and light are written, too); ValueError for
+    photographs or settings that can't be used, or too few devices; ImportError before the start, where an optional
+    package is missing.
     """
     require_gpytoolbox()
     require_skimage()
@@ -98,16 +96,19 @@ class ReconstructionTask(Task[Current]):
 
     def coming_views(self, stage: Stage, done: int) -> list[int]:
         """Numbers of the views of the step after `done` ones, and of the next few steps of the level."""
-        count, steps = len(self.fitted), range(done, min(done + 1 + STEPS_AHEAD, self.end_of(stage.number)))
-        size = min(self.config.levels[stage.number].views, count)
-        return [v for step in steps for v in views_of_step(count, size, step - stage.start, self.config.seed)]
+        steps = range(done, min(done + 1 + STEPS_AHEAD, self.end_of(stage.number)))
+        return [view for step in steps for view in self.views_of(stage, step)]
+
+    def views_of(self, stage: Stage, done: int) -> list[int]:
+        """Numbers of the views of one step."""
+        size = min(self.config.levels[stage.number].views, len(self.fitted))
+        return views_of_step(len(self.fitted), size, done - stage.start, self.config.seed)
 
     def end_of(self, level: int) -> int:
         """Steps done when a level ends."""
         return sum(each.steps for each in self.config.levels[: level + 1])
 
     def fresh(self) -> tuple[Stage, State]:
-        """The beginning."""
         level = self.config.levels[0]
         mesh = mesh_of_writer(lambda: remesh_to(self.surface, level.vertices).smooth())
         unknowns = first_unknowns(self.config, self.photos, mesh)
@@ -150,8 +151,7 @@ class ReconstructionTask(Task[Current]):
         if done == self.end_of(stage.number):
             stage, state = self.next_level(stage, state, done, say)
         stage.photographs.expect(self.coming_views(stage, done))
-        count = min(self.config.levels[stage.number].views, len(self.fitted))
-        chosen = views_of_step(len(self.fitted), count, done - stage.start, self.config.seed)
+        chosen = self.views_of(stage, done)
         key = jax.random.fold_in(jax.random.fold_in(self.key, STEPS), done)
         unknowns, mesh = stage.unknowns(state), stage.mesh
         losses, total = [], None
@@ -176,7 +176,6 @@ class ReconstructionTask(Task[Current]):
         return Current(stage, stage.update(state, mean), picture), row
 
     def shown(self, current: Current, row: dict) -> dict[str, float]:
-        """Loss, and the level counted from 1."""
         return {"loss": row["loss"], "level": float(row["level"])}
 
     def saved(self, current: Current, done: int) -> tuple[Place, State]:

@@ -39,9 +39,7 @@ def recover(
     number derives from the seed and the iteration. So a run that was interrupted and is resumed ends with the same
     bits.
 
-    - Raises ValueError for a config that can't be run, a folder in use, or too few devices.
-    - Raises `Interrupted` after Ctrl-C or SIGTERM, and `Stopped` where a checkpoint or result can't be written.
-    - Raises `NotFinite` rather than go on with NaN, and `ProcessLost`.
+    Raises as `jaxdr.optimize.run.run` does, and ValueError for a config that can't be run, or too few devices.
     """
     return run(RecoveryTask(config, chosen_devices(devices)), resume, overwrite)
 
@@ -101,11 +99,9 @@ class RecoveryTask(Task[Current]):
         return done == self.steps or self.method.done(current.state)
 
     def shown(self, current: Current, row: dict) -> dict[str, float]:
-        """What the method says of a step."""
         return {name: row[name] for name in self.method.columns}
 
     def saved(self, current: Current, done: int) -> tuple[Place, Any]:
-        """The state of the method."""
         return Place(done, self.seconds()), current.state
 
     def targets(self) -> Float[np.ndarray, "N H W 3"]:
