@@ -46,7 +46,7 @@ class ChartFolder:
         open_results(self.path, self.config, resume, overwrite, "chart", "chart.json", free)
 
     def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """The array in `references/`. `make` makes it if the file does not exist. Raises ValueError for a damaged file."""
+        """The array in `references/`; `make` makes it if there is no file. Raises ValueError for a damaged file."""
         path = self._file("references", f"{name}.npy")
         if not path.exists():
             array = make()

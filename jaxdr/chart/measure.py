@@ -26,7 +26,7 @@ STATUS = Path("/proc/self/status")
 
 
 class Program(NamedTuple):
-    """A compiled function of (t, key), the seconds that tracing and compilation took, and the bytes of XLA's buffers."""
+    """A compiled function of (t, key), the seconds that tracing and compilation took, and bytes of XLA's buffers."""
 
     call: Callable[..., Any]
     compile_seconds: float
@@ -55,7 +55,7 @@ class Line:
         return compiled(derivative, self._place(0.0), jax.random.key(0))
 
     def vertices(self, spp: int) -> Program:
-        """Program (t, key) -> gradient of <residual, image> by the vertices, at t; see `jaxdr.chart.config.Vertices`."""
+        """Program (t, key) -> gradient at t of <residual, image> by the vertices; see `jaxdr.chart.config.Vertices`."""
         residual = jnp.asarray(self.residual, self.dtype)
 
         def gradient(t, key):

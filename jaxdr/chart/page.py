@@ -54,7 +54,7 @@ class Section(NamedTuple):
 
 
 def page(title: str, about: Sequence[str], sections: Sequence[Section]) -> str:
-    """The page as HTML. The colours of a scene's images end at the 99th percentile of the first one's absolute values."""
+    """The page as HTML. The colours of a scene's images end at the 99th percentile of its first image's values."""
     parts = [f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style>"]
     parts.append(f"<h1>{html.escape(title)}</h1>")
     parts += [f"<p class='note'>{html.escape(line)}</p>" for line in about]

@@ -1,4 +1,4 @@
-"""Mitsuba's projective integrators as lines of the chart. They need the extra `peers`, and an LLVM that Dr.Jit finds."""
+"""Mitsuba's projective integrators as lines of the chart. They need the extra `peers`, and an LLVM for Dr.Jit."""
 
 import importlib.util
 import time

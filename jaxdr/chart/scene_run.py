@@ -169,7 +169,7 @@ class SceneRun:
         return call, {"compile_seconds": max(first - second, 0.0)}
 
     def _calls(self, cells: list[Cell]) -> None:
-        """Call all cells in turns, so that noise of the machine hits all of them. Each round begins with another cell."""
+        """Call all cells in turns, so that noise of the machine hits all. Each round begins with another cell."""
         keys = range(self.config.keys)
         missing = {cell for cell in cells if not all(self.folder.has_call(cell, k) for k in keys)}
         if not missing:

@@ -15,7 +15,7 @@ class SceneFileError(ValueError):
 
 
 class Severity(enum.Enum):
-    """Mistakes are errors. Unsupported things are errors, or warnings if that is asked for. Harmless ones are warnings."""
+    """Mistakes are errors, harmless things are warnings. Unsupported things are errors, or warnings if asked for."""
 
     MISTAKE = 0
     UNSUPPORTED = 1

@@ -39,7 +39,7 @@ class SerializedMesh(NamedTuple):
 
 
 def read_serialized(path: Path, index: int) -> SerializedMesh:
-    """One mesh of a file. Raises `ValueError` for an index out of range, and for a damaged file or one of another kind."""
+    """One mesh of a file. Raises `ValueError` for an index out of range, a damaged file, and one of another kind."""
     with path.open("rb") as file:
         try:
             version = _version(file)
