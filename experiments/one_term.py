@@ -1,4 +1,4 @@
-"""A term of the derivative by itself: no paths, no other terms, and what it prepares is made once."""
+"""One term of the derivative alone, without paths and without other terms. What it prepares is made once."""
 
 import jax
 import jax.numpy as jnp

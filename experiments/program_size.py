@@ -1,4 +1,4 @@
-"""How large a program is: equations of a jaxpr, operations of what is lowered, places that call a ray query."""
+"""The size of a program: equations of its jaxpr, operations of the lowered module, places that call a ray query."""
 
 import re
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
-"""Where the time of a forward image goes: one bounce taken apart, its pieces timed as programs of their own.
+"""Where the time of a forward image goes: the pieces of one bounce are timed as programs of their own.
 
-The pieces get what they get in the path tracer: a block of first hits that scatter, and directions, emitter samples and
-hits that come from them.
+Their inputs are those of the path tracer: a block of first hits that scatter, and the directions, emitter samples and
+hits that follow from them.
 """
 
 import statistics

@@ -1,9 +1,10 @@
-"""Noise of derivatives by light that narrow lobes send to a diffuse surface, of versions of the library.
+"""Noise of derivatives under light that narrow lobes send to a diffuse surface, by several versions of the library.
 
     python -m experiments.narrow_lobes.run --versions before=CHECKOUT after=.
 
-A diffuse ball moves over a floor that is a rough mirror. Each version answers in a process of its own: projections of
-its derivative images on central differences of other keys, their spread, and processor seconds of a call.
+A diffuse ball moves over a floor that is a rough mirror. Each version answers in a process of its own. It gives the
+projections of its derivative images on central differences with other keys, their spread, and processor seconds of a
+call.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""How wrong the estimators are that `jaxdr.plan` chooses among, from measured cells."""
+"""How wrong the estimators are among which `jaxdr.plan` chooses, from measured cells."""
 
 from typing import NamedTuple
 

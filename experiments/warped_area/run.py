@@ -1,4 +1,4 @@
-"""Material form or sphere, and which distance function: Fig. 12, 13 and 18 of Xu et al. 2023, small.
+"""Material or spherical form, and which distance function: small versions of Fig. 12, 13 and 18 of Xu et al. 2023.
 
     python -m experiments.warped_area.run star
     python -m experiments.warped_area.run chess
