@@ -7,7 +7,7 @@ from jax.extend import core
 
 
 def equations(jaxpr: core.Jaxpr) -> Iterator[core.JaxprEqn]:
-    """Every equation, those of the jaxprs inside (loops, branches, calls) as often as they occur."""
+    """All equations of a jaxpr, and of the jaxprs inside it (loops, branches, calls), as often as they occur."""
     for equation in jaxpr.eqns:
         yield equation
         for inside in _jaxprs(tuple(equation.params.values())):

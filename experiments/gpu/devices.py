@@ -53,10 +53,10 @@ def measure(case: str, size: int, spp: int, chunk_size: int) -> dict:
 
 
 def agreement(a, b) -> dict:
-    """Of two stacks of pictures of the same keys: their difference over the noise of one, and ratio of the means.
+    """How well two stacks of pictures agree that have the same keys.
 
-    `difference` is a root mean square over pixels, divided by the standard deviation of a pixel over keys. 1.4 would be
-    that of independent pictures. `projection` of the mean of b on that of a.
+    `difference` is the root mean square of their difference over pixels, divided by the standard deviation of a pixel
+    over keys. Independent pictures have 1.4. `projection` is that of the mean of b on the mean of a.
     """
     noise = np.sqrt(a.var(0, ddof=1).mean())
     means = a.mean(0), b.mean(0)

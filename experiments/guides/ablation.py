@@ -71,7 +71,7 @@ def line(case, guide, sampling, order, segments):
 
 
 def remeshed(case):
-    """The same with edges in long chains."""
+    """The same scene with a moving mesh whose edges form long chains."""
     import jaxdr as jd
 
     mesh = case.scene.shapes[case.shape].mesh

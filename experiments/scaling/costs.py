@@ -100,7 +100,7 @@ def array_bytes(vertex_count: int) -> dict:
 
 
 def structure_bytes(kind: str, vertex_count: int, copies: int) -> float:
-    """Bytes a face by which this process grows when structures are built over moved copies of a sphere.
+    """Bytes per face by which this process grows when structures are built over moved copies of a sphere.
 
     `kind`: "embree", or one of those of Warp.
     """

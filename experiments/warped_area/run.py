@@ -37,7 +37,7 @@ COLUMNS = {
 
 
 def estimators(settings: dict) -> dict:
-    """By the names in tables."""
+    """The estimators by their names in the tables."""
     sigma0 = float(settings["sigma0"])
     return {
         "WarpedArea": jd.WarpedArea(sigma0=sigma0),

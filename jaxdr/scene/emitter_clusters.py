@@ -31,7 +31,7 @@ class EmitterClusters(eqx.Module):
     - `face`: the m faces of every leaf; `cdf`: their cumulative probabilities within the leaf.
     - `leaf`: the leaf of every face of the scene, 0 for faces that do not glow; `density`: the probability per area
       of points on a face, within its leaf, 0 for faces that do not glow.
-    - `power`: the share of each node in all power; `radiance`: the luminance of its mean radiance.
+    - `power`: the share of each node in all power; `radiance`: its power per area.
     - `centre`, `radius`: a sphere around the faces of each node.
     - `axis`, `cosine` (of the half-angle): a cone around the normals of each node.
     """

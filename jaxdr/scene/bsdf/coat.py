@@ -113,7 +113,7 @@ def compute_transmittance(distribution: str, alpha, eta, cosine, nodes=(40, 24))
 
 
 def compute_tables() -> dict[str, Any]:
-    """All tables, in float32, computed in float64. It takes minutes."""
+    """All tables, in float32, computed in float64. It takes about a minute."""
     tables: dict[str, Any] = {}
     nodes, weights = np.polynomial.legendre.leggauss(300)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights

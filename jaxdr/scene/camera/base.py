@@ -35,8 +35,8 @@ class Camera(eqx.Module):
     def blur(self, local: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """How far (pixels) points in the frame move on the film as the lens point goes from the centre to the rim.
 
-        It is positive where they move along with the lens point, and negative where they move against it. For lens
-        points in between they move in proportion.
+        It is positive for points closer than the plane of focus, and negative for points beyond it. For lens points in
+        between they move in proportion.
         """
         raise NotImplementedError(f"{type(self).__name__} has no aperture")
 

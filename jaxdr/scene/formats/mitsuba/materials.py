@@ -115,7 +115,7 @@ def _two_lobes(properties: Properties) -> dict[str, Any]:
 
 
 def _lobes(properties: Properties, names: tuple[str, ...]) -> dict[str, Any]:
-    """Those of these lobes of the principled model that have an effect."""
+    """The lobes of the principled model with these names, as far as they have an effect."""
     lobes = {name: textured_number(properties, name, 0.0) for name in names}
     lobes = {name: value for name, value in lobes.items() if isinstance(value, Texture) or value != 0}
     return {name: value for name, value in lobes.items() if DETAILS.get(name, name) in lobes}
