@@ -213,7 +213,7 @@ class ChartConfig:
         _check_ladder(self.peer_samples, "peer_samples")
         require(self.positions >= 1, "positions", "must be at least 1", self.positions)
         good = self.keys >= 2 * self.positions and self.keys % self.positions == 0
-        require(good, "keys", f"must be a multiple of positions = {self.positions}, and twice it at least", self.keys)
+        require(good, "keys", f"must be a multiple of positions = {self.positions}, and at least twice it", self.keys)
         require(self.budget > 0, "budget", "must be positive", self.budget)
         require(self.terms >= 0, "terms", "must not be negative", self.terms)
         for key, names in (

@@ -57,7 +57,7 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
         panel.axhspan(min(low, noise / 2), noise, color="0.88", zorder=0, label="noise of the reference")
         panel.set_ylim(min(low, noise / 2), max(high, noise * 1.2))
     what = "gradient by vertices" if prefix else "derivative image"
-    panel.set(title=title, xlabel=f"seconds a {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
+    panel.set(title=title, xlabel=f"seconds per {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
     panel.grid(True, which="major", alpha=0.3)
     panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
     figure.tight_layout()

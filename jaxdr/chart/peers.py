@@ -23,7 +23,7 @@ def require_mitsuba() -> None:
         mi.Float(0.0) + 1  # pyright: ignore  the library is loaded when it is first used
     except Exception as problem:
         first = (str(problem).splitlines() or [""])[0]
-        raise ImportError(f"peers = true: Mitsuba finds no LLVM ({first}); set DRJIT_LIBLLVM_PATH to it") from None
+        raise ImportError(f"peers = true: Mitsuba finds no LLVM ({first}); set DRJIT_LIBLLVM_PATH") from None
     mi.set_log_level(mi.LogLevel.Error)
 
 

@@ -145,5 +145,5 @@ def _about(config: ChartConfig) -> list[str]:
         "Errors are of one call, relative to the root mean square of the reference; hollow points lie in its noise.",
     ]
     if config.peers:
-        lines.append("Mitsuba's times hold the update of its scene; its 'compile' is what a first call takes longer.")
+        lines.append("Mitsuba's times hold the update of its scene; its 'compile' is the extra time of a first call.")
     return lines

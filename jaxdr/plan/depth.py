@@ -51,7 +51,7 @@ class DepthChoice(NamedTuple):
         what = f"depth: {self.max_depth} segments; longer paths, up to {deepest}, carry {left}"
         if self.reached:
             return f"{what}, within {self.tolerance:.1%}"
-        return f"{what}; whether that is within {self.tolerance:.1%} the pilot's noise hides"
+        return f"{what}; the pilot's noise hides whether that is within {self.tolerance:.1%}"
 
 
 def choose_depth(scene: Scene, along: Direction, tolerance: float, key: PRNGKeyArray) -> DepthChoice:

@@ -36,7 +36,7 @@ class StaticLook(NamedTuple):
             f"textures: {', '.join(self.textures) or 'none'}",
         ]
         if not moving.any:
-            found.append(f"edges: none of {self.edges:,} carries a derivative, for nothing moves: no boundary terms")
+            found.append(f"edges: nothing moves, so none of {self.edges:,} carries a derivative: no boundary terms")
             return found
         shapes = f"{sum(moving.shapes)} of {len(moving.shapes)} shapes"
         what = "the camera" if moving.camera else shapes
@@ -45,7 +45,7 @@ class StaticLook(NamedTuple):
         found.append(f"edges: {what} move: {self.film_edges:,} of {self.edges:,} edges can move in the image")
         if self.still_edges and any(moving.seen):
             found.append(
-                f"edges behind the first hit: the {self.still_edges:,} of what stands still count only for path "
+                f"edges behind the first hit: the {self.still_edges:,} edges of what stands still count only for path "
                 "segments that end on something that moves"
             )
         return found

@@ -154,8 +154,8 @@ def _check_textures(name: str, shape: Shape) -> None:
     mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
     if bsdf.tangential and mesh.uvs is None:
         raise ValueError(
-            f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs "
-            "that tell their axes"
+            f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs, "
+            "which define their axes"
         )
     for field, texture in [(field, part) for field, whole in textures_of(shape) for part in whole.parts]:
         owner = f"Scene: {name}.{field}, a {type(texture).__name__},"

@@ -32,7 +32,7 @@ def read_light(document: Document, node: Node, light: dict, problems: Problems) 
         power = numbers(light, "color", (1.0, 1.0, 1.0)) * light.get("intensity", 1.0)
         position, along = node.to_world[:3, 3], -node.to_world[:3, 2]
         if "range" in light:
-            problems.note(f"{place}: range has no effect; its light falls off with the squared distance alone")
+            problems.note(f"{place}: range has no effect; its light falls off only with the squared distance")
         if light["type"] == "point":
             return PointLight(position, power)
         if light["type"] == "directional":

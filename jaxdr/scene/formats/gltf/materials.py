@@ -80,7 +80,7 @@ def unsupported_at(document: Document, material: dict, attributes: dict, colors_
     if colors_vary and material.get("alphaMode") == "MASK":
         has_alpha = document.item("accessors", attributes["COLOR_0"], "COLOR_0")["type"] == "VEC4"
         if has_alpha and "baseColorTexture" in usable_textures(document, material, attributes):
-            yield "alphaMode MASK: alpha of vertices on a texture is not supported; the texture's alone counts"
+            yield "alphaMode MASK: alpha of vertices on a texture is not supported; only the texture's counts"
 
 
 class Materials:
@@ -155,7 +155,7 @@ class Materials:
             metallic = glass.metallic
         strength = material.get("extensions", {}).get(SPECULAR, {}).get("specularFactor", 1.0)
         if strength not in (0, 1):
-            self.problems.note(f"{label}: {SPECULAR}: specularFactor scales the reflection at normal incidence alone")
+            self.problems.note(f"{label}: {SPECULAR}: specularFactor scales only the reflection at normal incidence")
         opaque = Principled(base, metallic, roughness, min(_reflectance(material) / BRIGHTEST, 1.0) * strength)
         if not glass.there:
             return opaque

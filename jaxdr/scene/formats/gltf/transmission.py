@@ -94,7 +94,7 @@ def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
     if not thick and material.get("doubleSided", False) and (_factor(material) < 1 or both or metal):
         yield f"{TRANSMISSION}: a pane that is glass in part is not supported on two sides; behind the rest is black"
     if extensions.get(SPECULAR, {}).get("specularFactor", 1.0) != 1:
-        yield f"{SPECULAR}: specularFactor of glass is not supported; its index alone counts"
+        yield f"{SPECULAR}: specularFactor of glass is not supported; only its index counts"
     volume = extensions.get(VOLUME, {})
     if volume.get("attenuationDistance", np.inf) != np.inf and volume.get("attenuationColor", [1, 1, 1]) != [1, 1, 1]:
         yield f"{VOLUME}: absorption inside is not supported; it is left out"

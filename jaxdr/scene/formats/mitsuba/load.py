@@ -102,7 +102,7 @@ def _read_integrator(element: Element) -> None:
     if element.type in INTEGRATORS or element.type in NO_LIGHT or "type" not in element.attributes:
         read_plugin(element, INTEGRATORS, "it has no effect")
         return
-    element.harmless(f"unknown type {element.type!r}: it has no effect, jaxdr.render is given an integrator of its own")
+    element.harmless(f"unknown type {element.type!r}: it has no effect, jaxdr.render takes an integrator of its own")
     hidden = next((child for child in element.children if child.attributes.get("name") == "hide_emitters"), None)
     if hidden is not None and hidden.attributes.get("value", "").lower() == "true":
         element.unsupported("hide_emitters is not supported", "emitters stay visible")

@@ -78,7 +78,7 @@ def _roughness(properties: Properties) -> dict[str, Any]:
 def _isotropic(properties: Properties) -> dict[str, Any]:
     found = _roughness(properties)
     if "alpha_v" in found:
-        raise ValueError("alpha_u and alpha_v must be equal: this coat is as rough in all directions")
+        raise ValueError("alpha_u and alpha_v must be equal: this coat is equally rough in all directions")
     return found
 
 
