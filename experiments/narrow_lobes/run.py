@@ -4,7 +4,7 @@
 
 `floor 0.1`: a diffuse ball moves over a floor that is a mirror of roughness 0.1 (depth 3). `lens`: a board moves behind
 a glass lens, and the camera sees it through the lens (depth 4). Each version answers in a process of its own. Rows have
-projections of its derivative images on central differences of other keys, their spread, and processor seconds of a call.
+projections of its derivative images on central differences of other keys, their spread, and processor seconds a call.
 """
 
 import json
