@@ -16,7 +16,7 @@ def require_mitsuba() -> None:
     """Raises ImportError, which says what to install, if Mitsuba is missing or finds no LLVM."""
     if importlib.util.find_spec("mitsuba") is None:
         raise ImportError('peers = true needs Mitsuba, which is optional: pip install "jaxdr[peers]"')
-    import mitsuba as mi
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     try:
         mi.set_variant("llvm_ad_rgb")
@@ -31,8 +31,8 @@ class PeerLine:
     """One of Mitsuba's integrators on one scene: `direct_projective` for direct light, otherwise `prb_projective`."""
 
     def __init__(self, scene: ChartScene, name: str):
-        import drjit as dr
-        import mitsuba as mi
+        import drjit as dr  # pyright: ignore[reportMissingImports]
+        import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
         self.dr, self.mi, self.name, self.motion = dr, mi, name, scene.motion
         variables: dict[str, Any] = {k: str(v) for k, v in scene.options.items()}

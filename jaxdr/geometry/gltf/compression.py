@@ -18,7 +18,7 @@ def meshopt_extension(view: dict) -> dict | None:
 def meshopt_view(extension: dict, data: bytes) -> bytes:
     """The bytes that a buffer view compressed by meshopt stands for."""
     try:
-        import meshoptimizer
+        import meshoptimizer  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ValueError(
             f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install "jaxdr[meshopt]" '
