@@ -19,7 +19,8 @@ ROUNDS = 4  # of choosing partners
 
 
 class EdgeOrder(NamedTuple):
-    """`edge`: numbers in the order of the chains. `turned`: the chain runs from the edge's second vertex to the first."""
+    """`edge`: numbers in the order of the chains. `turned`: the chain runs from the edge's second vertex to its first.
+    """
 
     edge: Int[Array, " E"]
     turned: Bool[Array, " E"]
