@@ -85,7 +85,7 @@ def sample_emitter(
 ) -> EmitterSample:
     """Material points on emitters, directions to the environment, or lights without area, chosen by power.
 
-    With `apex`, the positions that are lit, clusters of emitting faces are chosen by the light that they may send there.
+    With `apex`, the positions that are lit, clusters of emitting faces are chosen by the light they may send there.
     """
     n, dtype = u.shape[0], u.dtype
     shares = emitter_shares(packed)
@@ -141,7 +141,8 @@ def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shar
 
 
 def radiance_towards(packed: PackedScene, sample: EmitterSample, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-    """Radiance of samples, or intensity of lights without area; `towards`: unit directions from the receiver to them."""
+    """Radiance of samples, or intensity of lights without area; `towards`: unit directions to them from the receiver.
+    """
     if sample.light is None:
         return sample.radiance
     intensity = light_intensity(packed, jnp.maximum(sample.light, 0), -towards)

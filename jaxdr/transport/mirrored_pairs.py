@@ -120,7 +120,7 @@ def pair_derivatives(
 def _images(
     packed: PackedScene, previous: Previous, before: Scatterer, own: Scatterer, ends: Ends, rays: str
 ) -> tuple[Bool[Array, " N"], Transfer, Scatterer]:
-    """(whether the vertices with BSDFs `own` have mirror images, the transfer to these, their BSDFs); material points."""
+    """(whether the vertices with BSDFs `own` have mirror images, the transfer to the images, the BSDFs there)."""
     image, opposite = _mirrored(stop_gradient(before.point.position), stop_gradient(own.point), ends)
     asked = ends.drawn & previous.spread & own.point.valid & opposite & (own.lobe_width() < NARROW)
     start = before.leave(image - stop_gradient(before.point.position))

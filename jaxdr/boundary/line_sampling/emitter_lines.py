@@ -77,7 +77,7 @@ class Centres(NamedTuple):
         return jnp.where(meets, (1.0 - share) * both, 0.0)
 
     def _shares(self, found: Crossings, scatterer: Scatterer, plane, point: SurfacePoint, pdf, length):
-        """(MIS weight of emitters' chords, mean measure of angles, emitters' measure); measures are over the sphere's."""
+        """(MIS weight of emitters' chords, mean measure of angles, emitters' measure); measures as in `angle_ratio`."""
         vertex, expected = found.vertex, (self.emitters.reshape(-1), self.lobes.reshape(-1))
         emitters, lobes = (table[vertex] for table in expected)
         position, normal = stop_gradient(point.position), stop_gradient(point.normal)

@@ -40,7 +40,7 @@ class Kernel(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Width of the auxiliary points' density, relative to the segment's length. "exponential" has no small scale."""
+        """Width of the auxiliary points' density over the segment's length; "exponential" has no small scale."""
         return self.spread * (self.sigma if self.distance == "path_space" else 1.0)
 
     @property
