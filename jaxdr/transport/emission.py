@@ -141,8 +141,7 @@ def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shar
 
 
 def radiance_towards(packed: PackedScene, sample: EmitterSample, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-    """Radiance of samples, or intensity of lights without area; `towards`: unit directions to them from the receiver.
-    """
+    """Radiance of samples, or intensity of lights without area; `towards`: unit directions to them."""
     if sample.light is None:
         return sample.radiance
     intensity = light_intensity(packed, jnp.maximum(sample.light, 0), -towards)

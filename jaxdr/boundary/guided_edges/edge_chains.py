@@ -19,8 +19,7 @@ ROUNDS = 4  # of choosing partners
 
 
 class EdgeOrder(NamedTuple):
-    """`edge`: numbers in the order of the chains. `turned`: the chain runs from the edge's second vertex to its first.
-    """
+    """`edge`: numbers in the order of the chains. `turned`: the chain runs through it from its second vertex."""
 
     edge: Int[Array, " E"]
     turned: Bool[Array, " E"]

@@ -36,7 +36,7 @@ def asked(query: Callable, fixed: tuple, rows: tuple = ()) -> Any:
 
 
 def _call(query: _Query, batched: tuple[bool, ...]) -> Callable:
-    """The query as a function of its leaves. `batched` leaves have an additional first axis; so do results, if any has."""
+    """The query as a function of its leaves. `batched` leaves, and then the results, have an additional first axis."""
 
     def once(*leaves):
         fixed, rows = jax.tree.unflatten(query.structure, leaves)

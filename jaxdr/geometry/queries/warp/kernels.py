@@ -257,8 +257,8 @@ def may_hold_silhouettes(
 ):
     """Whether a node of the edge tree reaches into a segment's kernel, and its faces do not all face alike.
 
-    The kernel around the segment (apex, unit `along`, `length`) has the radius `radius` at an edge, and at most `widest`
-    after projection to the far end. So it is a cone near the apex, and a tube further on.
+    The kernel around the segment (apex, unit `along`, `length`) has the radius `radius` at an edge, but at most
+    `widest` after projection to the far end. So it is a cone near the apex, and a tube further on.
     """
     to_center = center - apex
     t = wp.dot(to_center, along)
@@ -292,9 +292,9 @@ def edge_candidates(
 ):
     """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
 
-    An edge of `rank` (radius) <= 0 is left out, as is a segment of `scale` <= 0. `options` = [seed, both_sides]; `found`
-    = [kept, all]. The tree is walked without a stack. Nodes are numbered from 1, and the children of n are 2n and
-    2n + 1. After the subtree of n comes that of n + 1 divided by 2 until it is odd.
+    An edge of `rank` (radius) <= 0 is left out, as is a segment of `scale` <= 0. `options` = [seed, both_sides];
+    `found` = [kept, all]. The tree is walked without a stack. Nodes are numbered from 1, and the children of n are 2n
+    and 2n + 1. After the subtree of n comes that of n + 1 divided by 2 until it is odd.
     """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:

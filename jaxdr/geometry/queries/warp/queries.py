@@ -35,7 +35,7 @@ def structure(kind: str, device, moving: list, topology: list):
 
 
 def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
-    """`closest_hit` and `occluded`. They call `trace(kernel, geometry, rays, outputs)` with the kernels of these names."""
+    """`closest_hit` and `occluded`, which call `trace(kernel, geometry, rays, outputs)` with kernels of these names."""
 
     def closest_hit_of(geometry, rays, face, t, barycentric):
         trace("closest_hit", geometry, rays, [face, t, barycentric])
@@ -147,8 +147,8 @@ def _sector_crossings(geometry, edges, tree, face_group, sectors, options, segme
         found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, lists, 6, device)
     if found[2] > 1e-3 * found[5]:
         warnings.warn(
-            f"jaxdr: in front of some of {total} chords surfaces could not be counted (something pierces an emitter, or "
-            "rounding); there rays past each edge decided",
+            f"jaxdr: in front of some of {total} chords surfaces could not be counted (something pierces an emitter, "
+            "or rounding); there rays past each edge decided",
             stacklevel=2,
         )
     _counted(found[1:], inverse, counts, weight)

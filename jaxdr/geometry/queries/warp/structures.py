@@ -8,7 +8,7 @@ from jaxdr.geometry.queries.warp import tree_kernels
 from jaxdr.geometry.queries.warp.device_arrays import DeviceArrays, largest
 from jaxdr.geometry.queries.warp.launch import launch
 
-# Warp tests boxes without tolerance for rounding. Without this margin rays slip between the faces of neighbouring boxes.
+# Warp tests boxes without tolerance for rounding. Without a margin rays slip between the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
 # Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth. Then, if the stack
 # is full, rays miss the remaining nodes, and other queries write past its end. This constructor, on the host, keeps to
