@@ -1,6 +1,6 @@
 """Command line: `jaxdr render`, `gradient`, `plan`, `optimize`, `reconstruct`, `chart`, `view`.
 
-Compiled programs are kept in the user's cache folder. Each command that compiles first says so in a line on stderr.
+Compiled programs are kept in the user's cache folder. Each command that compiles says so first, in a line on stderr.
 
 After a user's mistake a command prints one line on stderr, `jaxdr: error: …` (and a line for each item of a list of
 problems). It ends with exit code 2, before anything is written. A run whose disk is full or gone ends the same way, and
@@ -132,7 +132,7 @@ def _settings(options) -> tuple[int, int]:
     depth = options.max_depth or asked.max_depth or MAX_DEPTH
     if not options.max_depth and not 0 < depth <= DEEPEST:
         wanted = "without an end" if depth < 0 else f"of {depth} segments"
-        print(f"jaxdr: {path} asks for paths {wanted}; {DEEPEST} are traced (see --max-depth)", file=sys.stderr)
+        print(f"jaxdr: {path} asks for paths {wanted}; {DEEPEST} segments are traced (--max-depth)", file=sys.stderr)
         depth = DEEPEST
     return options.spp or asked.spp or SAMPLES, depth
 

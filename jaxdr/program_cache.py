@@ -48,7 +48,7 @@ def keep_programs(folder: Path) -> Path:
 
 
 def _mend(folder: Path) -> None:
-    """Delete programs without a time of last use, left by stopped processes: with them JAX keeps no more programs."""
+    """Delete programs without a time of last use, left by stopped processes: beside them JAX keeps no new programs."""
     try:
         with FileLock(folder / ".lockfile", timeout=1):  # JAX's own lock
             for program in folder.glob("*-cache"):

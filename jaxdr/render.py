@@ -49,9 +49,10 @@ def render(
     - `spp`: samples per pixel.
     - `integrator`: the default is `PathTracer()` with `KernelDensity` or, where that fails, another estimator. It fails
       under area emitters of more than 16 faces, with meshes of 300,000 faces or more, and if an environment map turns.
-      Then the estimator is `GuidedEdges` if that covers the scene and all surfaces are diffuse and flat, else
-      `LineSampling`. An `EstimatorChoice` warning says so once. Only the structure of the scene and what is
-      differentiated decide, never values. `jaxdr.plan` measures which estimator suits.
+      Then the estimator is `LineSampling`. Under such emitters it is `GuidedEdges` if all surfaces are diffuse and
+      flat, the camera is a `Perspective`, and there is no environment. An `EstimatorChoice` warning says so once. Only
+      the structure of the scene and what is differentiated decide, never values. `jaxdr.plan` measures which estimator
+      suits.
 
     Works under jit, grad, vjp, jvp, and vmap over keys. Which parameters are differentiated is known when the program
     is traced, and only the terms that they need are compiled.
@@ -78,7 +79,7 @@ def render(
 def derivative_terms(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None, moving: Moving | None = None
 ) -> dict[str, Float[Array, "H W 3"]]:
-    """The terms of `render`, by name. Its derivative is the sum of their derivatives.
+    """The terms of `render`, by name. Its derivative is the sum of theirs: differentiate a term to see its part.
 
     - `interior`: the image in value. All others are zero in value.
     - `silhouettes`, `creases`: edges that move in the image.

@@ -65,7 +65,7 @@ def _moves(asked: Asked) -> bool:
 def _moved_over_mirrors(asked: Asked) -> str | None:
     if not (asked.packed.has_delta_lobes and _moves(asked)):
         return None
-    return f"render: paths of a {_NAME} over delta lobes do not move with mirrors and smooth glass; {_REMEDY}"
+    return f"render: a {_NAME} has no derivative by what moves in scenes with mirrors or smooth glass; {_REMEDY}"
 
 
 def _steep_filter(asked: Asked) -> str | None:

@@ -20,9 +20,10 @@ class EstimatorChoice(UserWarning):
 def default_integrator(scene: Scene, moving: Moving | None = None, max_depth: int = 3) -> PathTracer:
     """The path tracer that `render` takes: with `KernelDensity` or, where that fails, with another estimator.
 
-    The other estimator is `GuidedEdges` if it covers the scene and all surfaces are diffuse and flat, else
-    `LineSampling`. The choice depends on structure only: the numbers of faces, the kinds of emitters and, with
-    `moving`, what is differentiated. So it is the same with and without `jit`, and costs nothing.
+    The other estimator is `LineSampling` or, under lamps that are meshes, `GuidedEdges`. The latter needs diffuse and
+    flat surfaces, a `Perspective` camera, and no environment. The choice depends on structure only: the numbers of
+    faces, the kinds of emitters and, with `moving`, what is differentiated. So it is the same with and without `jit`,
+    and costs nothing.
     """
     usual = PathTracer(max_depth)
     if _why_not(usual.boundary, scene, moving) is None:

@@ -80,7 +80,10 @@ class Found(NamedTuple):
 
 
 def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
-    """Edges that may move in the image where delta lobes show them; `moving`: shapes that move in its view."""
+    """Edges that may move in the image where delta lobes show them.
+
+    `moving`: which shapes move relative to the camera.
+    """
     flags, turns = jnp.asarray(moving), jnp.asarray(False)
     for group in packed.bsdfs:
         if group.bsdf.delta:
@@ -109,7 +112,7 @@ class FilmChains:
     name = "chains"
 
     def prepare(self, context: Context, key) -> EdgeTable | None:
-        """The edges that delta lobes may show in the image and that may move there; None without such."""
+        """The edges that may move in the image where delta lobes show them; None if there can be none."""
         del key
         packed, seen = context.packed, context.moving.seen
         if not (any(seen) and packed.has_delta_lobes and context.settings.max_depth > 1):

@@ -90,7 +90,7 @@ def shadow_distribution(
 ) -> ShadowDistribution:
     """Distribution over silhouettes for all lights, by the light that arrives past their middles.
 
-    `shapes` and `lights` tell what moves relative to the camera.
+    `shapes` tells which shapes move relative to the camera, `lights` which lights move.
     """
     packed = jax.tree.map(stop_gradient, packed)
     count, borders = packed.edges.vertices.shape[0], _borders(packed)

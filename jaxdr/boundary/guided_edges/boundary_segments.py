@@ -63,7 +63,7 @@ class BoundaryEnds(NamedTuple):
 
 
 class DirectionSampling:
-    """Directions uniform over those of silhouettes at the edge: J_B = 4 b / p(x_B), `edge_lunes`."""
+    """Directions uniform over those in which the edge is a silhouette (`edge_lunes`): J_B = 4 b / p(x_B)."""
 
     samples_emitters = False
 
@@ -91,7 +91,7 @@ class DirectionSampling:
 
 
 class EmitterSampling:
-    """Directions to emitter samples: J_B = |cos| / (r^2 p(x_B) p(x_S)), and to an environment's 1 / (p(x_B) p(w_B))."""
+    """Directions to emitter samples: J_B = |cos| / (r^2 p(x_B) p(x_S)); for the environment 1 / (p(x_B) p(w_B))."""
 
     samples_emitters = True
 

@@ -61,17 +61,17 @@ class EdgeLunes(NamedTuple):
 
 
 class LunePoints(NamedTuple):
-    """Points on the rows of an `EdgeLunes`, at the share `along` of their edges."""
+    """Points on edges, which are rows of an `EdgeLunes`, at the fraction `along`."""
 
     row: Int[Array, " n"]
     along: Float[Array, " n"]
 
     def position(self, lunes: EdgeLunes) -> Float[Array, "n 3"]:
-        """In the scene, detached."""
+        """Positions of the points, detached."""
         return lunes.start[self.row] + scale(lunes.side[self.row], self.along)
 
     def moving(self, packed: PackedScene, lunes: EdgeLunes) -> Float[Array, "n 3"]:
-        """The same, differentiable."""
+        """Positions of the points, differentiable."""
         return between(*corners(packed.vertices[lunes.vertices[self.row]]), self.along)
 
 

@@ -49,12 +49,12 @@ class Spread(NamedTuple):
     key: PRNGKeyArray
 
     def beside(self, **ways: Any) -> "Spread":
-        """The same, with fields `ways` of the kind: other kinds of chords that find a part of its light."""
+        """The same spread, whose kind gets the fields `ways`: its MIS with other kinds of chords."""
         return self._replace(lines=dataclasses.replace(self.lines, **ways))
 
 
 class _Held(NamedTuple):
-    """What `draw` found."""
+    """Boundary points on emitters with the number of filled slots, and boundary points with traced backgrounds."""
 
     emitters: tuple[OnPlanes, Int[Array, ""]] | None
     behind: list[BehindEdges]
@@ -157,7 +157,7 @@ class LineSampling(eqx.Module):
             emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
-            if packed.environment is None:  # chords from the last vertex could find indirect light only
+            if packed.environment is None:  # no indirect light reaches the last vertex
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
             lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
         if settings.mis and packed.has_varying_sky:

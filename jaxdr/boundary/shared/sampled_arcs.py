@@ -74,7 +74,7 @@ def on_same_side(
 ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
     """(low, high), cut to the side of the face that `centre` is on, for faces that scatter to both sides.
 
-    The search starts on that side: the face hides from it the part of a chord on the other side.
+    The search for edges starts on that side. From there the face hides the rest of a chord.
     """
     through = scatterer.spreads_through()
     assert through is not None  # called only if some surface scatters to both sides

@@ -92,8 +92,8 @@ def _moved_jumps(asked: Asked) -> str | None:
         for field, texture in textures_of(shape):
             if remedies and not texture.continuous:
                 return (
-                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
-                    f"the image it has no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
+                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}), and jumps that move in "
+                    f"the image have no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
                     f"{INTERIOR}"
                 )
     return None

@@ -171,7 +171,7 @@ def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool)
     in_plane = offset - scale(normal[:, None], dot(offset, normal[:, None]))
     radius2, width = dot(in_plane, in_plane), (kernel.width * length)[:, None]
     bent = jnp.zeros_like(radius2)
-    if infinite:  # the tangent plane has 1 / cosine^3 the area of the sphere
+    if infinite:  # an area of the tangent plane is 1 / cosine^3 times that on the sphere
         cosine = dot(normalize(drawn - ends.apex[:, None]), normal[:, None])
         cosine = jnp.where(ends.infinite[:, None], cosine, 1.0)
         radius2, bent = radius2 / cosine**2, -3.0 * jnp.log(cosine)

@@ -193,7 +193,7 @@ def displacement(
 ) -> Float[Array, "C 3"]:
     """Projections of occluders minus the material points there: zero in value, with the derivative v^dis (Eq. 7-8).
 
-    If the environment `turns`, directions to it move.
+    With `turns`, directions to the environment turn with it.
     """
     triangle = packed.vertices[packed.faces[seen.face]]
     material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)

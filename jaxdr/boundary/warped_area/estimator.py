@@ -140,7 +140,7 @@ class WarpedArea(WarpedTerm):
         """Boundary terms of the paths of all strategies: zero in value, right in derivative (Eq. 52-54).
 
         N paths, C strategies. `weight` is that of the strategies, zero where a path carries nothing. Every target moves
-        with its mean velocity v. The derivative is that of the contribution along v, times the factor 1 + div v.
+        with its mean velocity v. The term is the derivative of the contribution times the factor 1 + div v.
         """
         packed = context.packed
         fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))

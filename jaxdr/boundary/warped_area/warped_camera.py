@@ -42,8 +42,8 @@ def _lights(asked: Asked) -> str | None:
     if not asked.packed.light_count:
         return None
     return (
-        'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
-        'lights with an area, or primary="fixed_ray"'
+        'render: silhouettes of surfaces that lights without area light up have no derivative with primary="warp"; '
+        'take lights with an area, or primary="fixed_ray"'
     )
 
 
@@ -138,7 +138,7 @@ def _apex(packed: PackedScene, view: View, ends: SegmentEnds) -> SurfacePoint:
 def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentEnds) -> Measure:
     """Pixel filter x film area per surface area (or sphere area) x radiance towards the camera, over the samples' pdf.
 
-    The pdf is that of the filter. So the first two factors are one in value, and only their derivative matters.
+    The pdf is that of the filter. So the first two factors over the pdf are one in value; only their derivative counts.
     """
     count = ends.infinite.shape[0]
     far = ends.infinite[:, None]

@@ -115,7 +115,7 @@ class Document:
                 elif index == 0 and self._chunk is not None:
                     data = self._chunk
                 else:
-                    raise self.error(label, "has no data: neither a uri, nor is it the binary chunk of a .glb")
+                    raise self.error(label, "has no data: neither a uri, nor the binary chunk of a .glb")
                 if len(data) < length:
                     raise self.error(label, f"has {len(data)} of its {length} bytes; the file is cut off")
                 self._buffers[index] = data[:length]

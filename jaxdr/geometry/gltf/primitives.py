@@ -92,7 +92,10 @@ def _attribute(document: Document, index: Any, name: str, place: str) -> np.ndar
 
 
 def _draco(document: Document, primitive: dict, label: str) -> tuple[dict, np.ndarray] | None:
-    """(attributes, faces) of a primitive's Draco data; None without it, or if DracoPy is missing but not needed."""
+    """(attributes, faces) of a primitive's Draco data; None without it.
+
+    Also None without DracoPy if the file has the same data uncompressed.
+    """
     extension = primitive.get("extensions", {}).get(DRACO)
     if extension is None:
         return None
