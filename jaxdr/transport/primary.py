@@ -11,19 +11,18 @@ from jaxdr.transport.interaction import SurfacePoint, intersect, material_point,
 from jaxdr.transport.near_field import NearField, film_importance
 from jaxdr.transport.sampler import FIRST_DIMENSIONS, LENS_DIMENSIONS, lattice
 
-# How first hits move: with the camera ray fixed, so but for the near field, or as material points.
+# How first hits move: on the fixed camera ray; the same, but in material form for the near field; as material points.
 FORMS = ("fixed", "near", "material")
 
 
 class PrimarySamples(NamedTuple):
     """First hits of N = pixels x samples camera rays; the samples of a pixel follow each other.
 
-    - `view`: the camera as the samples see through it; with an aperture, through lens points of their own.
+    - `view`: the camera with the samples' lens points, if it has an aperture.
     - `direction`: of the rays.
     - `u`: uniform numbers for the first bounce.
-    - `weight`: one in value. Where all first hits are material points, its derivative is that of the filter, the
-      geometric term and the area.
-    - `near`: first hits in material form beside fixed ones, for the near field.
+    - `weight`: one in value. In the "material" form its derivative is that of filter x geometric term x area.
+    - `near`: the first hits in material form, for the near field; None in the other forms.
     """
 
     view: View
@@ -39,9 +38,9 @@ def primary_samples(
 ) -> PrimarySamples:
     """Camera samples number `samples` of every pixel; `form` is one of `FORMS`.
 
-    With fixed rays first hits slide over the surfaces. As "material" points they stay on them, and pairs of samples
-    have opposite film offsets and the same random numbers otherwise: the filter's derivative is odd, so most of its
-    noise cancels. What no surface covers stays fixed on the film in all forms.
+    With fixed rays first hits slide over the surfaces. As "material" points they move with the surfaces. Then pairs of
+    samples have opposite film offsets and else the same random numbers: the filter's derivative is odd, so most of its
+    noise cancels. Samples that hit nothing stay fixed on the film in all forms.
     """
     camera, film = packed.camera, packed.camera.film
     x0, y0, width, height = film.window

@@ -393,12 +393,12 @@ def test_settings_are_checked(settings, message):
     ("name", "scene", "message"),
     [
         ("floor.vertices", floor_scene(film_filter=jd.Box()), "differentiates the pixel filter .* use Gaussian"),
-        ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
-        ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
+        ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "has no derivative by what moves"),
+        ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "has no derivative by what moves"),
         (
             "point.position",
             floor_scene(jd.PointLight([0, 0, 1]), extra=ball(jd.Conductor())),
-            "do not move with mirrors",
+            "has no derivative by what moves",
         ),
     ],
 )
