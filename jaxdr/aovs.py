@@ -16,7 +16,7 @@ from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
 from jaxdr.transport.keys import inner_key
-from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.primary import Form, PrimarySamples, primary_samples
 from jaxdr.transport.shading import Scatterer
 
 CHUNK = 1 << 18  # camera rays at once
@@ -106,12 +106,12 @@ def _averages(settings: _Settings, packed: PackedScene, key) -> dict[str, Array]
 
     def chunk(total, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
-        primary = primary_samples(packed, samples, key, settings.rays, "fixed")
+        primary = primary_samples(packed, samples, key, settings.rays, Form.FIXED)
         counts = primary.first.valid & jnp.tile(samples < settings.spp, width * height)
         values = {n: jnp.where(counts[:, None], FLOATS[n](packed, primary), 0.0) / settings.spp for n in names}
         return {n: total[n] + v.reshape(height, width, per_chunk, -1).sum(2) for n, v in values.items()}, None
 
-    first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, "fixed"))
+    first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, Form.FIXED))
     shapes = {name: jax.eval_shape(FLOATS[name], packed, first) for name in names}
     start = {name: jnp.zeros((height, width, s.shape[1]), s.dtype) for name, s in shapes.items()}
     return loops.scan(chunk, start, jnp.arange(-(-settings.spp // per_chunk)))[0]

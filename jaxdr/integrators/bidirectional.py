@@ -26,6 +26,7 @@ from jaxdr.sizes import at_once
 from jaxdr.transport.bidirectional import BidirectionalSettings, Strategies, bidirectional_paths
 from jaxdr.transport.emission import has_emitters
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 
 HEURISTICS = {"balance": 1, "power": 2}  # weights are shares of the densities to this power
 
@@ -180,7 +181,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:
         settings = PathSettings(self.max_depth, True, self.rays)
-        return Context(packed, moving, settings, "material", edge_points_per_sample(self))
+        return Context(packed, moving, settings, Form.MATERIAL, edge_points_per_sample(self))
 
     def _terms(self) -> list[Term]:
         """The boundary terms. First hits are material points, so creases have no term."""

@@ -33,7 +33,7 @@ from jaxdr.scene.scene import Scene
 from jaxdr.sizes import at_once
 from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.radiance import arriving_radiance
 
 
@@ -191,7 +191,7 @@ class PathTracer(eqx.Module):
         if moving is None:
             return self._image(packed, batch)
         context = None if prepared is None else self._context(packed, moving)
-        settings, form = self.settings, "fixed"
+        settings, form = self.settings, Form.FIXED
         if context is not None:
             packed, form = context.packed, context.form
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
@@ -211,19 +211,19 @@ class PathTracer(eqx.Module):
     def _image(self, packed: PackedScene, batch: Batch) -> dict:
         """The same in value, for images without derivatives."""
         settings = self.settings
-        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, "fixed")
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, Form.FIXED)
         radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, batch.key, settings)
         return {"interior": pixel_sums(packed, radiance, batch.weights(radiance.dtype))}
 
-    def _form(self, packed: PackedScene, moves: bool) -> str:
+    def _form(self, packed: PackedScene, moves: bool) -> Form:
         """How first hits move; see `primary_samples`. If nothing moves, rays are fixed."""
         if not moves:
-            return "fixed"
+            return Form.FIXED
         if self.primary != "fixed_ray":
-            return "material"
+            return Form.MATERIAL
         # Direct light comes from close by only if an emitter touches a surface. It is not worth a second form.
         pixel_filter = packed.camera.film.filter
-        return "near" if (pixel_filter.smooth or pixel_filter.tiles) and self.max_depth > 2 else "fixed"
+        return Form.NEAR if (pixel_filter.smooth or pixel_filter.tiles) and self.max_depth > 2 else Form.FIXED
 
 
 def _warn_of_caustics(packed: PackedScene, max_depth: int) -> None:

@@ -14,7 +14,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.depths import radiance_by_depth
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 DEEPEST = 16  # segments of the pilot's paths
 KEYS, SAMPLES = 8, 4  # independent calls, and samples per pixel of each
@@ -77,7 +77,7 @@ def images_by_depth(scene: Scene, key: PRNGKeyArray) -> Float[Array, "D H W 3"]:
     _, _, width, height = packed.camera.film.window
     key_film, key_path = jax.random.split(key)
     settings = PathSettings(DEEPEST, True, "auto")
-    primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, settings.rays, "fixed")
+    primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, settings.rays, Form.FIXED)
     rows = radiance_by_depth(packed, primary.first, primary.direction, primary.u, key_path, settings)
     return rows.reshape(DEEPEST, height, width, SAMPLES, 3).mean(3)
 

@@ -19,7 +19,7 @@ from jaxdr.transport.connections import (
     with_emitters,
 )
 from jaxdr.transport.emission import EmitterSample, sample_emitter
-from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.primary import Form, PrimarySamples, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.subpaths import Subpath, camera_start, light_start, trace_on
 
@@ -97,7 +97,7 @@ def bidirectional_paths(
     """
     _, _, width, height = packed.camera.film.window
     pixels = width * height
-    primary = primary_samples(packed, samples, key, settings.rays, "material" if moving else "fixed")
+    primary = primary_samples(packed, samples, key, settings.rays, Form.MATERIAL if moving else Form.FIXED)
     number = (jnp.arange(pixels)[:, None] + samples[None] * pixels).reshape(-1)
     light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)[0]
     return primary, strategies(packed, primary, light, chunk_key, settings)

@@ -24,6 +24,7 @@ from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe, PathSettings
+from jaxdr.transport.primary import Form
 from jaxdr.transport.radiance import Answers, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 from jaxdr.transport.shading import Scatterer
@@ -91,8 +92,8 @@ class FilmEdges:
         del key  # a fixed key: the same edges are drawn whether the two kinds are one term or two
         return edge_distribution(context.packed, context.moving.seen, fixed_key(0))
 
-    def _kinds(self, form: str) -> tuple[str, ...]:
-        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != "material")
+    def _kinds(self, form: Form) -> tuple[str, ...]:
+        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != Form.MATERIAL)
 
     def draw(self, context: Context, state: EdgeDistribution, chunk: Chunk, key):
         """Points on edges, and requests for the radiance on both sides."""
@@ -120,7 +121,7 @@ class FilmEdges:
             # direction that leaves one face may enter the other.
             given = _common_directions(packed, points, crease, u)
         size = None
-        if form == "near":
+        if form == Form.NEAR:
             size = jax.vmap(partial(footprint, _view(packed, points)))(first.position, first.normal)
         sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([stream, stream]))
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
@@ -142,11 +143,11 @@ class FilmEdges:
         ends = corners(packed.vertices[packed.edges.vertices[points.edge]])
         film_point = view.project(between(*ends, points.along))
         value = 0.0
-        if form != "material":
+        if form != Form.MATERIAL:
             far = total - near
             value = scale(far[1] - far[0], _moved(points, film_point))
-        if form != "fixed":
-            near = total if form == "material" else near
+        if form != Form.FIXED:
+            near = total if form == Form.MATERIAL else near
             material = on_face(packed, held.face, held.barycentric)
             ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
             local = jnp.where(held.hit[:, None], view.local(material), ahead)

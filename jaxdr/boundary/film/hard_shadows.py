@@ -39,6 +39,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import leave, material_point
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 
 SAME_SURFACE = 0.7  # smallest cosine between the normals of faces that count as one surface
 
@@ -90,7 +91,7 @@ def film_shadow_term(
     count: int,
     key: PRNGKeyArray,
     settings: PathSettings,
-    form: str,
+    form: Form,
 ) -> Float[Array, "H W 3"]:
     """Edges of hard shadows in the image, from `count` points on silhouettes: zero in value, right in derivative.
 
@@ -105,7 +106,7 @@ def film_shadow_term(
     # From the lit side to the dark side the image loses the light's own contribution.
     jump = scale(points.scattered(detached, wi), -weight / count)
     goes = seen.film_point
-    if form == "material":
+    if form == Form.MATERIAL:
         material = material_point(packed, points.point.face, points.point.barycentric, points.point.valid)
         ahead = detached.camera.to_world[:3, 3] + detached.camera.to_world[:3, 2]
         goes = goes - packed.camera.project(jnp.where(seen.inside[:, None], material.position, ahead))

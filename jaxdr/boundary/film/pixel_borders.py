@@ -16,6 +16,7 @@ from jaxdr.boundary.shared.term import Chunk, Context, streams
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import footprint
+from jaxdr.transport.primary import Form
 from jaxdr.transport.radiance import Answers, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 
@@ -35,7 +36,7 @@ class PixelBorders:
     def prepare(self, context: Context, key):
         """An empty state; None without a box filter, without light in material form, or if nothing moves."""
         del key
-        here = context.form == "near" and context.packed.camera.film.filter.tiles and any(context.moving.seen)
+        here = context.form == Form.NEAR and context.packed.camera.film.filter.tiles and any(context.moving.seen)
         return () if here else None
 
     def draw(self, context: Context, state, chunk: Chunk, key):

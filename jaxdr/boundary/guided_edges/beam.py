@@ -37,6 +37,7 @@ from jaxdr.transport.connections import ends, with_camera
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 from jaxdr.transport.sampler import path_numbers
 from jaxdr.transport.subpaths import Subpath, trace_on
 
@@ -112,7 +113,7 @@ def image(
     ends_of: BoundaryEnds,
     seen: Detected,
     radiance: Float[Array, "B n 3"],
-    form: str,
+    form: Form,
 ) -> Float[Array, "H W 3"]:
     """Image of the segments' contributions: zero in value, right in derivative.
 
@@ -129,7 +130,7 @@ def image(
 
 
 def _displacements(
-    packed: PackedScene, lunes, drawn: BoundarySegments, ends_of: BoundaryEnds, seen: Detected, form: str
+    packed: PackedScene, lunes, drawn: BoundarySegments, ends_of: BoundaryEnds, seen: Detected, form: Form
 ):
     """(V d if the detector is a material point, V d if it is a first hit of this form), zero in value."""
     detector, source = ends_of.detector, ends_of.source
@@ -142,7 +143,7 @@ def _displacements(
         moved -= jnp.where(source.valid, 0.0, near * dot(drawn.pole, packed.turned(drawn.towards)))
     at_detector = dot(drawn.pole, on_face(packed, detector.face, detector.barycentric))
     whole = moved - (1 - share) * at_detector
-    if form == "material":
+    if form == Form.MATERIAL:
         first = whole
     else:
         view = packed.camera.view(seen.lens)
@@ -150,7 +151,7 @@ def _displacements(
         face = jnp.where((seen.value[0] != 0).any(-1), detector.face, -1)
         sliding = on_fixed_ray(packed, jnp.broadcast_to(origin, direction.shape), direction, face)
         at_first = dot(drawn.pole, sliding.position)
-        if form == "near":
+        if form == Form.NEAR:
             size = footprint(stop_gradient(view), detector.position, detector.normal)
             near_share = jnp.where(source.valid, size.share(length**2), 0.0)
             at_first = (1 - near_share) * at_first + near_share * at_detector

@@ -16,7 +16,7 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.subpaths import Subpath, camera_start, light_start, trace_on
@@ -70,7 +70,7 @@ def flux_maps(packed: PackedScene, key: PRNGKeyArray, settings: PathSettings) ->
 
     _, _, width, height = packed.camera.film.window
     spp = max(1, PHOTONS // (width * height))
-    primary = primary_samples(packed, jnp.arange(spp), key_first, settings.rays, "fixed")
+    primary = primary_samples(packed, jnp.arange(spp), key_first, settings.rays, Form.FIXED)
     count = primary.u.shape[0]
     camera = camera_start(packed, primary)
     camera = trace_on(packed, camera, uniform(key_camera, (bounces, count, 2), dtype), False, 1, settings.rays)

@@ -18,7 +18,7 @@ from jaxdr.geometry.vector import scale
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import PrimarySamples
+from jaxdr.transport.primary import Form, PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 
 
@@ -35,7 +35,7 @@ class Context(NamedTuple):
     packed: PackedScene
     moving: Moving
     settings: PathSettings
-    form: str
+    form: Form
     edge_samples: float
 
 

@@ -47,7 +47,7 @@ def sector_crossings(geometry, edge_set, face_group, sectors, seed, least_layer,
         negative = exists & (along != ahead[edge_faces])
         one_sided = ~positive.any(-1) | ~negative.any(-1)
         own = (exists & (face_group[edge_faces] == group)).any(-1) & (group >= 0)
-        found = crosses & (one_sided | (group < -2)) & ~own & (rank >= needed) & (needed > 0)
+        found = crosses & one_sided & ~own & (rank >= needed) & (needed > 0)
         count = found.sum()
         chosen = jnp.argsort(~found, stable=True)[:most]
         found = found[chosen]
