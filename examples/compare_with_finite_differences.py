@@ -1,7 +1,7 @@
 """Compare with finite differences: the check to make whenever you doubt a gradient.
 
-Take a derivative twice: by `jax.jvp`, and as a difference of two images. Both images of a difference share their key,
-so that their noise cancels. Average over keys, and judge by the standard error.
+Take a derivative in two ways: by `jax.jvp`, and as a difference of two images. Both images of a difference share their
+key, so that their noise cancels. Average over keys, and judge by the standard error.
 """
 
 import jax

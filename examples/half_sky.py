@@ -28,11 +28,11 @@ class HalfSky(Environment):
         return jnp.where(bright[..., None], self.radiance, 0.0)
 
     def sampler(self):
-        """What directions are drawn from: all are as likely."""
+        """The sampler of directions: all are equally likely."""
         return UniformDirections(0.5 * stop_gradient(self.radiance))
 
     def turn(self):
-        """The identity, with the derivative of the turn about z that takes the sky along."""
+        """The identity, with the derivative of the rotation about z that turns the sky."""
         angle = self.azimuth - stop_gradient(self.azimuth)
         about_z = jnp.asarray([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], angle.dtype)
         return jnp.eye(3, dtype=angle.dtype) + angle * about_z

@@ -1,4 +1,4 @@
-"""The gradient over eight views, divided over all devices: GPUs where there are some, else the processor as two."""
+"""The gradient over eight views, divided over all devices: the GPUs if there are any, otherwise the CPU as two."""
 
 import jax
 import jax.numpy as jnp

@@ -16,7 +16,7 @@ class StretchedMirror(DeltaBSDF):
         self.stretch = number(stretch, "StretchedMirror: stretch", 0.1, 10.0)
 
     def sample_delta(self, wi, u):
-        """Where light of `wi` is scattered from, what share of it, and how likely this lobe is chosen."""
+        """The direction that light towards `wi` comes from, the share of it, and the probability of this lobe."""
         above = z_of(wi) > 0
         x, y, z = components(wi)
         wo = normalize(from_components(-self.stretch * x, -self.stretch * y, z))

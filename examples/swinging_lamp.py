@@ -26,20 +26,20 @@ class SwingingLamp(DeltaLight):
         self.intensity = as_rgb(intensity, "SwingingLamp: intensity")
 
     def place(self):
-        """Where it shines from. Whatever this depends on moves its shadows."""
+        """The point it shines from. Shadows move with every parameter that this depends on."""
         along = from_components(jnp.sin(self.angle), jnp.zeros_like(self.angle), -jnp.cos(self.angle))
         return self.pivot + scale(along, self.length)
 
     def borders(self):
-        """It shines to all sides: its light ends nowhere."""
+        """None: it shines in all directions, so its light ends nowhere."""
         return None
 
     def intensity_in(self, direction):
-        """The same in all directions."""
+        """The intensity, which is the same in all directions."""
         del direction
         return self.intensity
 
     def power(self, radius):
-        """Luminance of all its light."""
+        """Luminance of its power."""
         del radius
         return 4.0 * math.pi * jnp.maximum(luminance(self.intensity), 0.0)

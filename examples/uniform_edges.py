@@ -28,7 +28,7 @@ class UniformEdges(eqx.Module):
         self, context: jd.Context, state: jax.Array, chunk: jd.Chunk, key: jax.Array
     ) -> tuple[jd.Requests | None, Behind | None]:
         """Points on silhouettes, and requests for the radiance of what is seen just past them."""
-        if chunk.record.direct is None:  # paths of one segment scatter nowhere
+        if chunk.record.direct is None:  # paths of one segment don't scatter
             return None, None
         packed, settings = context.packed, context.settings
         paths = path_segments(packed, chunk, "direct")

@@ -24,7 +24,7 @@ class Minnaert(BSDF):
         self.k = number(k, "Minnaert: k", 1.0, 4.0)
 
     def eval(self, wi, wo):
-        """f times the cosine of wo; directions are in the local frame, z is the normal."""
+        """f times the cosine of wo. Directions are in the local frame, whose z axis is the normal."""
         above = both_above(wi, wo)
         cos_i, cos_o = (jnp.where(above, z_of(w), 1.0) for w in (wi, wo))
         value = (self.k + 1) / (2 * math.pi) * (cos_i * cos_o) ** (self.k - 1) * cos_o

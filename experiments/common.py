@@ -1,4 +1,4 @@
-"""What every study shares: options, fresh processes, timing, tables, and numbers on disk."""
+"""Functions that all studies share: options, fresh processes, timing, tables, and numbers on disk."""
 
 import argparse
 import importlib.metadata

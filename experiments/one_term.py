@@ -1,4 +1,4 @@
-"""A term of the derivative by itself: no paths, no other terms, and what it prepares is made once."""
+"""One term of the derivative alone, without paths and without other terms. What it prepares is made once."""
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +8,12 @@ from jaxdr.integrators.base import term_images
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import pack
 from jaxdr.transport.path import PathRecord
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 
 def context(scene, moving, settings):
     """What the term shares with others, where the shapes flagged in `moving` move."""
-    return Context(pack(scene), Moving(tuple(moving), False), settings, "fixed", 1.0)
+    return Context(pack(scene), Moving(tuple(moving), False), settings, Form.FIXED, 1.0)
 
 
 def image(term, context, state, samples, key):

@@ -1,4 +1,4 @@
-"""How large a program is: equations of a jaxpr, operations of what is lowered, places that call a ray query."""
+"""The size of a program: equations of its jaxpr, operations of the lowered module, places that call a ray query."""
 
 import re
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from jax.extend import core
 
 
 def equations(jaxpr: core.Jaxpr) -> Iterator[core.JaxprEqn]:
-    """Every equation, those of the jaxprs inside (loops, branches, calls) as often as they occur."""
+    """All equations of a jaxpr, and of the jaxprs inside it (loops, branches, calls), as often as they occur."""
     for equation in jaxpr.eqns:
         yield equation
         for inside in _jaxprs(tuple(equation.params.values())):

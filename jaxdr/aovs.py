@@ -1,4 +1,4 @@
-"""Arbitrary output variables: what camera rays hit, as images."""
+"""Arbitrary output variables (AOVs): properties of what camera rays hit, as images."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -16,7 +16,7 @@ from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
 from jaxdr.transport.keys import inner_key
-from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.primary import Form, PrimarySamples, primary_samples
 from jaxdr.transport.shading import Scatterer
 
 CHUNK = 1 << 18  # camera rays at once
@@ -35,7 +35,7 @@ def _albedo(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 3"]
     return jnp.where(density > 0, scatterer.eval(sampled) / jnp.where(density > 0, density, 1.0), 0.0)
 
 
-# Averages over samples, zero where nothing is hit; and numbers at pixel centres. A new one is a function and a line.
+# Averages over samples, zero where nothing is hit; and numbers at pixel centres. To add one, add a function and a line.
 FLOATS: dict[str, Callable[[PackedScene, PrimarySamples], Float[Array, "N C"]]] = {
     "depth": _depth,
     "position": lambda packed, primary: primary.first.position,
@@ -58,23 +58,23 @@ class _Settings(NamedTuple):
 def render_aovs(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "auto"
 ) -> dict[str, Array]:
-    """What camera rays hit, by name: a dictionary of floats [H, W, C] and int32 numbers [H, W].
+    """Properties of what camera rays hit, by name: a dictionary of floats [H, W, C] and int32 numbers [H, W].
 
-    Floats are means over `spp` samples a pixel, weighted by the pixel filter, as of Mitsuba's `aov` integrator. A
+    Floats are means over `spp` samples per pixel, weighted by the pixel filter, as in Mitsuba's `aov` integrator. A
     sample that hits nothing counts as zero. At borders both sides are mixed.
 
-    - `depth` (C = 1): distance along the ray, in scene units. It counts from the pinhole, from the point on the lens,
-      or from the plane of a parallel camera. (Mitsuba counts from the near plane.)
+    - `depth` (C = 1): distance along the ray, in scene units, from the pinhole, from the point on the lens, or from the
+      plane of a parallel camera. (Mitsuba measures from the near plane.)
     - `position` (C = 3): world space.
-    - `shading_normal` (C = 3): world space, unit length, on the side of the surface where its normal points.
-    - `albedo` (C = 3): share of light from everywhere that is scattered towards the camera. One sample of the BSDF
-      each: exact for diffuse surfaces. Black surfaces, and backs of one-sided ones, have zero.
+    - `shading_normal` (C = 3): world space, unit length, on the side to which the surface's normal points.
+    - `albedo` (C = 3): share of light from all directions that is scattered towards the camera. It is estimated by one
+      BSDF sample each, and exact for diffuse surfaces. Black surfaces, and backs of one-sided surfaces, have zero.
 
-    Numbers are those at pixel centres, seen from the centre of the lens; -1 means nothing. `shape` counts
-    `scene.shapes`. `face` counts the faces of that shape's mesh.
+    int32 numbers are those at pixel centres, seen from the centre of the lens; -1 means that nothing is hit. `shape` is
+    an index into `scene.shapes`, `face` an index into the faces of that shape's mesh.
 
     `rays` names the implementation of the ray queries, as in `PathTracer`. Raises ValueError for unknown names, and
-    when it is differentiated: its jumps at edges have no derivative. Take `jax.lax.stop_gradient` of the result.
+    when it is differentiated, because its jumps at edges have no derivative. Take `jax.lax.stop_gradient` of the scene.
     """
     names = tuple(names)
     for name in names:
@@ -106,12 +106,12 @@ def _averages(settings: _Settings, packed: PackedScene, key) -> dict[str, Array]
 
     def chunk(total, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
-        primary = primary_samples(packed, samples, key, settings.rays, "fixed")
+        primary = primary_samples(packed, samples, key, settings.rays, Form.FIXED)
         counts = primary.first.valid & jnp.tile(samples < settings.spp, width * height)
         values = {n: jnp.where(counts[:, None], FLOATS[n](packed, primary), 0.0) / settings.spp for n in names}
         return {n: total[n] + v.reshape(height, width, per_chunk, -1).sum(2) for n, v in values.items()}, None
 
-    first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, "fixed"))
+    first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, Form.FIXED))
     shapes = {name: jax.eval_shape(FLOATS[name], packed, first) for name in names}
     start = {name: jnp.zeros((height, width, s.shape[1]), s.dtype) for name, s in shapes.items()}
     return loops.scan(chunk, start, jnp.arange(-(-settings.spp // per_chunk)))[0]
@@ -138,7 +138,7 @@ def _without_derivative(scene: Scene) -> Scene:
 def _jvp(primals, tangents):
     if any(not isinstance(t, SymbolicZero) for t in jax.tree.leaves(tangents, is_leaf=_is_zero)):
         raise ValueError(
-            "render_aovs has no derivative: what jumps at edges would be missing; take stop_gradient of it"
+            "render_aovs has no derivative, because its values jump at edges; take stop_gradient of the scene"
         )
     return primals[0], tangents[0]
 

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, also where the process is killed, the power fails or the disk is full."""
+"""Files that appear complete or not at all, even if the process is killed, the power fails or the disk is full."""
 
 import contextlib
 import errno
@@ -7,17 +7,17 @@ import shutil
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 
-PARTIAL = ".partial-"  # what names of files begin with that are not complete
+PARTIAL = ".partial-"  # prefix of the names of incomplete files
 
 
 class CannotWrite(OSError):
-    """A file could not be written; the message says which and why. What was there before is still there, whole."""
+    """A file could not be written; the message says which and why. An earlier file of this name is intact."""
 
     @classmethod
     def of(cls, path: Path, problem: OSError) -> "CannotWrite":
-        """The same problem, of this file."""
+        """The error `problem`, for this file."""
         reason = problem.strerror or str(problem)
-        if problem.errno is None and _full(path.parent):  # NumPy and other libraries count bytes only
+        if problem.errno is None and _full(path.parent):  # NumPy and other libraries only report missing bytes
             reason = os.strerror(errno.ENOSPC)
         return cls(problem.errno or errno.EIO, reason, str(path))
 
@@ -26,10 +26,10 @@ class CannotWrite(OSError):
 
 
 class atomic_path:
-    """Context manager: a temporary path beside `path` that takes its place when the block ends without an error.
+    """Context manager: a temporary path beside `path`, which replaces `path` if the block ends without an error.
 
-    The contents are on the disk before the name is, so a power failure leaves the old file or the new one. Raises
-    `CannotWrite` for every OSError, those of the block included.
+    The contents are written to disk before the name. So after a power failure there is the old file or the new one.
+    Raises `CannotWrite` for every OSError, also in the block.
     """
 
     def __init__(self, path: Path):
@@ -63,7 +63,7 @@ class atomic_path:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Add to the end of a file. Raises `CannotWrite`; then a part of the text may be there."""
+    """Add to the end of a file. Raises `CannotWrite`; then a part of the text may have been written."""
     try:
         with open(path, "a", newline="") as file:
             file.write(text)
@@ -72,7 +72,7 @@ def append_text(path: Path, text: str) -> None:
 
 
 def remove_partial(folder: Path) -> None:
-    """Delete what a killed process left half written in a folder and its subfolders."""
+    """Delete incomplete files of killed processes in a folder and its subfolders."""
     for path in folder.rglob(f"{PARTIAL}*"):
         path.unlink(missing_ok=True)
 
@@ -89,7 +89,7 @@ def _flush_names(folder: Path) -> None:
     try:
         os.fsync(descriptor)
     except OSError as problem:
-        if problem.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems of networks may not know how
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP):  # network file systems may not support it
             raise
     finally:
         os.close(descriptor)

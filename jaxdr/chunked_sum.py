@@ -1,8 +1,8 @@
-"""The derivative of a sum over chunks: chunk by chunk in both modes, so that memory does not grow with their number.
+"""The derivative of a sum over chunks, chunk by chunk in both modes. So memory does not grow with their number.
 
-The derivative of sum_i f(at, fixed, i) is linear in the displacement of `at`. It is a primitive of its own, which is
+The derivative of sum_i f(at, fixed, i) is linear in the displacement of `at`. It is a JAX primitive, which is
 transposed as a whole: forward mode runs the jvp of one chunk after the other, reverse mode the vjp. So a chunk is
-traced once, and nothing of it is kept.
+traced once, and no chunk keeps residuals.
 """
 
 from collections.abc import Callable
@@ -19,10 +19,10 @@ from jaxdr import loops
 
 
 class _Sum(NamedTuple):
-    """What is static of a sum; hashable.
+    """The static part of a sum; hashable.
 
-    `axes` of the operands for every level of `vmap` around it, the innermost first; the result's is 0. There are
-    `count` arrays in `at`; `structure` is that of `fixed`.
+    `axes` are the batch axes of the operands for every level of `vmap` around the sum, the innermost first; the
+    result's batch axis is 0. `count` is the number of arrays in `at`, `structure` the tree structure of `fixed`.
     """
 
     term: Callable[[list[Array], Any, Array], Array]
@@ -44,9 +44,9 @@ def chunked_derivative(
 ) -> Array:
     """Derivative of the sum of `term(at, fixed, i)`, i = 0, ... `chunks` - 1, by `at` along `moved`; like `out`.
 
-    `term` is hashable and equal to others that compute the same; it closes over no arrays. Works under jit and vmap,
-    and with whatever is linear in `moved`. Raises NotImplementedError for derivatives by `at` or `fixed`: second ones
-    of the sum.
+    `term` is hashable, equal to other terms that compute the same, and closes over no arrays. The result is linear in
+    `moved`: it can be differentiated by `moved`, and works under jit and vmap. Raises NotImplementedError for
+    derivatives by `at` or `fixed`, which are second derivatives of the sum.
     """
     leaves, structure = jax.tree.flatten(fixed)
     how = _Sum(term, chunks, len(at), structure, tuple(out.shape), jnp.dtype(out.dtype))
@@ -108,7 +108,7 @@ def _backward(*operands, how: _Sum) -> list[Array]:
 
 
 def _batched_backward(function, axes, moved_axes):
-    """`function` for one level of `vmap`: cotangents of what is the same for all are summed."""
+    """`function` for one level of `vmap`: cotangents of operands without a batch axis are summed."""
 
     def backward(*operands):
         parts = jax.vmap(function, in_axes=(*axes, 0))(*operands)
@@ -121,13 +121,13 @@ def _batched_backward(function, axes, moved_axes):
 
 
 def dependent(function: Callable[[Any], list[Array]], at: Any) -> tuple[bool, ...]:
-    """Which of the arrays that `function(at)` returns may have a derivative: from its program alone."""
+    """Which of the arrays that `function(at)` returns may have a derivative, judged by its jaxpr."""
     closed = jax.make_jaxpr(function)(at)
     return tuple(_marked(closed.jaxpr, [True] * len(closed.jaxpr.invars)))
 
 
 def _marked(jaxpr: core.Jaxpr, inputs: list[bool]) -> list[bool]:
-    """Which results of a jaxpr depend on the marked inputs, but for detached ways."""
+    """Which results of a jaxpr depend on the marked inputs, not counting detached dependence."""
     marked = {var for var, mark in zip(jaxpr.invars, inputs, strict=True) if mark}
 
     def has(atom) -> bool:
@@ -156,7 +156,7 @@ _derivative.def_impl(partial(jax.jit, static_argnames="how")(_forward))
 @_derivative.def_abstract_eval
 def _abstract(*operands, how: _Sum):
     shape = how.shape
-    # The innermost level's axis is the last that was put in front.
+    # The axis of the innermost level was added to the front last.
     sizes = []
     shapes = [operand.shape for operand in operands]
     for axes in reversed(how.axes):

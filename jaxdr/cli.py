@@ -1,9 +1,10 @@
 """Command line: `jaxdr render`, `gradient`, `plan`, `optimize`, `reconstruct`, `chart`, `view`.
 
 Compiled programs are kept in the user's cache folder. Each command that compiles says so first, in a line on stderr.
-A user's mistake ends with one line on stderr, `jaxdr: error: …` (a line more for each item of a list of problems), and
-exit code 2, before anything is written. A run whose disk is full or gone ends the same way, its last checkpoint whole;
-one that meets NaN with exit code 1; Ctrl-C and SIGTERM with 130.
+
+After a user's mistake a command prints one line on stderr, `jaxdr: error: …` (and a line for each item of a list of
+problems). It ends with exit code 2, before anything is written. A run whose disk is full or gone ends the same way, and
+its last checkpoint is intact. A run that meets NaN ends with exit code 1. Ctrl-C and SIGTERM end a run with 130.
 """
 
 import argparse
@@ -56,13 +57,13 @@ from jaxdr.view.write import write_page
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
-DEEPEST = 16  # segments of paths that a file wants to be longer, or without an end: there is no Russian roulette
+DEEPEST = 16  # upper limit of segments that a file can ask for, because there is no Russian roulette
 PASS = 1 << 24  # paths of an image between two steps of the progress bar
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; `arguments` default to those of the process."""
-    warp.config.log_level = warp.LOG_WARNING  # no banner and compilation notes between a command's own lines
+    warp.config.log_level = warp.LOG_WARNING  # no banner and no compilation notes between the command's lines
     try:
         options = _parser().parse_args(arguments)
         if options.divides:
@@ -87,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _start_devices(options) -> None:
-    """The processor as so many devices, which GPUs ignore; and the other processes of the run."""
+    """Divide the processor into so many devices (no effect on GPUs), and join the other processes of the run."""
     if options.devices is not None:
         jax.config.update("jax_num_cpu_devices", options.devices)
     named = (options.coordinator, options.processes, options.process)
@@ -96,7 +97,7 @@ def _start_devices(options) -> None:
 
 
 def _keep_programs(options) -> None:
-    """Compiled programs are kept for the next command, unless the user does not want it or the folder can't be used."""
+    """Keep compiled programs for the next command, unless the user does not want it or the folder can't be used."""
     if options.no_cache:
         leave_out()
         return
@@ -125,23 +126,23 @@ def _render(options) -> int:
 
 
 def _settings(options) -> tuple[int, int]:
-    """(samples per pixel, longest path in segments): the options', or the file's, or the defaults."""
+    """(samples per pixel, longest path in segments) from the options, else from the file, else the defaults."""
     path = Path(options.scene)
     asked = RenderSettings(None, None) if is_gltf(path) else mitsuba_settings(path, **_variables(options))
     depth = options.max_depth or asked.max_depth or MAX_DEPTH
     if not options.max_depth and not 0 < depth <= DEEPEST:
         wanted = "without an end" if depth < 0 else f"of {depth} segments"
-        print(f"jaxdr: {path} asks for paths {wanted}; {DEEPEST} are traced (see --max-depth)", file=sys.stderr)
+        print(f"jaxdr: {path} asks for paths {wanted}; {DEEPEST} segments are traced (--max-depth)", file=sys.stderr)
         depth = DEEPEST
     return options.spp or asked.spp or SAMPLES, depth
 
 
 def _in_passes(scene: Scene, key, spp: int, tracer: Integrator) -> np.ndarray:
-    """The image; one of many paths as the mean of several, with a progress bar."""
+    """The image. If it has many paths, it is the mean of several images, with a progress bar."""
     film = scene.camera.film
     each = min(spp, max(1, PASS // (film.width * film.height)))
     counts = [each] * (spp // each) + ([spp % each] if spp % each else [])
-    # The scene is an argument: as a constant of the program XLA would spend its time on folding it.
+    # The scene is an argument, because XLA would spend a long time on folding constants.
     image = jit(lambda scene, key, spp: render(scene, key, spp=spp, integrator=tracer), static_argnums=2)
     if len(counts) == 1:
         return np.asarray(image(scene, key, spp))
@@ -154,13 +155,13 @@ def _in_passes(scene: Scene, key, spp: int, tracer: Integrator) -> np.ndarray:
 
 
 def _aov_path(output: Path, name: str) -> Path:
-    """Beside the image, in its format if that holds any float."""
+    """A path beside the image, in the same format if that can hold any float, else in `.npy`."""
     suffix = output.suffix if output.suffix.lower() in (".exr", ".pfm", ".npy") else ".npy"
     return output.with_name(f"{output.stem}.{name}{suffix}")
 
 
 def _aov_names(text: str) -> list[str]:
-    """Names separated by commas."""
+    """The names in a list separated by commas."""
     names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in NAMES:
@@ -169,7 +170,7 @@ def _aov_names(text: str) -> list[str]:
 
 
 def _gradient_tracer(scene: Scene, name: str, depth: int, boundary: Callable[[], Any] | None) -> PathTracer:
-    """With the estimator asked for, or the default one, which is said where it is not the usual one."""
+    """A path tracer with the given estimator or the default one. Prints the reason if that is not the usual one."""
     if boundary is not None:
         return PathTracer(max_depth=depth, boundary=boundary())
     moving = moving_along(scene, (name,))
@@ -208,7 +209,7 @@ def _gradient(options) -> int:
 
 
 def _finite(image) -> np.ndarray:
-    """The image on the host, if all its values are finite."""
+    """The image on the host. Raises `NotFinite` if a value is not finite."""
     image = np.asarray(image, np.float32)
     bad = np.argwhere(~np.isfinite(image).all(-1))
     if len(bad):
@@ -220,14 +221,14 @@ def _finite(image) -> np.ndarray:
 
 
 def _gradient_outputs(path: Path) -> list[Path]:
-    """A path with a suffix is one file; one without gets the picture and the values."""
+    """The files to write: the path itself if it has a suffix, else a picture and the values beside it."""
     if path.suffix:
         return [path]
     return [path.with_name(path.name + suffix) for suffix in (".png", ".npy", *([".exr"] if has_openexr() else []))]
 
 
 def _color_limit(options, result: np.ndarray) -> float:
-    """The value at the ends of the colour bar: as asked for, or the 99.5th percentile of what is there."""
+    """The value at the ends of the colour bar: that of the options, or the 99.5th percentile of the image."""
     if options.limit is not None:
         return options.limit
     limit = float(np.percentile(np.abs(result.mean(-1)), 99.5))
@@ -274,7 +275,7 @@ def _optimize(options) -> int:
 
 
 def _how(options) -> dict[str, Any]:
-    """What is said of a run beside its config."""
+    """The options of a run that are not in its config."""
     return {"resume": options.resume, "overwrite": options.overwrite, "devices": options.devices}
 
 
@@ -309,14 +310,14 @@ def _chart(options) -> int:
 
 @contextlib.contextmanager
 def _way_to_go_on(*command: str, options) -> Iterator[None]:
-    """Inside the block a run that is stopped, by a signal or by its disk, ends with the command that goes on."""
+    """If a signal or the disk stops the run in this block, name the command that goes on in the message."""
     words = ["jaxdr", *command, *(word for assignment in options.set for word in ("--set", assignment)), "--resume"]
     try:
         yield
     except Interrupted as interruption:
         raise Interrupted(f"{interruption}; go on with: {shlex.join(words)}") from None
     except Stopped as problem:
-        raise Stopped(f"{problem}; once that is mended, go on with: {shlex.join(words)}") from problem
+        raise Stopped(f"{problem}; once that is fixed, go on with: {shlex.join(words)}") from problem
 
 
 def _view(options) -> int:
@@ -330,7 +331,7 @@ def _view(options) -> int:
 def _load_scene(options) -> Scene:
     """The scene with `--set` applied: names with a dot are scene parameters, others go to the loader.
 
-    Those are the $variables of a Mitsuba file; width and height for a glTF file.
+    The loader takes the $variables of a Mitsuba file, or width and height for a glTF file.
     """
     assignments = [split_assignment(text) for text in options.set]
     with _warning_lines():
@@ -359,7 +360,7 @@ def _variables(options) -> dict:
 
 @contextlib.contextmanager
 def _warning_lines() -> Iterator[None]:
-    """Warnings meant for users become lines of stderr."""
+    """Print warnings for users as lines on stderr."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
@@ -407,12 +408,12 @@ def _parser() -> argparse.ArgumentParser:
     for name, function, summary in (
         ("render", _render, f"Render a scene file to {', '.join(SUFFIXES)}."),
         ("gradient", _gradient, "Derivative image of a scene for one motion or parameter."),
-        ("plan", _plan, "Measure and explain what the derivatives of a scene are best estimated with."),
+        ("plan", _plan, "Measure which estimator and settings suit the derivatives of a scene, and explain why."),
     ):
         command = add(name, function, summary)
         command.add_argument("scene", metavar="SCENE", help="Mitsuba 3 XML, .glb or .gltf file")
         command.add_argument(
-            "--ignore-unsupported", action="store_true", help="warn of what a scene file has and jaxdr has not"
+            "--ignore-unsupported", action="store_true", help="only warn about parts of a file that jaxdr lacks"
         )
         spp = "as many as the budget allows" if name == "plan" else f"the file's sample_count, or {SAMPLES}"
         command.add_argument("--spp", type=_positive(int), help=f"samples per pixel (default: {spp})")
@@ -420,9 +421,9 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--max-depth", type=_positive(int), help=f"longest path in segments (default: {depth})")
         command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
         if name == "render":
-            what = "path tracer (default), or bidirectional one: for caustics and light from behind corners"
+            what = "path tracer (default), or bidirectional path tracer for caustics and light from behind corners"
             command.add_argument("--integrator", choices=INTEGRATORS, default="path", help=what)
-            what = f"what is seen, in files beside the image, separated by commas: {', '.join(NAMES)}"
+            what = f"also write these, in files beside the image; separated by commas: {', '.join(NAMES)}"
             command.add_argument("--aov", type=_aov_names, default=[], metavar="NAME,...", help=what)
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
@@ -474,7 +475,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_device_options(command) -> None:
-    """How many devices and processes share a run."""
+    """Add options for the devices and processes that share a run."""
     command.set_defaults(divides=True)
     what = "devices that share the work: N GPUs, or the processor as N devices (default: all GPUs, or one processor)"
     command.add_argument("--devices", type=_positive(int), metavar="N", help=what)
@@ -482,13 +483,13 @@ def _add_device_options(command) -> None:
     command.add_argument("--distributed", action="store_true", help=what)
     command.add_argument("--coordinator", metavar="HOST:PORT", help="process 0 of a run of several processes")
     command.add_argument("--processes", type=_positive(int), metavar="N", help="how many processes the run has")
-    command.add_argument("--process", type=int, metavar="I", help="which of them this is, from 0")
+    command.add_argument("--process", type=int, metavar="I", help="number of this process, from 0")
 
 
 def _add_plan_options(command) -> None:
     what = "parameter or motion that is differentiated, repeatable (default: all vertices)"
     command.add_argument("--wrt", action="append", default=[], metavar="NAME", help=what)
-    what = "seconds of a derivative image (default 1)"
+    what = "time for a derivative image in seconds (default 1)"
     command.add_argument("--budget", type=_positive(float), default=1.0, metavar="SECONDS", help=what)
     what = f"boundary estimator (default: measured): {AUTO}, {', '.join(ESTIMATORS)}, {OUTSIDE}"
     command.add_argument("--boundary", type=_estimator_or_auto, default=AUTO, metavar="NAME", help=what)
@@ -498,7 +499,7 @@ def _add_plan_options(command) -> None:
 
 
 def _estimator(name: str, others: tuple[str, ...] = ()) -> Callable[..., Any]:
-    """What makes a boundary estimator."""
+    """The class or function of a boundary estimator, for argparse."""
     try:
         return estimator_class(name, others)
     except ValueError as problem:
@@ -521,7 +522,7 @@ def _positive(kind):
 
 
 def _complain(problem: Exception, code: int) -> int:
-    """One line; a list of problems, as scene files may have, gets a line each."""
+    """Print an error in one line; items of a list of problems, as scene files may have, get a line each."""
     first, *items = str(problem).split("\n  ")
     for start, text in [("jaxdr: error: ", first), *(("  ", item) for item in items)]:
         print(start + " ".join(text.split()), file=sys.stderr)

@@ -6,9 +6,9 @@ from typing import Any
 
 import jax
 
-# Measured with jaxlib 0.10.2 (experiments/compilation). Loops over fused operations are emitted the old way: with the
-# new one (on by default since 2025) programs that gather a lot, as all here do, take half as long again, to compile and
-# to run. Sums over short axes are loops of XLA's own: a library that it calls by default takes several times as long.
+# Measured with jaxlib 0.10.2 (experiments/compilation). Loops over fused operations are emitted the old way. The new
+# way (the default since 2025) makes programs with many gathers, as all here are, clearly slower to compile and to run.
+# Sums over short axes are XLA's own loops, because the library that XLA calls by default is several times slower.
 CPU_OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_DOT",
@@ -19,8 +19,8 @@ def jit(function: Callable, **settings: Any) -> Any:
     """``jax.jit(function, **settings)``, compiled for speed on the CPU. Elsewhere it is ``jax.jit`` itself.
 
     Results agree with those of ``jax.jit`` up to rounding. Use it for the outermost function: ``jit(jax.grad(loss))``.
-    JAX takes compiler options nowhere else. It raises ValueError ("can only be passed to top-level `jax.jit`") where
-    the result is called inside another `jax.jit`, `jax.grad` or `jax.vmap`.
+    JAX takes compiler options nowhere else. If the result is called inside another `jax.jit`, `jax.grad` or `jax.vmap`,
+    JAX raises ValueError ("can only be passed to top-level `jax.jit`").
 
     For a whole process, `XLA_FLAGS="--xla_cpu_use_fusion_emitters=false --xla_cpu_experimental_ynn_fusion_type=dot"`
     does the same.
@@ -30,7 +30,7 @@ def jit(function: Callable, **settings: Any) -> Any:
 
 @cache
 def compiler_options(backend: str) -> dict[str, Any] | None:
-    """Those of XLA's options for a backend that this version of XLA knows; None where there are none."""
+    """The compiler options for a backend that this version of XLA knows; None if there are none."""
     if backend != "cpu":
         return None
     return {name: value for name, value in CPU_OPTIONS.items() if _is_known({name: value})} or None
@@ -45,9 +45,9 @@ def _is_known(option: dict[str, Any]) -> bool:
 
 
 def unfolded(tree: Any) -> Any:
-    """The tree of arrays, out of reach of XLA's constant folding: for what a jitted function may close over.
+    """The tree of arrays behind a barrier against XLA's constant folding; for values that jitted functions close over.
 
-    XLA would compute tables of a scene (sums, gathers, sorts) when it compiles, by an interpreter: minutes for large
-    ones. A barrier is taken out after that, so it costs nothing when the program runs.
+    When XLA compiles, it would compute tables of a scene (sums, gathers, sorts) by an interpreter, which takes minutes
+    for large scenes. XLA removes the barrier afterwards, so it costs nothing at run time.
     """
     return jax.lax.optimization_barrier(tree)

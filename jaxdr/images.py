@@ -1,4 +1,4 @@
-"""Image files in and out, tone mapping, and pictures of signed values with a colour bar.
+"""Reading and writing image files, tone mapping, and pictures of signed values with a colour bar.
 
 The file formats themselves are in `jaxdr.image_formats`.
 """
@@ -21,7 +21,7 @@ NEGATIVE, ZERO, POSITIVE = np.array([[59, 76, 192], [247, 247, 247], [180, 4, 38
 
 
 def to_srgb(image: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
-    """8-bit sRGB of linear RGB; what is outside [0, 1] is clipped, for display only (IEC 61966-2-1)."""
+    """8-bit sRGB from linear RGB, for display only: values outside [0, 1] are clipped (IEC 61966-2-1)."""
     linear = np.clip(image, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.round(255 * encoded).astype(np.uint8)
@@ -34,7 +34,7 @@ def diverging(values: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarra
 
 
 def from_srgb(encoded: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Linear values of sRGB-encoded ones in [0, 1] (IEC 61966-2-1)."""
+    """Linear values from sRGB-encoded values in [0, 1] (IEC 61966-2-1)."""
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     return linear.astype(encoded.dtype)
 
@@ -43,8 +43,8 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
     """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
 
     `.exr`, `.hdr`, `.pfm` and `.npy` hold linear values. `.png` (8 or 16 bit), `.jpg`, `.bmp` and `.tga` hold sRGB,
-    which is made linear; alpha is linear already. With `raw` their numbers stay as they are, in [0, 1]: use it for
-    normal maps, roughness and masks.
+    which is made linear; alpha is linear already. With `raw` their numbers are not made linear and stay in [0, 1]: use
+    it for normal maps, roughness and masks.
 
     Raises ValueError for a missing or damaged file, an unknown suffix, a variant that is not supported, and EXR without
     the package OpenEXR. The message names the file.
@@ -57,9 +57,9 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
 
 
 def image_size(path: Path) -> tuple[int, int, int]:
-    """(width, height, channels) of what `load_image` reads, from the header of the file alone.
+    """(width, height, channels) of the array that `load_image` returns; only the header of the file is read.
 
-    Raises ValueError as `load_image` does, for what the header tells.
+    Raises ValueError like `load_image`, for problems that the header shows.
     """
     return _read(path, SIZES)
 

@@ -1,8 +1,9 @@
-"""Loops and branches as those of `jax.lax`, that work inside of `jax.shard_map` as well.
+"""The loops and branches of `jax.lax`, which here also work inside `jax.shard_map`.
 
-JAX checks there which values differ between devices: what a loop carries is marked alike before and after a turn, what
-branches return is marked alike, and calls of other libraries get arrays that are marked alike. The zeros that a loop
-begins with are the same on all devices, and its results are not. Here everything counts as different.
+Inside `jax.shard_map` JAX marks values that differ between devices. The marks of a loop's state must be the same before
+and after an iteration, those of the results of all branches must be the same, and so must those of all arrays in a call
+of another library. But the zeros with which a loop begins are the same on all devices, and its results are not. So here
+every value is marked as different.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ Tree = TypeVar("Tree")
 
 
 def varying(tree: Tree) -> Tree:
-    """The same arrays, marked as different on every device of the `jax.shard_map` around; elsewhere as they are."""
+    """The same arrays, marked as different on every device of the surrounding `jax.shard_map`, if there is one."""
     axes = set(jax.sharding.get_abstract_mesh().manual_axes)
 
     def marked(x):
@@ -26,7 +27,7 @@ def varying(tree: Tree) -> Tree:
 
 
 def scan(body: Callable, start: Any, xs: Any = None, length: int | None = None) -> Any:
-    """`jax.lax.scan`."""
+    """`jax.lax.scan`, also inside `jax.shard_map`."""
 
     def turn(carry, x):
         carry, out = body(carry, x)
@@ -36,22 +37,22 @@ def scan(body: Callable, start: Any, xs: Any = None, length: int | None = None) 
 
 
 def fori_loop(lower: Any, upper: Any, body: Callable, start: Any) -> Any:
-    """`jax.lax.fori_loop`."""
+    """`jax.lax.fori_loop`, also inside `jax.shard_map`."""
     return jax.lax.fori_loop(lower, upper, lambda i, state: varying(body(i, state)), varying(start))
 
 
 def while_loop(goes_on: Callable, body: Callable, start: Any) -> Any:
-    """`jax.lax.while_loop`."""
+    """`jax.lax.while_loop`, also inside `jax.shard_map`."""
     return jax.lax.while_loop(goes_on, lambda state: varying(body(state)), varying(start))
 
 
 def cond(predicate: Any, if_true: Callable, if_false: Callable, *operands: Any) -> Any:
-    """`jax.lax.cond`."""
+    """`jax.lax.cond`, also inside `jax.shard_map`."""
     return jax.lax.cond(predicate, *(lambda *x, f=f: varying(f(*x)) for f in (if_true, if_false)), *operands)
 
 
 def result_like(operands: Sequence[Any], shape: tuple[int, ...], dtype: Any) -> ShapedArray:
-    """What a primitive returns that works on `varying` operands: an array with their marks."""
+    """The abstract result of a primitive on `varying` operands: an array with their marks."""
     first = operands[0]
     if not _axes(first):
         return ShapedArray(shape, dtype)

@@ -1,4 +1,4 @@
-"""What moves in a derivative: known when its program is traced."""
+"""Which parts of a scene move in a derivative; known when the program is traced."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -17,8 +17,8 @@ from jaxdr.scene.textures import TexturePoint
 class Moving(NamedTuple):
     """Which parts of a scene move in a derivative. Static: known when the program is traced.
 
-    - `shapes`: one flag for each of `scene.shapes`, in their order. A shape also counts as moving where the index of
-      its smooth glass, or the normals of its mirror, are differentiated.
+    - `shapes`: one flag for each of `scene.shapes`, in their order. A shape also counts as moving if the index of its
+      smooth glass, or the normals of its mirror, are differentiated.
     - `camera`: whether the camera moves.
     - `lights`: one flag for each of `scene.lights`.
     - `environment`: whether the environment turns.
@@ -41,10 +41,10 @@ class Moving(NamedTuple):
 
 
 def moving_in(scene: Scene, active: Scene) -> Moving:
-    """Which geometry moves in a scene where the leaves of `active` say which floats are differentiated.
+    """Which parts of a scene move. The leaves of `active` say which floats are differentiated.
 
-    Parts of a scene don't list what moves: their methods are traced, and what these return tells. So no name of a
-    parameter matters, and none can be forgotten.
+    Methods of the parts are traced. A part moves if their results depend on active floats. So there is no list of
+    parameters that could be incomplete.
     """
     sky = scene.environment
     return Moving(
@@ -67,12 +67,12 @@ def _changes(what: Callable[[Any], Any], part: Any, active: Any) -> bool:
 
 
 def _shadow_lines(light):
-    """What the places of a light's shadows depend on, but for the surfaces."""
+    """The properties of a light on which the places of its shadows depend."""
     return light.place(), light.borders()
 
 
 def _lobe(bsdf: BSDF):
-    """Direction of a delta lobe at one point. Where it changes, what is seen in it moves."""
+    """Direction of a delta lobe at one point. If it changes, the reflected or refracted scene moves in the image."""
     third, none = jnp.full((1, 3), 1.0 / 3.0), jnp.zeros(1, jnp.int32)
     point = TexturePoint(third[:, :2], third, jnp.zeros((1, 3), jnp.int32), none, jnp.ones((1, 3)))
     (group,) = group_bsdfs([bsdf])

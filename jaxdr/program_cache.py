@@ -1,7 +1,7 @@
-"""XLA's persistent compilation cache, in a folder of the user's: for commands and tests, whose programs come again.
+"""XLA's persistent compilation cache in a folder of the user, for commands and tests, which compile the same programs.
 
-JAX's key of a program holds all that it is compiled from (operations and their attributes, options, versions, the
-processor), and programs with host callbacks are left out. Warp's callables write no number of this process into a
+JAX's key of a program contains everything that it is compiled from (operations and their attributes, options, versions,
+the processor). Programs with host callbacks are not kept. Warp's callables write no number of this process into a
 program (`geometry.queries.warp.records.Call`).
 """
 
@@ -13,11 +13,11 @@ from pathlib import Path
 import jax
 from filelock import FileLock, Timeout
 
-SIZE = 2 << 30  # bytes, from where on the programs that were not used for longest are deleted
+SIZE = 2 << 30  # bytes; beyond, the programs that were not used for longest are deleted
 
 
 def user_folder(environment: Mapping[str, str] = os.environ, platform: str = sys.platform) -> Path:
-    """Where this platform keeps what can be computed again, of this package."""
+    """This package's cache folder on this platform."""
     home = Path.home()
     if platform == "win32":
         base = environment.get("LOCALAPPDATA") or home / "AppData" / "Local"
@@ -29,11 +29,11 @@ def user_folder(environment: Mapping[str, str] = os.environ, platform: str = sys
 
 
 def keep_programs(folder: Path) -> Path:
-    """Keep compiled programs in a folder from now on, unless JAX was told where to; returns where they are kept.
+    """Keep compiled programs in a folder from now on, or in the one that JAX already has; returns the folder.
 
-    Processes may share it. Raises OSError where nothing can be written.
+    Processes may share it. Raises OSError if the folder is not writable.
     """
-    # JAX makes its options attributes at run time, and its class declares only some of them.
+    # JAX adds its options as attributes at run time, and its class declares only some of them.
     chosen = jax.config.jax_compilation_cache_dir  # type: ignore[reportAttributeAccessIssue]
     if chosen:
         return Path(chosen)
@@ -41,21 +41,21 @@ def keep_programs(folder: Path) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f"{folder} is not writable")
     _mend(folder)
-    # A limit makes JAX lock the folder as well; without one a process can read what another is still writing.
+    # With a limit JAX also locks the folder. Without it a process can read a program that another is still writing.
     jax.config.update("jax_compilation_cache_max_size", SIZE)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     return folder
 
 
 def _mend(folder: Path) -> None:
-    """Delete programs without a time of last use, which a stopped process leaves: JAX keeps none beside such a one."""
+    """Delete programs without a time of last use, left by stopped processes: beside them JAX keeps no new programs."""
     try:
-        with FileLock(folder / ".lockfile", timeout=1):  # the one of JAX
+        with FileLock(folder / ".lockfile", timeout=1):  # JAX's own lock
             for program in folder.glob("*-cache"):
                 if not program.with_name(program.name.removesuffix("-cache") + "-atime").exists():
                     program.unlink()
     except Timeout:
-        pass  # others are at work in it, and mend it at the next start
+        pass  # another process uses the folder; the next start deletes them
 
 
 def leave_out() -> None:

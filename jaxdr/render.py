@@ -1,8 +1,8 @@
-"""Rendering, top to bottom: draw paths -> contributions -> interior + boundary -> film.
+"""Rendering: the image and its derivative.
 
-`render` has its own derivative rule: the image comes from one key, its tangent from a second estimate with an
-independent key, the sum of interior and boundary terms. An image that nobody differentiates pays for no boundary term,
-and the gradient of a non-linear loss of the image is unbiased.
+`render` has its own derivative rule. The image comes from one key. Its tangent is a second estimate with an independent
+key, the sum of interior and boundary terms. So an image without derivatives pays for no boundary term, and the gradient
+of a non-linear loss of the image is unbiased.
 """
 
 from functools import partial
@@ -30,13 +30,13 @@ from jaxdr.transport.keys import inner_key
 
 
 class Program(NamedTuple):
-    """Everything static about a rendering; hashable. Of the integrator all but its arrays."""
+    """Everything static about a rendering; hashable. `integrator` has no arrays."""
 
     structure: Any  # a jax.tree_util.PyTreeDef
     is_float: tuple[bool, ...]
     spp: int
     integrator: Integrator
-    by_default: bool  # whether nobody said which
+    by_default: bool  # whether the user gave no integrator
 
 
 def render(
@@ -47,16 +47,17 @@ def render(
     - `key`: a JAX random key. The same key and arguments give the same image, bit for bit on CPU. Image and derivative
       use independent keys that are split from it.
     - `spp`: samples per pixel.
-    - `integrator`: left out, it is `PathTracer()`, but with another estimator where `KernelDensity` fails: under area
-      emitters of more than 16 faces, with meshes of 300,000 faces and more, and where an environment map turns. That is
-      `LineSampling`; under such emitters `GuidedEdges`, where all surfaces are diffuse and flat and there is no sky. An
-      `EstimatorChoice` says so once. Only the structure of the scene and what is differentiated decide, never values;
-      `jaxdr.plan` measures which estimator suits.
+    - `integrator`: the default is `PathTracer()` with `KernelDensity` or, where that fails, another estimator. It fails
+      under area emitters of more than 16 faces, with meshes of 300,000 faces or more, and if an environment map turns.
+      Then the estimator is `LineSampling`. Under such emitters it is `GuidedEdges` if all surfaces are diffuse and
+      flat, the camera is a `Perspective`, and there is no environment. An `EstimatorChoice` warning says so once. Only
+      the structure of the scene and what is differentiated decide, never values. `jaxdr.plan` measures which estimator
+      suits.
 
     Works under jit, grad, vjp, jvp, and vmap over keys. Which parameters are differentiated is known when the program
-    is traced, and only the terms they need are compiled.
+    is traced, and only the terms that they need are compiled.
 
-    Raises ValueError for spp < 1 or an argument of the wrong kind. Warns with `EstimatorWarning` where the derivative's
+    Raises ValueError for spp < 1 or an argument of the wrong kind. Warns with `EstimatorWarning` if the derivative's
     estimator fails by nature on the scene.
     """
     if not isinstance(scene, Scene):
@@ -78,7 +79,7 @@ def render(
 def derivative_terms(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None, moving: Moving | None = None
 ) -> dict[str, Float[Array, "H W 3"]]:
-    """The terms of which `render`'s derivative is the sum, by name: differentiate them to see each on its own.
+    """The terms of `render`, by name. Its derivative is the sum of theirs: differentiate a term to see its part.
 
     - `interior`: the image in value. All others are zero in value.
     - `silhouettes`, `creases`: edges that move in the image.
@@ -139,7 +140,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):
-        """The packed scene as a function of what is active."""
+        """The packed scene as a function of the active floats."""
         at = iter(at)
         return pack(_join(program, [next(at) if a else f for f, a in zip(still, active, strict=True)], others))
 
@@ -187,7 +188,7 @@ def _image(program: Program, floats, others, arrays, key):
 
 
 def _prepare(scene: Scene, packed: PackedScene, integrator: Integrator, moving: Moving, key, apart: bool = False):
-    """(what the terms of all chunks share or None, key of the chunks)."""
+    """(states of the terms for all chunks, or None; key of the chunks)."""
     if not moving.any:
         return None, key
     rest, pilot_key = jax.random.split(key)
@@ -222,9 +223,9 @@ def _batch(packed: PackedScene, integrator: Integrator, spp: int, differentiated
 
 
 def _estimate(scene: Scene, key, spp: int, integrator: Integrator, moving: Moving | None) -> dict:
-    """Sum over chunks of samples, by term. Chunks are rematerialised: memory does not grow with the samples per pixel.
+    """Sum over chunks of samples, by term. Chunks are rematerialised, so memory does not grow with samples per pixel.
 
-    Without `moving` the terms are those of an image that nobody differentiates: the interior's value alone.
+    Without `moving` there is only the interior term, in value.
     """
     packed, prepared = pack(scene), None
     if moving is not None:

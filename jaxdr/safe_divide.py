@@ -1,4 +1,4 @@
-"""Divisions that are safe to differentiate: where there is nothing to divide by, nothing is divided."""
+"""Divisions that are safe to differentiate where the divisor is zero."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
@@ -10,9 +10,9 @@ def safe_divide(
     valid: Bool[ArrayLike, "*#n"] | None = None,
     otherwise: Float[ArrayLike, "*#n"] | None = None,
 ) -> Float[Array, "*n"]:
-    """a / b where `valid`, which left out is where b is not zero; elsewhere `otherwise`, which left out is a.
+    """a / b where `valid` (default: where b is not zero), elsewhere `otherwise` (default: a).
 
-    What is guarded is the divisor. Behind a guarded quotient alone, gradients are zero times infinity: not a number.
+    The divisor is replaced, not only the quotient. Else gradients would be zero times infinity, which is NaN.
     """
     valid = jnp.not_equal(b, 0) if valid is None else valid
     quotient = jnp.divide(a, jnp.where(valid, b, 1.0))
@@ -20,5 +20,5 @@ def safe_divide(
 
 
 def nonzero(b: Float[ArrayLike, "*n"]) -> Float[Array, "*n"]:
-    """`b`, with 1 in place of 0: a divisor that several divisions share."""
+    """`b` with 1 instead of 0, as a divisor for several divisions."""
     return jnp.where(jnp.equal(b, 0), 1.0, b)

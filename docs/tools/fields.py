@@ -1,4 +1,4 @@
-"""Signatures of classes without an `__init__` of their own: their fields, as equinox and NamedTuple make them."""
+"""Signatures of classes without an `__init__` of their own, from their fields, as equinox and NamedTuple make them."""
 
 import griffe
 

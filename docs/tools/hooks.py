@@ -1,7 +1,7 @@
-"""What the site needs beyond MkDocs: the studies and examples outside of docs/, and formulas as MathML.
+"""Hooks of MkDocs: they add the studies and examples outside of docs/ to the site, and turn formulas into MathML.
 
-Pages link to `../experiments/NAME` and `../examples/FILE`, which works where the repository is read. In the site these
-files lie beside the pages, so a link loses its `../`, and that of a folder gets the folder's README.
+Pages link to `../experiments/NAME` and `../examples/FILE`. That works in the repository. In the site these files lie
+beside the pages, so links lose their `../`, and a link to a folder becomes one to its README.
 """
 
 import html
@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).resolve().parents[2]
 OUTSIDE = ("experiments/*/README.md", "experiments/*/results/*.png", "examples/*.py", "configs/*.toml")
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
-LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)\s]*)?(\))")  # relative ones: a colon is that of https:
+LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)\s]*)?(\))")  # relative links only: others have the colon of https:
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 

@@ -30,7 +30,7 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 def draw(page: Path | str, ready: str, name: str, folder: Path) -> None:
-    """Writes what the browser shows of a page. Raises RuntimeError for errors in it, or where it asks others."""
+    """Writes a picture of a page in the browser. Raises RuntimeError if the page has errors or loads anything else."""
     shown = show(page, ready, folder / f"profile_{name}", SIZE)
     own = ("file:", "data:", "blob:", "http://localhost:")
     outside = [address for address in shown.addresses if not address.startswith(own)]

@@ -3,7 +3,7 @@
     python -m experiments.bidirectional.gradients
 
 A half pipe of rough metal throws the light of a small lamp onto a diffuse floor, and a sheet shades some of it. The
-estimators run in turns, derivative by derivative, so that whatever else the machine does slows all alike.
+estimators run in turns, derivative by derivative, so that other work of the machine slows all of them equally.
 """
 
 import statistics
@@ -37,7 +37,7 @@ COLUMNS = {
 def scene(size):
     """The half pipe, the sheet, the floor, and the lamp; the camera looks down on the caustic."""
     angle = np.linspace(0.0, np.pi, 33)
-    # Not on the floor: where the two touch, the derivative of what one sends the other has no finite variance.
+    # It does not touch the floor. Where the two touch, the derivative of the light between them has infinite variance.
     arc = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), 0.15 + 0.0 * angle], -1)
     pipe = np.concatenate([arc, arc + np.array([0.0, 0.0, 0.5])])
     i = np.arange(32)

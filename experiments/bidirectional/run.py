@@ -1,8 +1,8 @@
-"""Path tracing and bidirectional path tracing: the same image, and which has the smaller error in the same time.
+"""Path tracing against bidirectional path tracing: are the images the same, and which error is smaller at equal time?
 
     python -m experiments.bidirectional.run
 
-Both render the same scenes in turns, image by image, so that whatever else the machine does slows both alike.
+Both render the same scenes in turns, image by image, so that other work of the machine slows both equally.
 """
 
 import statistics
@@ -15,7 +15,7 @@ from experiments import common
 from experiments.bidirectional.scenes import SCENES
 
 STUDY = "bidirectional"
-SPP = 16  # of the bidirectional path tracer; the path tracer gets as many as fit into its time
+SPP = 16  # samples of the bidirectional path tracer; the path tracer gets as many as fit into the same time
 ROUNDS, REFERENCE_ROUNDS, REFERENCE_SPP = 16, 8, 256
 COLUMNS = {
     "scene": ("scene", "s"),

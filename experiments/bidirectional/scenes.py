@@ -53,7 +53,7 @@ def cornell():
 
 
 def hidden_lamp():
-    """The same box, lit from behind a screen that lets light reach the ceiling alone."""
+    """The same box. Its lamp is behind a screen, so that the light reaches only the ceiling directly."""
     lamp = jd.Shape(
         transformed(rectangle(0.3, 0.3), np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.4], [0, 0, 0, 1.0]]))
     )
@@ -70,7 +70,7 @@ def rough_glass():
 
 
 def caustic():
-    """A small lamp above a ball of smooth glass over a diffuse floor: in view is the caustic in its shadow alone."""
+    """A small lamp above a ball of smooth glass over a diffuse floor. Only the caustic in its shadow is in view."""
     body = _body(sphere(4, 0.5, (0, 0, 1.0)), jd.Dielectric(1.5))
     floor = jd.Shape(rectangle(6.0, 6.0), jd.Diffuse(0.6))
     return jd.Scene(

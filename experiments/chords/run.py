@@ -1,9 +1,9 @@
-"""Variance · seconds of derivative images by how many chords a path sample LineSampling draws, on the reference scenes.
+"""Variance · seconds of derivative images against the chords of LineSampling per path sample, on the reference scenes.
 
     python -m experiments.chords.run
 
-Line sampling is unbiased whatever the number, so that variance alone decides. All numbers of chords take turns, call by
-call, in one process: only the ratios along a row mean anything.
+Line sampling is unbiased for any number of chords, so only variance and time matter. All numbers take turns, call by
+call, in one process. Only the ratios along a row mean anything.
 """
 
 import json

@@ -1,9 +1,9 @@
-"""What levels are worth: Chamfer distance against seconds with fixed settings and from coarse to fine.
+"""Chamfer distance against seconds: fixed settings compared with levels from coarse to fine.
 
     python -m experiments.coarse_to_fine.run [--seed N ...] [--levels configs/spot_levels.toml]
 
-Both runs start in processes of their own, one after the other; seconds are of everything, compilation included.
-Seeds that are there already stay in the table and the picture.
+Each run has a process of its own, one after the other. Seconds include everything, also compilation. Seeds that were
+measured before stay in the table and the picture.
 """
 
 import csv

@@ -1,4 +1,4 @@
-"""Derivative images of the reference scenes by versions of jaxdr: are they the same; what is error² times seconds?"""
+"""Derivative images of the reference scenes by versions of jaxdr: do they agree, and what is error² · seconds?"""
 
 import statistics
 

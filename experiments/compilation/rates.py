@@ -1,4 +1,4 @@
-"""Seconds of gradients and images beside Mitsuba's (LLVM), turn about in one process for each version of jaxdr."""
+"""Seconds of gradients and images against Mitsuba's (LLVM), in turns, in one process for each version of jaxdr."""
 
 import statistics
 

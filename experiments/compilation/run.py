@@ -1,8 +1,8 @@
-"""Small, fast programs: how large they are, how long until a first gradient, and rates beside Mitsuba's.
+"""Small, fast programs: their size, the time until a first gradient, and rates against Mitsuba's.
 
     python -m experiments.compilation.run --tree ../before
 
-Every part of it is measured for this version and for the checkouts of other versions given with `--tree`, in turns.
+Every part is measured for this version and for the other versions whose checkouts `--tree` names, in turns.
 """
 
 from pathlib import Path

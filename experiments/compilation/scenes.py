@@ -1,6 +1,6 @@
-"""What is compiled: README's example with other depths and estimators, and with a mirror, a lens, textures and a sky.
+"""The compiled scenes: README's example with other depths, estimators, and a mirror, a lens, or textures and a sky.
 
-jaxdr is imported on use: which version it is, a study decides (`trees.py`).
+jaxdr is only imported when it is used, since a study chooses its version (`trees.py`).
 """
 
 import numpy as np

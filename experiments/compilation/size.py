@@ -1,4 +1,4 @@
-"""How large programs are, and what each stage from `import jaxdr` to a gradient takes."""
+"""The size of programs, and the time of each stage from `import jaxdr` to a gradient."""
 
 import statistics
 import time

@@ -1,4 +1,4 @@
-"""Versions of jaxdr to compare: this one, and checkouts of others."""
+"""The versions of jaxdr to compare: this one, and checkouts of other versions."""
 
 import os
 import subprocess

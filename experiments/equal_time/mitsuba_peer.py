@@ -51,8 +51,8 @@ class MovingScene:
 def reference(path, case, batches):
     """Central difference with common random numbers: a dict with the image and the variance of its noise.
 
-    (I(h) − I(−h)) / 2h is the mean of dI/dx over [−h, h] exactly, whatever jumps between; estimators are therefore
-    evaluated at offsets spread over the same interval, and the step smears neither side of the comparison.
+    (I(h) − I(−h)) / 2h is exactly the mean of dI/dx over [−h, h], even if it jumps there. So estimators are evaluated
+    at offsets spread over the same interval, and the step smears both sides of the comparison equally.
     """
     scene = MovingScene(path, case)
     integrator = scene.mi.load_dict({"type": "path", "max_depth": case.max_depth, "rr_depth": 1000})

@@ -1,9 +1,9 @@
-"""What a user sees when a run is killed, told to end, or loses its disk; and that it goes on with the same bits.
+"""What a user sees when a run is killed, told to end, or loses its disk; and whether it goes on with the same bits.
 
     python -m experiments.faults.run [CASE ...]
 
 Every case is a real `jaxdr optimize` in a process of its own. Full and read-only disks are small file systems in
-memory, which only root may mount; elsewhere those cases are left out, and that is said.
+memory. Only root may mount those; without root these cases are left out, and the report says so.
 """
 
 import shutil

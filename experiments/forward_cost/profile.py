@@ -1,7 +1,7 @@
-"""Where the time of a forward image goes: one bounce taken apart, its pieces timed as programs of their own.
+"""Where the time of a forward image goes: the pieces of one bounce are timed as programs of their own.
 
-The pieces get what they get in the path tracer: a block of first hits that scatter, and directions, emitter samples and
-hits that come from them.
+Their inputs are those of the path tracer: a block of first hits that scatter, and the directions, emitter samples and
+hits that follow from them.
 """
 
 import statistics
@@ -16,7 +16,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import detached_barycentric, intersect, leave, material_point
 from jaxdr.transport.path import trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.radiance import CPU_BLOCK as BLOCK
 from jaxdr.transport.radiance import arriving_radiance
 from jaxdr.transport.sampler import uniform
@@ -45,7 +45,7 @@ def pieces(scene, settings, samples):
         return answer
 
     def camera(packed):
-        return primary_samples(packed, jnp.arange(samples), key, RAYS, "fixed")
+        return primary_samples(packed, jnp.arange(samples), key, RAYS, Form.FIXED)
 
     primary = timed("camera rays, their hits", camera, packed, each=count)
     vertices = jd.jit(lambda packed: _vertices(packed, primary, key, settings))(packed)

@@ -1,4 +1,4 @@
-"""Forward paths a second: jaxdr and Mitsuba's `path` (LLVM) on four scenes, turn about in one process.
+"""Forward paths per second of jaxdr and of Mitsuba's `path` (LLVM) on four scenes, in turns in one process.
 
 python -m experiments.forward_cost.run --profile
 """

@@ -1,4 +1,4 @@
-"""The four scenes: diffuse room, glossy bodies, textured mesh under a sky, glass."""
+"""The four scenes of the study: a diffuse room, glossy bodies, a textured mesh under a sky, and glass."""
 
 from experiments.forward_images.markup import (
     area,

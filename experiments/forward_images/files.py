@@ -1,4 +1,4 @@
-"""Mesh, image and environment files that the scenes name; all procedural."""
+"""The mesh, image and environment files of the scenes. All of them are procedural."""
 
 import numpy as np
 from PIL import Image

@@ -1,4 +1,4 @@
-"""Mitsuba XML from Python: an element a function."""
+"""Mitsuba XML from Python: a function for each kind of element."""
 
 SIZE = (24, 18)
 BOX = '<rfilter type="box"/>'

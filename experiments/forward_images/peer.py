@@ -1,4 +1,4 @@
-"""Mitsuba's half: the same file, but for curved shapes, which get our tessellation."""
+"""Mitsuba's half of the comparison: it reads the same file, but curved shapes have our tessellation."""
 
 import xml.etree.ElementTree as ElementTree
 

@@ -1,8 +1,8 @@
-"""Forward images against Mitsuba 3: every pixel's z, from independent images of both, on scenes of every feature.
+"""Forward images against Mitsuba 3: the z-score of every pixel, from independent images, on scenes with all features.
 
     python -m experiments.forward_images.run --scene glass
 
---store also writes the references of tests/references/forward_images, made by Mitsuba.
+--store writes the references of tests/references/forward_images, made by Mitsuba, and nothing else.
 """
 
 import csv

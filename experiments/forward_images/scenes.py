@@ -1,4 +1,4 @@
-"""Scenes that between them use every feature of the loader, as Mitsuba XML."""
+"""Scenes as Mitsuba XML. Together they use every feature of the loader."""
 
 import dataclasses
 
@@ -27,9 +27,9 @@ from experiments.forward_images.markup import (
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A scene: what is inside <scene>, how long its paths may be, paths a pixel in each of the independent images.
+    """A scene: the content of <scene>, the longest path in segments, and paths per pixel of each independent image.
 
-    `differs` on purpose, as `note` says.
+    `differs`: whether its images differ on purpose; `note` says why.
     """
 
     content: str

@@ -1,4 +1,4 @@
-"""Do two stacks of independent images have the same expectation? Pixel by pixel, and as a whole."""
+"""Tests whether two stacks of independent images have the same expected value, in each pixel and as a whole."""
 
 import numpy as np
 from scipy.stats import t

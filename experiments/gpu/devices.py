@@ -1,11 +1,11 @@
-"""The same programs on a GPU and on the CPU beside it: whether they agree, and how long they take.
+"""The same programs on a GPU and on the CPU beside it: do they agree, and how long do they take?
 
     python -m experiments.gpu.devices --device cuda --device cpu
 
 Every case runs in a process of its own on each device, with the same keys. Rounding makes a few rays hit another face,
-so pictures agree to a small share of their noise and not bit for bit. Chunks of paths are as large on all devices,
-since each has random numbers of its own; `--chunk-size` says how large (by default a CPU would take 65,536 and a GPU
-eight times as many).
+so pictures agree up to a small share of their noise, but not bit for bit. Chunks of paths have the same size on all
+devices, since each chunk has random numbers of its own. `--chunk-size` sets that size. (By default a CPU takes chunks
+of 65,536 paths, and a GPU eight times as many.)
 """
 
 import dataclasses
@@ -53,10 +53,10 @@ def measure(case: str, size: int, spp: int, chunk_size: int) -> dict:
 
 
 def agreement(a, b) -> dict:
-    """Of two stacks of pictures of the same keys: their difference over the noise of one, and ratio of the means.
+    """How well two stacks of pictures agree that have the same keys.
 
-    `difference` is a root mean square over pixels, divided by the standard deviation of a pixel over keys. 1.4 would be
-    that of independent pictures. `projection` of the mean of b on that of a.
+    `difference` is the root mean square of their difference over pixels, divided by the standard deviation of a pixel
+    over keys. Independent pictures have 1.4. `projection` is that of the mean of b on the mean of a.
     """
     noise = np.sqrt(a.var(0, ddof=1).mean())
     means = a.mean(0), b.mean(0)

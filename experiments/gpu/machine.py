@@ -1,4 +1,4 @@
-"""What a machine has of GPUs, drivers and memory, as JAX and Warp see it.
+"""GPUs, drivers and memory of the machine, as JAX and Warp see them.
 
 python -m experiments.gpu.machine
 """

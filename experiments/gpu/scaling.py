@@ -2,9 +2,9 @@
 
     python -m experiments.gpu.scaling --platform cuda
 
-Strong scaling: as many views as there are devices at most, divided. Weak scaling: one view on every device. Each number
-of devices is measured in a process of its own. With `--platform cpu` a process has as many cores as it has devices, one
-and two, so that what is measured is the division and not the threads of one device.
+Strong scaling divides a fixed number of views, the largest number of devices. Weak scaling has one view on every
+device. Each number of devices is measured in a process of its own. With `--platform cpu` there are one and two devices,
+and a process has as many cores as devices. So the division is measured, not the threads of one device.
 """
 
 import json

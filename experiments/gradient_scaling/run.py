@@ -3,7 +3,7 @@
     python -m experiments.gradient_scaling.run
 
 Each point runs in a fresh process, so that its peak memory is its own. The last part compiles the first gradient of
-a small scene twice, in two processes that share a persistent compilation cache, which is empty for the first.
+a small scene in two processes. They share a persistent compilation cache, which is empty for the first one.
 """
 
 import os

@@ -2,10 +2,11 @@
 
     python -m experiments.guides.ablation [--scene environment_penguin shadow_goathead] [--remeshed]
 
-The boundary term alone, as in the paper: a derivative image of the rotated penguin under a sky, and of a moved head's
-soft shadow. All settings take turns, call by call, with guides built once; the error at equal time is that of the mean
-of as many independent calls as fit in it, its variance being the calls' variance over their number. With --remeshed the
-moving mesh is one of as many vertices whose edges go along a field of directions, in long chains (4.3 of the paper).
+As in the paper, it is the boundary term alone: derivative images of a rotated penguin under a sky, and of the soft
+shadow of a head that moves. All settings take turns, call by call, and guides are built once. The error at equal time
+is that of the mean of as many independent calls as fit into the time: its variance is that of a call over their number.
+With --remeshed the moving mesh has as many vertices, but its edges follow a field of directions in long chains (4.3 of
+the paper).
 """
 
 import dataclasses
@@ -70,7 +71,7 @@ def line(case, guide, sampling, order, segments):
 
 
 def remeshed(case):
-    """The same with edges in long chains."""
+    """The same scene with a moving mesh whose edges form long chains."""
     import jaxdr as jd
 
     mesh = case.scene.shapes[case.shape].mesh

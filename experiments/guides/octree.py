@@ -3,9 +3,9 @@
     jaxdr chart configs/chart_guides.toml --set peers=true --set folder=../shared/oracle
     python -m experiments.guides.octree [--rows runs/chart_guides/rows.csv]
 
-Seconds of a call are those of building the guide (a) and of its samples (b each): a line through the rungs. Squared
-error is variance c over samples. So it takes a + b c / error² seconds to an error, and b c is what error² x seconds
-comes to where the guide is paid off.
+The seconds of a call are a for building the guide and b for each sample, by a line through the rungs of the chart. The
+squared error is c over the number of samples. So an error takes a + b c / error² seconds. b c is error² · seconds once
+the guide is paid off.
 """
 
 import csv
@@ -62,7 +62,7 @@ def compared(rows):
 
 def main():
     parser = common.parser(__doc__)
-    parser.add_argument("--rows", type=Path, help="rows.csv of a chart; without, those that are kept")
+    parser.add_argument("--rows", type=Path, help="rows.csv of a chart (default: the rows in results/)")
     options = parser.parse_args()
     folder = common.results(STUDY, options.quick)
     kept = folder / "octree.csv"

@@ -2,8 +2,9 @@
 
     python -m experiments.guides.recovery [--seed 0 1] [--target MESH]
 
-`configs/sun_and_sky.toml`, a process for every run, one after the other. As many steps for all; seconds are of
-everything, compilation and guides (built anew for every view of every step) included.
+It runs `configs/sun_and_sky.toml` with different settings, each in a process of its own, one after the other. All have
+the same number of steps. Seconds include everything, also compilation and guides, which are built anew for every view
+of every step.
 """
 
 import csv

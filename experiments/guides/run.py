@@ -2,9 +2,9 @@
 
     python -m experiments.guides.run
 
-Derivatives of the film's mean by the vertices of a blocker over a floor, from independent keys and as many segments in
-all of them. Where the light is as wide as in the tests, or the film small, the quadrangle has a closed form; elsewhere
-what is compared with is the mean over all guides.
+It takes derivatives of the film's mean by the vertices of a blocker over a floor, from independent keys, with the same
+number of segments for all guides. If the light is as wide as in the tests, or the film is small, the derivative of the
+quadrangle has a closed form. Otherwise the reference is the mean over all guides.
 """
 
 from functools import partial

@@ -2,8 +2,8 @@
 
     python -m experiments.mesh_lamps.run --before FOLDER
 
-`FOLDER` is a checkout of the version to compare with. Two processes, one for each version, compile everything first and
-then answer in turns. Without it the present version alone is measured.
+`FOLDER` is a checkout of the version to compare with. Two processes, one for each version, first compile everything and
+then answer in turns. Without `--before` only the present version is measured.
 """
 
 import json

@@ -1,9 +1,11 @@
-"""Noise of derivatives by light that narrow lobes send to a diffuse surface, of versions of the library.
+"""Noise of derivatives under light that narrow lobes and glass send to a diffuse surface, by several versions.
 
     python -m experiments.narrow_lobes.run --versions before=CHECKOUT after=.
 
-A diffuse ball moves over a floor that is a rough mirror. Each version answers in a process of its own: projections of
-its derivative images on central differences of other keys, their spread, and processor seconds of a call.
+In `floor 0.1` a diffuse ball moves over a floor that is a mirror of roughness 0.1 (depth 3). In `lens` a board moves
+behind a glass lens, and the camera sees it through the lens (depth 4). Each version answers in a process of its own.
+Rows have projections of its derivative images on central differences with other keys, their spread, and processor
+seconds of a call.
 """
 
 import json
@@ -20,12 +22,12 @@ from experiments import common
 STUDY = "narrow_lobes"
 STEP, POSITIONS = 0.02, 8
 SIZE = 32
-ROUGHNESS = (0.01, 0.03, 0.1, 0.3)
+CASES = ("floor 0.01", "floor 0.03", "floor 0.1", "floor 0.3", "lens")
 BOUNDARIES = ("LineSampling", "KernelDensity")
 REFERENCES, REFERENCE_SPP = 3, 512
 COLUMNS = {
     "version": ("version", "s"),
-    "roughness": ("roughness", "g"),
+    "case": ("case", "s"),
     "boundary": ("boundary", "s"),
     "projection": ("projection", ".3f"),
     "standard error": ("error", ".3f"),
@@ -36,8 +38,8 @@ COLUMNS = {
 }
 
 
-def scene_of(roughness: float):
-    """A ball and its floor, under a square lamp."""
+def floor(roughness: float):
+    """(a ball, its floor and a square lamp; what moves; its velocity; max_depth)."""
     import jaxdr as jd
     from jaxdr.geometry import shapes
 
@@ -48,22 +50,43 @@ def scene_of(roughness: float):
         "lamp": jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(8.0)),
     }
     view = jd.Perspective(jd.look_at((0.6, -3.0, 1.0), (0.0, 0.0, 0.4), (0, 0, 1)), 30.0, jd.Film(SIZE, SIZE))
-    return jd.Scene(named, view)
+    return jd.Scene(named, view), "ball.vertices", (1.0, 0.4, 0.2), 3
 
 
-def measure(roughness: float, boundaries: list[str], calls: int, spp: int, references: int) -> list[dict]:
-    """Rows of one roughness, of the version that is imported."""
+def lens():
+    """As `floor`: a board behind a glass lens, before a grey wall."""
+    import jaxdr as jd
+    from jaxdr.geometry import shapes
+
+    def facing(size, y):
+        return shapes.transformed(shapes.plane(size), jd.look_at((0, y, 0), (0, y - 1, 0), (0, 0, 1)))
+
+    place = np.diag([0.5, 0.12, 0.5, 1.0])
+    lamp = shapes.transformed(shapes.plane(1.0), jd.look_at((1.5, -1.0, 2.5), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0)))
+    named = {
+        "board": jd.Shape(facing(0.6, 1.0), jd.TwoSided(jd.Diffuse((0.8, 0.5, 0.3)))),
+        "wall": jd.Shape(facing(6.0, 2.0), jd.TwoSided(jd.Diffuse(0.4))),
+        "lens": jd.Shape(shapes.transformed(shapes.sphere(3), place), jd.Dielectric()),
+        "lamp": jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(8.0)),
+    }
+    view = jd.Perspective(jd.look_at((0.0, -3.0, 0.0), (0.0, 0.0, 0.0), (0, 0, 1)), 22.0, jd.Film(SIZE, SIZE))
+    return jd.Scene(named, view), "board.vertices", (1.0, 0.2, 0.4), 4
+
+
+def measure(case: str, boundaries: list[str], calls: int, spp: int, references: int) -> list[dict]:
+    """Rows of one case, of the version that is imported."""
     import jax
     import jax.numpy as jnp
 
     import jaxdr as jd
 
-    scene = scene_of(roughness)
-    still, velocity = scene.parameters()["ball.vertices"], jnp.asarray((1.0, 0.4, 0.2))
+    kind, _, roughness = case.partition(" ")
+    scene, name, velocity, depth = floor(float(roughness)) if kind == "floor" else lens()
+    still, velocity = scene.parameters()[name], jnp.asarray(velocity)
 
     def at(t, key, samples, boundary):
-        moved = scene.replace({"ball.vertices": still + t * velocity})
-        return jd.render(moved, key, samples, jd.PathTracer(3, boundary))
+        moved = scene.replace({name: still + t * velocity})
+        return jd.render(moved, key, samples, jd.PathTracer(depth, boundary))
 
     image = jd.jit(lambda t, key: at(t, key, REFERENCE_SPP, None))
     truths = []
@@ -75,8 +98,8 @@ def measure(roughness: float, boundaries: list[str], calls: int, spp: int, refer
     exact = [np.sum(weights * truth) for truth in truths[1::2]]
     unit, unit_error = np.mean(exact), np.std(exact, ddof=1) / np.sqrt(references)
     rows = []
-    for name in boundaries:
-        boundary = getattr(jd, name)()
+    for estimator in boundaries:
+        boundary = getattr(jd, estimator)()
         derivative = jd.jit(lambda t, key, b=boundary: jax.jvp(lambda t: at(t, key, spp, b), (t,), (jnp.ones(()),))[1])
         derivative(jnp.float32(0), jax.random.key(0)).block_until_ready()
         shares, start = [], time.process_time()
@@ -86,8 +109,8 @@ def measure(roughness: float, boundaries: list[str], calls: int, spp: int, refer
         seconds, spread = (time.process_time() - start) / calls, float(np.std(shares, ddof=1))
         rows.append(
             {
-                "roughness": roughness,
-                "boundary": name,
+                "case": case,
+                "boundary": estimator,
                 "projection": float(np.mean(shares)),
                 "error": spread / calls**0.5,
                 "reference_error": float(unit_error / unit),
@@ -103,7 +126,7 @@ def main():
     made = common.parser(__doc__)
     made.add_argument("--versions", nargs="+", default=["after=."], help="name=CHECKOUT")
     made.add_argument("--measure", help="for its own use")
-    made.add_argument("--roughness", type=float, nargs="+", default=ROUGHNESS)
+    made.add_argument("--cases", nargs="+", default=CASES)
     made.add_argument("--boundaries", nargs="+", default=BOUNDARIES)
     made.add_argument("--calls", type=int, default=32)
     made.add_argument("--spp", type=int, default=16)
@@ -114,12 +137,12 @@ def main():
         print(json.dumps(measure(*arguments)), file=answers)
         return
     rows = []
-    for roughness in options.roughness:
+    for case in options.cases:
         for version in options.versions:
             name, _, folder = version.partition("=")
             code = Path(folder).resolve()
             calls, references = (2, 2) if options.quick else (options.calls, REFERENCES)
-            arguments = json.dumps([roughness, list(options.boundaries), calls, options.spp, references])
+            arguments = json.dumps([case, list(options.boundaries), calls, options.spp, references])
             environment = os.environ | {"PYTHONPATH": f"{code}{os.pathsep}{common.ROOT}"}
             command = [sys.executable, str(Path(__file__).resolve()), "--measure", arguments]
             answer = subprocess.run(command, env=environment, cwd=code, stdout=subprocess.PIPE, check=True, text=True)

@@ -1,4 +1,4 @@
-"""The plan against every fixed choice; what edges that are left out save; sizes of programs; depths by brute force.
+"""The plan against every fixed choice, the gain from leaving out edges, sizes of programs, and depths by brute force.
 
 python -m experiments.plan.run --part choices|edges|program|depth [--scene NAME]
 """
@@ -19,8 +19,8 @@ SPP = 8
 def choices(name, oracle, budget, keys, spp=SPP):
     """Squared error times seconds of what a plan chose and of every fixed setting, all in turns, on one scene.
 
-    At a given depth, the scene's, and with fresh random numbers. The error is the noise: all but `WarpedArea` are
-    without bias on these scenes.
+    All have the depth of the scene, and fresh random numbers. The error is the noise, since only `WarpedArea` is biased
+    on these scenes.
     """
     import jax
 

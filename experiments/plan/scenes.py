@@ -1,4 +1,4 @@
-"""Ten scenes, and what moves in each: the reference scenes, and procedural ones."""
+"""The ten scenes of the study, reference scenes and procedural ones, and what moves in each."""
 
 import json
 import math

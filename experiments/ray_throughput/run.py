@@ -1,4 +1,4 @@
-"""Closest-hit throughput on bumpy spheres of 1e2 to 1e6 triangles: the query implementations and embreex itself.
+"""Closest-hit throughput of the query implementations and of embreex, on bumpy spheres of 1e2 to 1e6 triangles.
 
 python -m experiments.ray_throughput.run
 """

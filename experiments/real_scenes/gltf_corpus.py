@@ -1,4 +1,4 @@
-"""Small glTF files that between them hold what makes other people's files hard to load, with what each must give.
+"""Small glTF files with everything that makes other people's files hard to load, and what loading each must give.
 
 `python -m experiments.real_scenes.gltf_corpus FOLDER` writes them all. They are made from the specification of glTF 2.0
 and its extensions, by `gltf_writer`.

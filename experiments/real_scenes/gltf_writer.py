@@ -1,4 +1,4 @@
-"""Writes glTF 2.0 files by the letter of the specification, from JSON and arrays; shares no code with the loader."""
+"""Writes glTF 2.0 files from JSON and arrays, exactly as specified. It shares no code with the loader."""
 
 import base64
 import json

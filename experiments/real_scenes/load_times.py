@@ -1,7 +1,8 @@
-"""Load times of a scene of 2 million faces and 600 shapes, of a version of jaxdr and of Mitsuba, in turns.
+"""Load times of a scene of 2 million faces in 600 shapes, by versions of jaxdr and by Mitsuba, in turns.
 
-The scene is an XML file with 600 meshes, 200 each as OBJ, PLY and serialized, and another one without the latter, which
-old versions can't read. Versions are folders with a checkout each; a loading is a process of its own.
+The scene is an XML file with 600 meshes, 200 each as OBJ, PLY and serialized. There is another file without the
+serialized ones, which old versions can't read. A version is a folder with a checkout. Every loading has a process of
+its own.
 """
 
 import argparse

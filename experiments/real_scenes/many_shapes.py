@@ -26,7 +26,7 @@ COLUMNS = {
 
 
 def measure(count: int) -> dict:
-    """Of the version that is imported."""
+    """The times of the version that is imported."""
     import jax
 
     import jaxdr as jd

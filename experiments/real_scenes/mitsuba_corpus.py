@@ -1,4 +1,4 @@
-"""Scene files for Mitsuba of our own making: each holds one thing that scenes of other people were seen to hold."""
+"""Writes scene files for Mitsuba. Each has one thing that was found in scenes of other people."""
 
 import argparse
 from pathlib import Path

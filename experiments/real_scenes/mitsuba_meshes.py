@@ -1,4 +1,4 @@
-"""Mesh files for scenes of our own making: serialized ones and PLY, from the formats' specifications."""
+"""Writes serialized and PLY mesh files for these scenes, from the specifications of the formats."""
 
 import struct
 import zlib

@@ -1,7 +1,7 @@
-"""Scenes of a folder beside Mitsuba: which load, and whether their pictures agree.
+"""The scenes of a folder: which of them load, and do their pictures agree with Mitsuba's?
 
-Each scene is loaded and rendered in a process of its own, with a time limit. Outcomes: `strict` (loads as it is, maybe
-with warnings of what changes nothing), `left out` (only with what is not supported left out), `refused`.
+Each scene is loaded and rendered in a process of its own, with a time limit. Outcomes are `strict` (it loads as it is,
+maybe with warnings of things that change nothing), `left out` (it loads without what is not supported), and `refused`.
 """
 
 import argparse

@@ -1,10 +1,13 @@
-"""A reconstruction against the truth that `truth/` of a folder of photographs holds.
+"""Compares a reconstruction with the truth, which is in `truth/` of the folder of photographs.
 
     python -m experiments.reconstruction.score PHOTOS OUT --sky OTHER.hdr
 
-Chamfer distance (mean of both directions, the longest side of the true mesh is 1), PSNR and overlap of masks of the
-written pictures of the held-out views, the same of `asset.glb` and the light as `load_gltf` reads them, and PSNR under
-another sky after one factor a colour channel. Prints JSON.
+It prints JSON with these figures:
+
+- Chamfer distance: the mean of both directions, where the longest side of the true mesh is 1;
+- PSNR and overlap of masks of the held-out views, for the pictures that were written;
+- the same for `asset.glb` and the light, read back by `load_gltf`;
+- PSNR under another sky, after one factor for each colour channel.
 """
 
 import argparse

@@ -2,7 +2,7 @@
 
     python -m experiments.recovery.plot runs/pose_and_light runs/roughness_and_sky runs/duck
 
-For each run `results/<name>.png` (curves), `<name>.json` (its metrics) and the picture grids of start and end.
+For each run it writes `results/<name>.png` (curves), `<name>.json` (metrics) and the picture grids of start and end.
 """
 
 import csv

@@ -1,9 +1,9 @@
-"""What a mirror shows, against its roughness: error² · seconds of derivative images by all forms, and by Mitsuba.
+"""error² · seconds of derivative images of what a mirror shows, against its roughness, by jaxdr and by Mitsuba.
 
     python -m experiments.roughness.run --scene ball
 
-`ball`: a black ball before a constant sky in a GGX mirror, where the boundary term is all there is; `mirror_spot`: the
-reference scene, all terms. Errors are measured as in `experiments/equal_time`. Earlier results stay.
+`ball` is a black ball before a constant sky in a GGX mirror, where only the boundary term is not zero. `mirror_spot` is
+the reference scene, with all terms. Errors are measured as in `experiments/equal_time`. Earlier results stay.
 """
 
 import json
@@ -95,7 +95,7 @@ def main():
     parser.add_argument("--method", choices=METHODS, action="append", help="may be repeated; default: all")
     parser.add_argument("--alpha", type=float, action="append", help="may be repeated; default: all")
     parser.add_argument("--octree", action="store_true", help="Mitsuba's octree on mirror_spot too: minutes")
-    parser.add_argument("--references", action="store_true", help="make the references alone")
+    parser.add_argument("--references", action="store_true", help="make only the references")
     options = parser.parse_args()
     folder = common.results(STUDY, options.quick)
     file = folder / "roughness.json"

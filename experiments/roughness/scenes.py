@@ -1,4 +1,4 @@
-"""The scenes of the sweep: a black ball seen in a mirror under a constant sky; the reference scene with a mirror."""
+"""The scenes of the sweep: a black ball in a mirror under a constant sky, and the reference scene with a mirror."""
 
 from experiments.equal_time.cases import Case, replaced_once, write_scene
 

@@ -1,9 +1,9 @@
-"""What images and gradients cost: time a path, memory a face, a path and a pixel, bytes that devices exchange.
+"""The cost of images and gradients: time per path; memory per face, path and pixel; bytes that devices exchange.
 
     python -m experiments.scaling.costs
 
-A flat-shaded sphere above a floor under a lamp, direct light (depth 2) and one bounce more (depth 3). Seconds are a
-line through two numbers of samples: what every call costs, and what every path costs. Memory is counted from arrays,
+The scene is a flat-shaded sphere above a floor under a lamp, with direct light (depth 2) and one bounce more (depth 3).
+A line through two numbers of samples gives the seconds of every call and of every path. Memory is counted from arrays,
 from XLA's plans, or as the growth of the process. Bytes are counted in the compiled program of two devices.
 """
 
@@ -100,7 +100,7 @@ def array_bytes(vertex_count: int) -> dict:
 
 
 def structure_bytes(kind: str, vertex_count: int, copies: int) -> float:
-    """Bytes a face by which this process grows when structures are built over moved copies of a sphere.
+    """Bytes per face by which this process grows when structures are built over moved copies of a sphere.
 
     `kind`: "embree", or one of those of Warp.
     """

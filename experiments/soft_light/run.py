@@ -1,4 +1,4 @@
-"""How the estimators fare as a light grows: error² · seconds of derivative images against the size of the light.
+"""error² · seconds of derivative images against the size of the light.
 
     python -m experiments.soft_light.run
 

@@ -1,4 +1,4 @@
-"""How wrong the estimators are that `jaxdr.plan` chooses among, from measured cells."""
+"""How wrong the estimators are among which `jaxdr.plan` chooses, from measured cells."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ class Choice(NamedTuple):
 
     @property
     def wrong(self) -> float:
-        """By how much of itself the derivative is too large or too small."""
+        """The relative error of the size of the derivative."""
         return abs(self.cell["projection"] - 1)
 
     def __str__(self) -> str:
@@ -28,7 +28,7 @@ class Choice(NamedTuple):
 
 
 def choices(cases: list[Case], cells: dict) -> list[str]:
-    """What a plan tries, what of it has the least noise, and which of both is wrong by how much."""
+    """What a plan tries in each case, which of these has the least noise, and how wrong they are."""
     tried, best = [], []
     for case in cases:
         if not case.boundary or case.only:

@@ -2,8 +2,8 @@
 
     python -m experiments.stability.run [--case NAME ...] [--estimator NAME ...] [--quick] [--overwrite]
 
-Cells that are there already are left alone. Writes `experiments/stability/results/<case>.json`, references beside the
-cases, and `docs/stability.md` when all is there.
+Cells that were measured before are left alone. It writes `experiments/stability/results/<case>.json`, references beside
+the cases, and, once all cells are measured, `docs/stability.md`.
 """
 
 import json
@@ -27,7 +27,7 @@ def main(arguments=None):
     parser.add_argument("--case", nargs="+", default=[], help="names of cases (default: all)")
     parser.add_argument("--theme", nargs="+", default=[], help="all cases of these themes")
     parser.add_argument("--estimator", nargs="+", default=[], choices=list(ESTIMATORS), help="default: all of a case")
-    parser.add_argument("--overwrite", action="store_true", help="measure cells again that are there")
+    parser.add_argument("--overwrite", action="store_true", help="measure again what was measured before")
     options = parser.parse_args(arguments)
     every = kept.catalogue()
     unknown = [name for name in options.case if name not in every]

@@ -1,10 +1,11 @@
-"""Peak memory of reading few and many photographs: as a reconstruction reads them, in a process of its own each.
+"""Peak memory of reading few and many photographs in the way that a reconstruction reads them.
 
     python -m experiments.streaming.run
 
-Photographs of 512² with alpha, 4 MiB decoded and 1.25 MiB reduced, of which 64 MiB in all are kept. Each process
-loads the folder, looks at every picture once (windows around the object), takes the first paint from the pictures, and
-fetches those of 100 steps with three views each, read ahead by threads.
+Photographs have 512² pixels with alpha: 4 MiB decoded and 1.25 MiB reduced. 64 MiB in all are kept. Each number of
+photographs has a process of its own. It loads the folder, looks at every picture once (windows around the object), and
+takes the first paint from the pictures. Then it fetches those of 100 steps with three views each, read ahead by
+threads.
 """
 
 import io

@@ -1,4 +1,4 @@
-"""Standard deviation of each term of the derivative of a reference scene, with its size and its time.
+"""Size and standard deviation of each term of the derivative of a reference scene, and seconds.
 
 python -m experiments.terms.run
 """

@@ -1,9 +1,9 @@
-"""Estimators against the tessellation: the same soft shadow from a thousand to a million triangles.
+"""Estimators against the tessellation: the same soft shadow of a mesh with a thousand to a million triangles.
 
     python -m experiments.tessellation.run
 
-Standard deviation and time of a derivative image, and its bias against central differences of the image with common
-random numbers. Guides are built in every call.
+It measures standard deviation and time of a derivative image, and its bias against central differences of the image
+with common random numbers. Guides are built in every call.
 """
 
 import statistics

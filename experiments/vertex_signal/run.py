@@ -1,10 +1,10 @@
-"""Signal and noise of the gradient of every vertex: what an optimiser gets a second.
+"""Signal and noise of the gradient by every vertex: how much signal does an optimiser get per second?
 
     python -m experiments.vertex_signal.run
 
-A ball of some 40,000 vertices is seen through its soft shadow alone; the loss is the squared difference from the shadow
-of a bumpy one. Signal is the squared length of the expected gradient (from pairs of independent gradients, so that
-noise adds nothing), noise the variance of one gradient, both summed over all vertices.
+Only the soft shadow of a ball of some 40,000 vertices is in view. The loss is the squared difference from the shadow of
+a bumpy ball. Signal is the squared length of the expected gradient, from pairs of independent gradients, so that noise
+adds nothing. Noise is the variance of one gradient. Both are summed over all vertices.
 """
 
 import itertools

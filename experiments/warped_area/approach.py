@@ -1,11 +1,11 @@
-"""How much of a boundary's velocity `WarpedArea` finds where the boundary is approached, by its options.
+"""The share of a boundary's velocity that `WarpedArea` finds close to the boundary, by its options.
 
     python -m experiments.warped_area.approach
 
-Points of a shadow's boundary on the light of `shadow_goathead`, seen from random points of the floor: chords between
-random points of the light, one of them seen and the other hidden, are bisected. At the last point that is seen the
-hidden auxiliary points should have all of the weight; what they lack is missing in the derivative. And what the options
-cost: derivative images in turns.
+It looks at boundary points on the light of `shadow_goathead`, as seen from random points of the floor. They are found
+by bisection of chords between two random points of the light, one of them seen and the other hidden. At the last point
+that is seen, the hidden auxiliary points should have all of the weight. What they lack is missing in the derivative.
+The cost of the options is measured too, by derivative images in turns.
 """
 
 import statistics
@@ -138,7 +138,7 @@ def cost(reference, estimators, images):
 
 def main():
     parser = common.parser(__doc__)
-    parser.add_argument("--images", type=int, default=IMAGES, help="derivative images an option; 0: only what is found")
+    parser.add_argument("--images", type=int, default=IMAGES, help="derivative images per option; 0: no costs")
     options = parser.parse_args()
     chords, images, chosen = (2000, 2, OPTIONS[:2]) if options.quick else (CHORDS, options.images, OPTIONS)
     reference = reference_scenes.load(options.oracle / CASE)

@@ -1,4 +1,4 @@
-"""Material form or sphere, and which distance function: Fig. 12, 13 and 18 of Xu et al. 2023, small.
+"""Material or spherical form, and which distance function: small versions of Fig. 12, 13 and 18 of Xu et al. 2023.
 
     python -m experiments.warped_area.run star
     python -m experiments.warped_area.run chess
@@ -37,7 +37,7 @@ COLUMNS = {
 
 
 def estimators(settings: dict) -> dict:
-    """By the names in tables."""
+    """The estimators by their names in the tables."""
     sigma0 = float(settings["sigma0"])
     return {
         "WarpedArea": jd.WarpedArea(sigma0=sigma0),

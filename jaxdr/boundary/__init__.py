@@ -1,10 +1,10 @@
-"""Derivatives of what is seen, where visibility changes: boundary estimators, one folder each; begin with `estimator`.
+"""Boundary estimators: derivatives where visibility changes. Each has a folder; begin with its `estimator.py`.
 
-A term (`shared.term`) is prepared once, draws points on boundaries and asks for the radiance there, and says what the
-answers are worth: an image, zero in value and right in derivative. All stand on `shared/`; `film/` has the terms of
-what the camera sees itself, which go with every estimator. `named` finds estimators by name, those of others as well.
-Imports go one way: shared, film, kernel_density, line_sampling, guided_edges, warped_area, baselines.
-Adding an estimator: a folder, and a line here.
+A term (`shared.term`) is prepared once. It draws points on boundaries and requests the radiance there. From the answers
+it makes an image that is zero in value and right in derivative. All estimators use `shared/`. `film/` has the terms of
+visibility changes that the camera sees directly; they go with every estimator. `named` finds estimators by name, also
+those of other packages. Imports go one way: shared, film, kernel_density, line_sampling, guided_edges, warped_area,
+baselines. To add an estimator, add a folder and a line here.
 """
 
 from collections.abc import Callable

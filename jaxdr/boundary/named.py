@@ -1,4 +1,4 @@
-"""Boundary estimators by name: those of this library, and classes in files and modules of others."""
+"""Boundary estimators by name: those of this library, and classes in other files and modules."""
 
 import importlib
 import importlib.util
@@ -17,10 +17,11 @@ _PREFIX = "jaxdr_estimators_in_"  # of the names of modules that were read from 
 
 
 def estimator_class(name: str, others: tuple[str, ...] = ()) -> Callable[..., Any]:
-    """What makes the estimator of a name: one of `ESTIMATORS`, "FILE.py:CLASS" or "MODULE:CLASS".
+    """The class or function for an estimator's name: one of `ESTIMATORS`, "FILE.py:CLASS" or "MODULE:CLASS".
 
-    Files are found from the current folder and read once, so that a class is always the same one. Raises ValueError for
-    unknown names, for what can't be imported, and for classes that are no `Term`. `others`: what else may stand there.
+    Files are relative to the current folder. A file is read once, so that its classes stay the same. `others`: more
+    names for the error message. Raises ValueError for unknown names, for what can't be imported, and for classes that
+    are no `Term`.
     """
     if name in ESTIMATORS:
         return ESTIMATORS[name]
@@ -56,7 +57,7 @@ def estimator_name(kind: type) -> str:
 def _module(place: str, name: str) -> ModuleType:
     try:
         return _file(Path(place).resolve()) if place.endswith(".py") else importlib.import_module(place)
-    except Exception as problem:  # whatever somebody else's code raises
+    except Exception as problem:  # other people's code may raise anything
         raise ValueError(f"{name}: can't import {place} ({type(problem).__name__}: {problem})") from problem
 
 
@@ -68,7 +69,7 @@ def _file(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None  # there for every name that ends with .py
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # before it runs: dataclasses look there
+    sys.modules[name] = module  # before it runs, because dataclasses look there
     try:
         spec.loader.exec_module(module)
     except BaseException:

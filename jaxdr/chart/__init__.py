@@ -1,1 +1,1 @@
-"""Speed against accuracy of derivatives: `jaxdr chart` measures estimators against references (docs/chart.md)."""
+"""`jaxdr chart`: speed against accuracy of estimators of derivatives, measured against references (docs/chart.md)."""

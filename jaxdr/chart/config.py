@@ -1,4 +1,4 @@
-"""What `jaxdr chart` is told: frozen dataclasses, one a TOML table."""
+"""The config of `jaxdr chart`: frozen dataclasses, one for each TOML table."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from jaxdr.optimize.strict_toml import build
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves: the vertices of `shape`, by one number t that is 0 at rest; the derivative is by t.
+    """The motion of the vertices of `shape`, by one number t that is 0 at rest. The derivative is by t.
 
     - "translate": along `direction`, in scene units.
     - "rotate": right-handed, in radians, about `axis` through `pivot` (by default the middle of the bounding box).
@@ -46,9 +46,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class Stored:
-    """A derivative image [H, W, 3] in a `file` (.npy), the root mean square `noise` of its values.
+    """A derivative image [H, W, 3] in a `file` (.npy), and the root mean square `noise` of its values.
 
-    `step`: half the width of the central difference that made it, if the estimators are to be spread over it.
+    `step`: half the width of the central difference that made the image. Estimators are then averaged over that width.
+    0 for a derivative at t = 0.
     """
 
     file: str
@@ -63,7 +64,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class FiniteDifferences:
-    """(I(step) - I(-step)) / (2 step) with common random numbers: the mean of `batches` of `samples` per pixel each."""
+    """(I(step) - I(-step)) / (2 step) with common random numbers, as mean of `batches` of `samples` per pixel each."""
 
     step: float
     kind: Literal["finite_differences"] = "finite_differences"
@@ -80,7 +81,7 @@ class FiniteDifferences:
 class ChartScene:
     """A scene `file` (Mitsuba XML or glTF), or a `procedural` one by its name, with `options`.
 
-    `directly_visible`: whether more is in view than a shadow of what moves; where not, Mitsuba's integrators leave out
+    `directly_visible`: whether the shape that moves is in view. If only its shadow is, Mitsuba's integrators leave out
     their interior and primary terms, which are zero.
     """
 
@@ -109,11 +110,10 @@ class ChartScene:
 
 @dataclass(frozen=True)
 class Estimator:
-    """A line of the chart: a `boundary` estimator with `options`, in an `integrator` with its own.
+    """A line of the chart: a `boundary` estimator with `options`, in an `integrator` with `integrator_options`.
 
-    Estimators go by name: of this library's, "none", or "FILE.py:CLASS" (from the current folder), "MODULE:CLASS".
-
-    `samples`: its own ladder, in place of the common one.
+    `boundary` is the name of an estimator of this library, "none", "FILE.py:CLASS" (from the current folder), or
+    "MODULE:CLASS". `samples`: a ladder of samples per pixel of its own, in place of the common one.
     """
 
     boundary: str
@@ -138,14 +138,14 @@ class Estimator:
 
     @property
     def name(self) -> str:
-        """The label, or one made of names and options."""
+        """The label, or a name made from the names and options."""
         options = self.options | self.integrator_options
         settings = "".join(f", {key}={value}" for key, value in options.items())
         kind = self.boundary.rpartition(":")[2]
         return self.label or f"{'bdpt ' if self.integrator == 'bdpt' else ''}{kind}{settings}"
 
     def build(self, max_depth: int) -> Integrator:
-        """The integrator. Raises ValueError that starts with the key that is wrong."""
+        """The integrator. Raises ValueError, which starts with the wrong key."""
         try:
             boundary = estimator_class(self.boundary)(**self.options)
             return INTEGRATORS[self.integrator](max_depth, boundary=boundary, **self.integrator_options)
@@ -157,8 +157,8 @@ class Estimator:
 class Vertices:
     """The gradient by every vertex, in reverse mode, of half the mean squared difference to the image at t = `target`.
 
-    The difference is rendered once, with `image_samples` a pixel, and held. The reference is the mean of `batches` runs
-    of the estimator with the label `reference`, `samples` a pixel each.
+    The difference is rendered once, with `image_samples` per pixel, and kept fixed. The reference is the mean of
+    `batches` runs of the estimator with the label `reference`, with `samples` per pixel each.
     """
 
     reference: str
@@ -179,12 +179,13 @@ class ChartConfig:
     """Everything about one chart.
 
     - `folder`: where scene files and stored references are; relative to the config or the current folder.
-    - `samples`: the ladder of samples per pixel; `keys`: calls at each rung, spread over `positions` within the
-      reference's step where it has one.
-    - `budget`: seconds that a call may take; an estimator's ladder ends before.
-    - `peers`: Mitsuba's projective integrators as further lines, with `peer_samples`.
-    - `terms`: samples per pixel at which the standard deviation of each term is measured; 0 leaves it out.
-    - `memory`: whether a fresh process measures peak memory of each estimator.
+    - `samples`: the ladder of samples per pixel.
+    - `keys`: calls at each rung of the ladder. They are spread over `positions` within the reference's step, if it has
+      one.
+    - `budget`: seconds that a call may take. The ladder of an estimator ends at the first rung that takes more.
+    - `peers`: whether Mitsuba's projective integrators are further lines; `peer_samples`: their ladder.
+    - `terms`: samples per pixel at which the standard deviation of each term is measured; 0 leaves that out.
+    - `memory`: whether the peak memory of each estimator is measured, in a fresh process.
     """
 
     output: str
@@ -212,7 +213,7 @@ class ChartConfig:
         _check_ladder(self.peer_samples, "peer_samples")
         require(self.positions >= 1, "positions", "must be at least 1", self.positions)
         good = self.keys >= 2 * self.positions and self.keys % self.positions == 0
-        require(good, "keys", f"must be a multiple of positions = {self.positions}, and twice it at least", self.keys)
+        require(good, "keys", f"must be a multiple of positions = {self.positions}, and at least twice it", self.keys)
         require(self.budget > 0, "budget", "must be positive", self.budget)
         require(self.terms >= 0, "terms", "must not be negative", self.terms)
         for key, names in (
@@ -234,9 +235,9 @@ class ChartConfig:
 
 
 def chart_config(table: dict, path: Path) -> ChartConfig:
-    """The config in a TOML table, which was read from `path`; files are found in `folder`.
+    """The config in a TOML table that was read from `path`. Files are looked for in the config's `folder`.
 
-    Raises ValueError that names the file, the key and what was expected.
+    Raises ValueError, with the file, the key and what was expected.
     """
     config = build(ChartConfig, table, str(path))
     scenes = []

@@ -10,16 +10,16 @@ MARKERS = "osD^vP*X<>"
 
 
 def require_matplotlib() -> None:
-    """Raise ImportError that says what to install when matplotlib is missing."""
+    """Raises ImportError, which says what to install, if matplotlib is missing."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ImportError('charts need matplotlib, which is optional: pip install "jaxdr[experiments]"')
 
 
 def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | None:
-    """PNG of the rows of a scene, None when none has an error; `prefix` "vertex_" takes the gradients by vertices.
+    """PNG of the rows of a scene; None if no row has an error. `prefix` "vertex_" shows the gradients by vertices.
 
-    A line an estimator. The band is the noise of the reference: points in it are hollow. Dotted: slope -1/2, the same
-    error² · seconds. Ringed: the Pareto front.
+    Every estimator is a line. The band is the noise of the reference; points in it are hollow. Dotted lines have slope
+    -1/2, that is, the same error² · seconds. Points of the Pareto front have a ring.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -32,7 +32,7 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
     figure = Figure(figsize=(8.6, 5.0))
     FigureCanvasAgg(figure)
     panel = figure.add_subplot()
-    # Numbered with those that refused the scene: an estimator looks the same in all scenes of a chart.
+    # Estimators that refused the scene are counted too, so that colours and markers are the same in all scenes.
     for i, name in enumerate(dict.fromkeys(row["estimator"] for row in rows)):
         mine = sorted((row for row in measured if row["estimator"] == name), key=lambda row: row["samples"])
         if not mine:
@@ -57,7 +57,7 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
         panel.axhspan(min(low, noise / 2), noise, color="0.88", zorder=0, label="noise of the reference")
         panel.set_ylim(min(low, noise / 2), max(high, noise * 1.2))
     what = "gradient by vertices" if prefix else "derivative image"
-    panel.set(title=title, xlabel=f"seconds a {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
+    panel.set(title=title, xlabel=f"seconds per {what} (median)", ylabel=f"RMSE of the {what} / size of the reference")
     panel.grid(True, which="major", alpha=0.3)
     panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
     figure.tight_layout()
@@ -77,7 +77,7 @@ def _front(panel, rows, error: str, seconds: str) -> None:
 
 
 def _guides(panel, seconds: Sequence[float], errors: Sequence[float]) -> None:
-    """Lines of slope -1/2 over the points' range, a factor of two apart in the error."""
+    """Lines of slope -1/2 over the range of the points. Neighbours differ by a factor of two in the error."""
     x = np.array([min(seconds) / 1.5, max(seconds) * 1.5])
     works = np.array(errors) * np.sqrt(seconds)
     low, high = np.floor(np.log2(works.min())), np.ceil(np.log2(works.max()))

@@ -1,4 +1,4 @@
-"""The folder of a chart: every call kept in a file of its own, so that an interrupted one goes on."""
+"""The folder of a chart. Every call has a file of its own, so that an interrupted chart can go on."""
 
 import json
 import zipfile
@@ -16,7 +16,7 @@ KEPT = ("references", "cells", "calls", "terms")
 
 
 class Cell(NamedTuple):
-    """A scene by its name, a line by its number, and samples per pixel."""
+    """A point of a chart: the name of the scene, the number of the line, and the samples per pixel."""
 
     scene: str
     line: int
@@ -24,16 +24,16 @@ class Cell(NamedTuple):
 
     @property
     def file(self) -> str:
-        """What its files' names begin with."""
+        """The beginning of the names of its files."""
         return f"{self.scene}/{self.line:02d}_{self.samples}"
 
 
 class ChartFolder:
     """Names and formats of what a chart writes.
 
-    Kept while it runs: `references/` (batches), `cells/` (status, seconds to compile, memory), `calls/` and `terms/`
-    (arrays and seconds of single calls). Results: `rows.csv`, `terms.csv`, a picture a scene, `index.html`,
-    `summary.json`.
+    While it runs it writes `references/` (batches), `cells/` (status, seconds to compile, memory), `calls/` and
+    `terms/` (arrays and seconds of single calls). Results are `rows.csv`, `terms.csv`, a picture of each scene,
+    `index.html` and `summary.json`.
     """
 
     def __init__(self, config: ChartConfig):
@@ -41,12 +41,12 @@ class ChartFolder:
         self.config = config
 
     def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
+        """Make the folder, or check that it is the one to go on with. Raises ValueError as `open_results` does."""
         free = ("output", "folder")  # where scene files are
         open_results(self.path, self.config, resume, overwrite, "chart", "chart.json", free)
 
     def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """The array in `references/`, made if it isn't there."""
+        """The array in `references/`; `make` makes it if there is no file. Raises ValueError for a damaged file."""
         path = self._file("references", f"{name}.npy")
         if not path.exists():
             array = make()
@@ -58,22 +58,22 @@ class ChartFolder:
             raise ValueError(f"{path}: can't be read ({problem}); delete it and --resume") from None
 
     def status(self, name: str) -> dict | None:
-        """What is known of a cell."""
+        """What is known about a cell; None if nothing is."""
         path = self._file("cells", f"{name}.json")
         return json.loads(path.read_text()) if path.exists() else None
 
     def save_status(self, name: str, values: dict) -> dict:
-        """Keep what is known of a cell; returns it."""
+        """Write what is known about a cell, and return it."""
         with atomic_path(self._file("cells", f"{name}.json")) as temporary:
             temporary.write_text(json.dumps(values))
         return values
 
     def has_call(self, cell: Cell, number: int, kind: str = "calls") -> bool:
-        """Whether a call was made."""
+        """Whether a call was made and kept."""
         return self._file(kind, f"{cell.file}_{number}.npz").exists()
 
     def save_call(self, cell: Cell, number: int, values: dict[str, Any], kind: str = "calls") -> None:
-        """Keep arrays and seconds of a call."""
+        """Write arrays and seconds of a call."""
         with atomic_path(self._file(kind, f"{cell.file}_{number}.npz")) as temporary:
             np.savez(temporary, allow_pickle=False, **values)
 
@@ -90,12 +90,12 @@ class ChartFolder:
         return {name: np.stack([values[name] for values in found]) for name in found[0]}
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a result."""
+        """Write a result that is text."""
         with atomic_path(self.path / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
 
     def write_bytes(self, name: str, content: bytes) -> None:
-        """The same for pictures."""
+        """Write a result that is a picture."""
         with atomic_path(self.path / name) as temporary:
             temporary.write_bytes(content)
 

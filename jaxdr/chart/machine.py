@@ -1,4 +1,4 @@
-"""What a measurement depends on: processor, cores, versions."""
+"""The machine that a measurement was made on: processor, cores, versions of packages."""
 
 import importlib.metadata
 import os
@@ -11,7 +11,7 @@ PACKAGES = ("jaxdr", "jax", "warp-lang", "embreex", "mitsuba")
 
 
 def machine() -> dict[str, str | int]:
-    """Processor, its cores that this process may use, the device, and versions of what is installed."""
+    """Processor, number of cores that this process may use, device, and versions of installed packages."""
     model = platform.processor() or platform.machine()
     information = Path("/proc/cpuinfo")
     if information.exists():

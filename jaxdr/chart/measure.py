@@ -1,4 +1,4 @@
-"""Programs of a line of the chart, and what one call of them takes: seconds, seconds to compile, memory."""
+"""Compiled programs of a line of the chart, and measurements of them: seconds of a call and to compile, memory."""
 
 import multiprocessing
 import platform
@@ -21,12 +21,12 @@ from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator
 from jaxdr.render import derivative_terms, render
 
-WATERMARK = Path("/proc/self/clear_refs")  # Linux: writing 5 starts the peak of resident memory afresh
+WATERMARK = Path("/proc/self/clear_refs")  # Linux: writing 5 resets the peak of resident memory
 STATUS = Path("/proc/self/status")
 
 
 class Program(NamedTuple):
-    """A compiled function of (what moves, key), the seconds that tracing and compilation took, and XLA's buffers."""
+    """A compiled function of (t, key), the seconds that tracing and compilation took, and bytes of XLA's buffers."""
 
     call: Callable[..., Any]
     compile_seconds: float
@@ -44,7 +44,7 @@ class Line:
         self.dtype = case.rest.dtype
 
     def image(self, spp: int) -> Program:
-        """(t, key) -> derivative image at t."""
+        """Program (t, key) -> derivative image at t."""
 
         def derivative(t, key):
             def image(t):
@@ -55,7 +55,7 @@ class Line:
         return compiled(derivative, self._place(0.0), jax.random.key(0))
 
     def vertices(self, spp: int) -> Program:
-        """(t, key) -> gradient by the vertices at t of <residual, image>; see `jaxdr.chart.config.Vertices`."""
+        """Program (t, key) -> gradient at t of <residual, image> by the vertices; see `jaxdr.chart.config.Vertices`."""
         residual = jnp.asarray(self.residual, self.dtype)
 
         def gradient(t, key):
@@ -68,7 +68,7 @@ class Line:
         return compiled(gradient, self._place(0.0), jax.random.key(0))
 
     def terms(self, spp: int) -> Program:
-        """(t, key) -> derivative image of each term, by name."""
+        """Program (t, key) -> derivative image of each term, by name."""
 
         def derivative(t, key):
             def images(t):
@@ -80,7 +80,7 @@ class Line:
         return compiled(derivative, self._place(0.0), jax.random.key(0))
 
     def timed(self, program: Program, t: float, number: int, key: Array) -> tuple[Any, float]:
-        """(arrays on the host, seconds) of call `number`: acceleration structures are built in it."""
+        """(arrays on the host, seconds) of call `number`. The time includes building acceleration structures."""
         place = jax.block_until_ready(self._place(nudged(self.case, t, number)))
         start = time.perf_counter()
         answer = jax.block_until_ready(program.call(place, key))
@@ -92,7 +92,7 @@ class Line:
 
 
 def compiled(function: Callable, *arguments) -> Program:
-    """Ahead of time, so that compilation is timed by itself."""
+    """The program of a function for these arguments. It is compiled ahead of time, so that this is timed separately."""
     start = time.perf_counter()
     program = jit(function).lower(*arguments).compile()
     seconds = time.perf_counter() - start
@@ -109,15 +109,15 @@ def make_line(scene: ChartScene, estimator: Estimator, case: Case, residual=None
 
 
 def in_fresh_process(function: Callable, *arguments) -> Any:
-    """`function(*arguments)` in a new interpreter, which inherits no cache, pool or peak of memory."""
+    """`function(*arguments)` in a new interpreter, which inherits no cache, no thread pool and no peak of memory."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(function, *arguments).result()
 
 
 def peak_memory(scene: ChartScene, estimator: Estimator, spp: int) -> dict:
-    """Largest resident memory, in bytes, of this process during derivative images; for `in_fresh_process`.
+    """Peak resident memory (bytes) of this process while it computes derivative images. To be run in a fresh process.
 
-    `compilation` says whether that of compiling is among it, as it is where the operating system can't start afresh.
+    `compilation` says whether the peak may be that of compiling: not every operating system can reset the peak.
     """
     case = load_case(scene.name, scene.file, scene.procedural, scene.options, scene.motion)
     line = make_line(scene, estimator, case)
@@ -146,9 +146,10 @@ def _watermark() -> int:
 
 
 def predicted(history: list[tuple[int, float]], spp: int) -> float:
-    """Seconds of a call with `spp` samples, from (samples, seconds) of fewer: the line through the last two.
+    """Estimated seconds of a call with `spp` samples, from (samples, seconds) of calls with fewer.
 
-    Through one point alone nothing is known but that it won't take less.
+    It is on the line through the last two points. From a single point it is the time of that point: a call with more
+    samples won't take less.
     """
     if len(history) < 2:
         return history[-1][1] if history else 0.0

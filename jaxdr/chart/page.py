@@ -1,4 +1,4 @@
-"""The page of a chart: pictures, derivative images side by side and tables in one HTML file that needs no other."""
+"""The page of a chart: charts, derivative images and tables in one HTML file that needs no other file."""
 
 import base64
 import html
@@ -43,7 +43,7 @@ TABLE = {  # heading -> (key, format)
 
 
 class Section(NamedTuple):
-    """What the page shows of a scene; `images` are (caption, derivative image) pairs, `charts` PNGs."""
+    """What the page shows of a scene. `images` are pairs (caption, derivative image), and `charts` are PNGs."""
 
     title: str
     about: Sequence[str]
@@ -54,7 +54,7 @@ class Section(NamedTuple):
 
 
 def page(title: str, about: Sequence[str], sections: Sequence[Section]) -> str:
-    """The page; blue and red in the images are the 99th percentile of the first one's absolute values."""
+    """The page as HTML. The colours of a scene's images end at the 99th percentile of its first image's values."""
     parts = [f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style>"]
     parts.append(f"<h1>{html.escape(title)}</h1>")
     parts += [f"<p class='note'>{html.escape(line)}</p>" for line in about]

@@ -1,4 +1,4 @@
-"""Mitsuba's projective integrators as lines of the chart; needs the extra `peers`, and an LLVM that Dr.Jit finds."""
+"""Mitsuba's projective integrators as lines of the chart. They need the extra `peers`, and an LLVM for Dr.Jit."""
 
 import importlib.util
 import time
@@ -13,26 +13,26 @@ GUIDING = {"Mitsuba, unguided": "none", "Mitsuba, octree": "octree"}
 
 
 def require_mitsuba() -> None:
-    """Raise ImportError that says what to install when Mitsuba is missing or has no LLVM."""
+    """Raises ImportError, which says what to install, if Mitsuba is missing or finds no LLVM."""
     if importlib.util.find_spec("mitsuba") is None:
         raise ImportError('peers = true needs Mitsuba, which is optional: pip install "jaxdr[peers]"')
-    import mitsuba as mi
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     try:
         mi.set_variant("llvm_ad_rgb")
         mi.Float(0.0) + 1  # pyright: ignore  the library is loaded when it is first used
     except Exception as problem:
         first = (str(problem).splitlines() or [""])[0]
-        raise ImportError(f"peers = true: Mitsuba finds no LLVM ({first}); set DRJIT_LIBLLVM_PATH to it") from None
+        raise ImportError(f"peers = true: Mitsuba finds no LLVM ({first}); set DRJIT_LIBLLVM_PATH") from None
     mi.set_log_level(mi.LogLevel.Error)
 
 
 class PeerLine:
-    """One of Mitsuba's integrators on one scene: `direct_projective` for direct light, else `prb_projective`."""
+    """One of Mitsuba's integrators on one scene: `direct_projective` for direct light, otherwise `prb_projective`."""
 
     def __init__(self, scene: ChartScene, name: str):
-        import drjit as dr
-        import mitsuba as mi
+        import drjit as dr  # pyright: ignore[reportMissingImports]
+        import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
         self.dr, self.mi, self.name, self.motion = dr, mi, name, scene.motion
         variables: dict[str, Any] = {k: str(v) for k, v in scene.options.items()}
@@ -48,7 +48,7 @@ class PeerLine:
         self.integrator = mi.load_dict(settings)
 
     def timed(self, spp: int, t: float, seed: int) -> tuple[Float[np.ndarray, "H W 3"], float]:
-        """(derivative image at t, seconds), the update of the scene and the building of the guide included."""
+        """(derivative image at t, seconds). The time includes the update of the scene and the building of the guide."""
         dr, mi = self.dr, self.mi
         position, velocity = rigid(self.motion, self.rest, t)
         position, velocity = (mi.Point3f(np.ascontiguousarray(array.T, np.float32)) for array in (position, velocity))
@@ -69,7 +69,7 @@ class PeerLine:
 def rigid(
     motion: Motion, rest: Float[np.ndarray, "V 3"], t: float
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3"]]:
-    """Positions and velocities of vertices at t: Mitsuba has its own, which seams may double."""
+    """(positions, velocities) of Mitsuba's vertices at t. They may differ from ours: seams may double vertices."""
     if motion.kind == "translate":
         velocity = np.broadcast_to(np.array(motion.direction, float), rest.shape)
         return rest + t * velocity, velocity

@@ -1,4 +1,4 @@
-"""References with their noise: stored derivative images, central differences, long runs for gradients by vertices."""
+"""References and their noise: stored derivative images, central differences, long runs for gradients by vertices."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ from jaxdr.render import render
 
 
 def stored_reference(scene: ChartScene, case: Case) -> tuple[Float[np.ndarray, "H W 3"], float]:
-    """The image in the file and its noise. Raises ValueError for one that can't be read or does not fit the scene."""
+    """(image in the file, its noise). Raises ValueError for a file that can't be read or does not fit the scene."""
     source = scene.reference
     assert isinstance(source, Stored)
     place = f"scene {scene.name}: reference.file: {source.file}"
@@ -37,9 +37,9 @@ def stored_reference(scene: ChartScene, case: Case) -> tuple[Float[np.ndarray, "
 
 
 def difference_batches(scene: ChartScene, case: Case, key: PRNGKeyArray) -> Callable[[int], Float[np.ndarray, "H W 3"]]:
-    """Function of a batch's number: (I(step) - I(-step)) / (2 step), both images from the same random numbers.
+    """Function from the number of a batch to (I(step) - I(-step)) / (2 step), with common random numbers.
 
-    By the path tracer, whichever integrators are measured. No derivative is taken.
+    The images are always the path tracer's, whichever integrators are measured. No derivative is taken.
     """
     source = scene.reference
     assert isinstance(source, FiniteDifferences)
@@ -54,14 +54,14 @@ def difference_batches(scene: ChartScene, case: Case, key: PRNGKeyArray) -> Call
 
 
 def residual(options: Vertices, scene: ChartScene, case: Case, key: PRNGKeyArray) -> Float[np.ndarray, "H W 3"]:
-    """d (half the mean squared difference) / d image at rest, the image to be matched being that at `target`."""
+    """Derivative of half the mean squared difference between the images at rest and at `target`, by the one at rest."""
     image = _still(case, scene.max_depth, options.image_samples)
     one, two = (np.asarray(image(t, jax.random.fold_in(key, i))) for i, t in enumerate((0.0, options.target)))
     return (one - two) / one.size
 
 
 def vertex_batches(line: Line, options: Vertices, key: PRNGKeyArray) -> Callable[[int], Float[np.ndarray, "V 3"]]:
-    """Function of a batch's number: gradients by the vertices, of the estimator that is the reference."""
+    """Function from the number of a batch to the reference estimator's gradient by the vertices."""
     program = line.vertices(options.samples)
 
     def batch(number: int):
@@ -77,10 +77,10 @@ def agreement(
     gradients: Float[np.ndarray, "B V 3"],
     velocity: Float[Array, "V 3"],
 ) -> dict[str, float]:
-    """The derivative of the loss by t, twice: from the reference image, and from gradients by vertices.
+    """The derivative of the loss by t in two ways: from the reference image, and from the gradients by vertices.
 
-    `difference` with its standard error `error`: the check of the one reference that is itself an estimate. Channels
-    of a pixel count as fully correlated, pixels as independent.
+    The `difference`, with its standard error `error`, checks the reference by vertices, which is itself an estimate.
+    The channels of a pixel count as fully correlated, and pixels as independent.
     """
     along = (gradients.astype(np.float64) * np.asarray(velocity, np.float64)).sum((1, 2))
     from_image = float((residual.astype(np.float64) * image).sum())

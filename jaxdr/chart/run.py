@@ -1,4 +1,4 @@
-"""A chart from its config to its page."""
+"""Runs a chart, from its config to its page."""
 
 import json
 
@@ -21,12 +21,12 @@ from jaxdr.optimize.progress import Interruption, NotFinite, deferred_interrupt
 def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
     """Measure everything that a config asks for, write it to `output`, and return the summary.
 
-    With `resume`, what is there is not measured again, and gives the same rows.
+    With `resume`, what was measured before is not measured again, and gives the same rows.
 
     - Raises ValueError for a config that can't be run, or a folder in use.
-    - Raises ImportError before the start, where matplotlib or Mitsuba is missing.
+    - Raises ImportError before the start, if matplotlib or Mitsuba is missing.
     - Raises `Interrupted` after Ctrl-C.
-    - Raises `NotFinite` for references. For estimates it does so at the end, when the chart is complete.
+    - Raises `NotFinite` at once for a reference that is not finite, and at the end of the chart for such estimates.
     """
     require_matplotlib()
     if config.peers:
@@ -102,7 +102,10 @@ def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: 
 
 
 def _images(run: SceneRun, images: list) -> list[tuple[str, np.ndarray]]:
-    """The reference; of every line a call, all about equally long, and the mean of all calls of its last rung."""
+    """(caption, image): the reference, one call of every line, and the mean of all calls of every line's last rung.
+
+    The single calls take about equally long.
+    """
     shown = [("reference", run.image[0])]
     lines = dict.fromkeys(row["estimator"] for row, _, _ in images)
     last = {name: [entry for entry in images if entry[0]["estimator"] == name] for name in lines}
@@ -142,5 +145,5 @@ def _about(config: ChartConfig) -> list[str]:
         "Errors are of one call, relative to the root mean square of the reference; hollow points lie in its noise.",
     ]
     if config.peers:
-        lines.append("Mitsuba's times hold the update of its scene; its 'compile' is what a first call takes longer.")
+        lines.append("Mitsuba's times hold the update of its scene; its 'compile' is the extra time of a first call.")
     return lines

@@ -1,4 +1,4 @@
-"""Everything that is measured of one scene: its references, its cells, interleaved calls, memory, terms."""
+"""The measurements of one scene: references, compile times, calls in turns, memory, and terms."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,29 +16,29 @@ from jaxdr.chart.scenes import Case
 from jaxdr.chart.statistics import mean_and_noise, positions
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress
 
-# Streams of random numbers under the seed.
+# Streams of random numbers, all from the seed.
 REFERENCE, RESIDUAL, VERTICES, CALLS, TERMS = range(5)
-Call = Callable[[int, int], dict[str, Any]]  # (number of the key, number in the order of all calls) -> arrays, seconds
+Call = Callable[[int, int], dict[str, Any]]  # (number of the key, number among all calls) -> arrays and seconds
 
 
 class SceneRun:
-    """One scene of a chart. Every array and time is kept in the folder as soon as it is there."""
+    """One scene of a chart. Every array and time is written to the folder as soon as it is known."""
 
     def __init__(self, config: ChartConfig, scene: ChartScene, case: Case, folder: ChartFolder, stop: Interruption):
         self.config, self.scene, self.case, self.folder, self.stop = config, scene, case, folder, stop
         self.key = jax.random.key(config.seed)
         self.positions = positions(scene.reference.step, config.positions)
-        self.programs: dict[Cell, Call] = {}  # compiled to see what a call takes, and used again for the calls
+        self.programs: dict[Cell, Call] = {}  # compiled for the first call, and used again for the others
         self.lines = [estimator.name for estimator in config.estimators] + (list(GUIDING) if config.peers else [])
 
     def cells(self) -> list[Cell]:
-        """All of them, line by line with rising samples."""
+        """All cells of the scene, line by line, with rising samples."""
         own = [estimator.samples or self.config.samples for estimator in self.config.estimators]
         ladders = own + [self.config.peer_samples or self.config.samples] * (len(self.lines) - len(own))
         return [Cell(self.scene.name, i, spp) for i, ladder in enumerate(ladders) for spp in ladder]
 
     def measure(self) -> None:
-        """Make what is not there yet. Raises `Interrupted`, and `NotFinite` for a reference."""
+        """Measure what the folder lacks. Raises `Interrupted`, and `NotFinite` for a reference that is not finite."""
         self.image, self.vertices, self.residual, self.agreement = self._references()
         cells = self.cells()
         for line in range(len(self.lines)):
@@ -98,7 +98,10 @@ class SceneRun:
         return np.stack(found)
 
     def _prepare(self, ladder: list[Cell]) -> None:
-        """Status of a line's cells: compile and call once, from few samples to as many as the budget allows."""
+        """Find the status of the cells of a line. From few samples to many, each is compiled and called.
+
+        This ends where the budget or the estimator's refusal ends it.
+        """
         history, refused = [], ""
         with Progress(f"{self.scene.name}: compile {self.lines[ladder[0].line]}", len(ladder)) as progress:
             for cell in ladder:
@@ -122,7 +125,7 @@ class SceneRun:
             return {"status": f"over budget: about {guess:.2g} s a call"}
         try:
             call, known = self._program(cell)
-            call(0, 0)  # the first one is slow for other reasons too
+            call(0, 0)  # the first call is not timed: it is slow for other reasons too
             found = call(1, 1)
         except ValueError as problem:
             return {"status": f"refused: {(str(problem).splitlines() or [''])[0]}"}
@@ -133,7 +136,7 @@ class SceneRun:
         return known | {"status": f"over budget: {found['seconds']:.2g} s a call" if over else "ok"}
 
     def _program(self, cell: Cell) -> tuple[Call, dict]:
-        """A cell's call, and what compiling it took."""
+        """(call of a cell, seconds and bytes of its compilation)."""
         if cell.line >= len(self.config.estimators):
             return self._peer_program(cell)
         line = self._line(cell.line)
@@ -166,7 +169,7 @@ class SceneRun:
         return call, {"compile_seconds": max(first - second, 0.0)}
 
     def _calls(self, cells: list[Cell]) -> None:
-        """All cells take turns, call by call, each round beginning with another one: noise of the machine hits all."""
+        """Call all cells in turns, so that noise of the machine hits all. Each round begins with another cell."""
         keys = range(self.config.keys)
         missing = {cell for cell in cells if not all(self.folder.has_call(cell, k) for k in keys)}
         if not missing:
@@ -190,7 +193,7 @@ class SceneRun:
         self.programs.clear()
 
     def _memory(self) -> None:
-        """Of every estimator, at the most samples that it was measured with."""
+        """Measure the memory of every estimator, at the largest number of samples that it was measured with."""
         for line, estimator in enumerate(self.config.estimators):
             counts = [cell.samples for cell in self.measured() if cell.line == line]
             name = f"{self.scene.name}/{line:02d}_memory"
@@ -201,7 +204,7 @@ class SceneRun:
             self.folder.save_status(name, found | {"samples": max(counts)})
 
     def _terms(self) -> None:
-        """Calls of `derivative_terms`, for lines that were measured at all."""
+        """Call `derivative_terms` for every line that has a measured cell."""
         for i in range(len(self.config.estimators)):
             cell = self.term_cell(i)
             keys = range(self.config.keys)
@@ -220,7 +223,7 @@ class SceneRun:
                     progress.step()
 
     def term_cell(self, line: int) -> Cell:
-        """Where the terms of a line are kept."""
+        """The cell under which the terms of a line are kept."""
         return Cell(self.scene.name, line, self.config.terms)
 
     def _line(self, number: int) -> Line:

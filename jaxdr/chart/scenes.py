@@ -1,4 +1,4 @@
-"""The scenes of a chart: procedural ones by name, scene files, and how one of their shapes moves."""
+"""The scenes of a chart: procedural ones by name, scene files, and the motion of one of their shapes."""
 
 import dataclasses
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.motion import rounding_step
 from jaxdr.scene.scene import Scene, Shape
 
-NUDGES = 61  # more than acceleration structures are kept
+NUDGES = 61  # more than the number of acceleration structures that are cached
 
 
 def ball_and_shadow(*, resolution: int = 32, subdivisions: int = 3, light: float = 0.6) -> Scene:
@@ -46,9 +46,9 @@ SCENES: dict[str, Callable[..., Scene]] = {"ball_and_shadow": ball_and_shadow, *
 
 
 class Case(NamedTuple):
-    """A scene at rest, the name of the vertices that move, and where they are at t.
+    """A scene at rest, the parameter that moves (vertices of a shape), and its value at t.
 
-    `nudge`: a motion of four units in the last place of the coordinates.
+    `nudge`: a step of t that moves coordinates by four units in the last place.
     """
 
     scene: Scene
@@ -60,18 +60,18 @@ class Case(NamedTuple):
     nudge: float
 
     def moved(self, t) -> Scene:
-        """The scene at t; traceable."""
+        """The scene at t, which may be traced."""
         return self.scene.replace({self.parameter: self.at(t)})
 
 
 def check_scene_options(name: str, options: dict) -> None:
-    """Raise ValueError for an unknown procedural scene, or an option that its function does not have."""
+    """Raises ValueError for an unknown procedural scene, or an option that its function does not have."""
     check_choice("procedural", name, SCENES)
     check_options("options", SCENES[name], options, name)
 
 
 def load_case(name: str, file: str, procedural: str, options: dict, motion) -> Case:
-    """Scene and `motion` (`jaxdr.chart.config.Motion`). Raises ValueError that starts with the scene's name."""
+    """A scene and its `motion` (`jaxdr.chart.config.Motion`). Raises ValueError, which starts with the scene's name."""
     try:
         if file:
             reader = load_gltf if is_gltf(Path(file)) else load_mitsuba
@@ -84,9 +84,9 @@ def load_case(name: str, file: str, procedural: str, options: dict, motion) -> C
 
 
 def nudged(case: Case, t: float, number: int) -> float:
-    """t, moved by rounding of the coordinates alone, otherwise for each of `NUDGES` calls in a row.
+    """t plus a tiny step, which differs between `NUDGES` calls in a row and changes coordinates by rounding only.
 
-    Acceleration structures are kept by their content: calls at the very same place would not build them.
+    Acceleration structures are cached by their content. Calls at exactly the same t would not build them.
     """
     return t + (number % NUDGES - NUDGES // 2) * case.nudge
 
@@ -142,7 +142,7 @@ def _velocities(rest, motion) -> Float[Array, "V 3"]:
 
 
 def describe(motion) -> str:
-    """One line for the page: what moves."""
+    """A description of the motion, in one line for the page."""
     values = {k: v for k, v in dataclasses.asdict(motion).items() if v not in (None, "") and k not in ("shape", "kind")}
     shown = {
         "translate": ("direction",),

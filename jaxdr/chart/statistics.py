@@ -1,4 +1,4 @@
-"""Errors of derivatives against a reference that has noise of its own: bias and variance apart; Pareto front."""
+"""Errors of derivatives against a noisy reference, separated into bias and variance; the Pareto front."""
 
 import math
 from collections.abc import Sequence
@@ -12,19 +12,22 @@ def errors(
 ) -> dict[str, float]:
     """Errors of one call, from P x S independent ones, S at each of P positions within the reference's step.
 
-    All are relative to the root mean square of what the reference estimates: its own `noise` (root mean square of a
-    value's standard error) taken off. With g the calls, r the reference, s its noise, mean over all values:
+    `noise` is the root mean square of the standard errors of the reference's values. All errors are relative to the
+    root mean square of what the reference estimates, that is, of the reference without its noise. g are the calls, r is
+    the reference, s its noise, and means are over all values:
 
-    - `variance`: mean of (g - E g)², unbiased, from calls at the same position;
-    - `bias2`: mean of (mean g - r)² minus variance / calls minus s²: unbiased, so it may come out negative;
-    - `deviation`, `bias`: their roots; `bias` is 0 where `bias2` is negative, that is, nothing is left to see;
-    - `bias_resolution`: root of what was taken off: a bias well below it is not known;
-    - `rmse`: √(bias² + variance);
-    - `projection`: <mean g, r> / (<r, r> - s²), 1 for the right size; `projection_error`: its standard error, of calls
-      and reference (whose values count as independent from pixel to pixel, not from channel to channel).
+    - `variance`: mean of (g - E g)², unbiased, from calls at the same position.
+    - `bias2`: mean of (mean g - r)² minus variance / calls minus s². It is unbiased, so it may be negative.
+    - `deviation`, `bias`: the roots of these two; `bias` is 0 if `bias2` is negative.
+    - `bias_resolution`: root of (variance / calls + s²). A bias well below it can't be seen.
+    - `rmse`: √(bias² + variance).
+    - `projection`: <mean g, r> / (<r, r> - s²), which is 1 for the right size; `projection_error`: its standard error,
+      from the calls and the reference. The reference's noise counts as independent between pixels, but not between
+      channels.
     - `noise`: s.
 
-    Raises ValueError for fewer than two calls a position, shapes that differ, and a reference that is all noise.
+    Raises ValueError for fewer than two calls at a position, for shapes that differ, and for a reference that is all
+    noise.
     """
     if values.ndim < 3 or values.shape[1] < 2:
         raise ValueError(f"errors: expected [positions, 2 or more calls, ...], got shape {list(values.shape)}")
@@ -55,7 +58,7 @@ def errors(
 
 
 def size2(reference: Float[np.ndarray, "*shape"], noise: float) -> float:
-    """Mean square of what a reference estimates. Raises ValueError when it is all noise."""
+    """Mean square of what a reference estimates, without its noise. Raises ValueError if it is all noise."""
     power = float(np.mean(np.square(reference, dtype=np.float64))) - noise**2
     if not power > 0:
         raise ValueError(
@@ -72,16 +75,19 @@ def mean_and_noise(batches: Float[np.ndarray, "B *shape"]) -> tuple[Float[np.nda
 
 
 def positions(step: float, count: int) -> list[float]:
-    """Middles of `count` equal parts of [-step, step]; the rest alone without a step.
+    """Midpoints of `count` equal parts of [-step, step]; only 0 if `step` is 0.
 
-    A central difference is the mean of the derivative over its step exactly, whatever jumps between: means over these
-    are smeared alike.
+    A central difference is exactly the mean of the derivative over [-step, step], even if the derivative jumps there.
+    The mean over these positions is smeared in the same way.
     """
     return [step * ((2 * k + 1) / count - 1) for k in range(count)] if step > 0 else [0.0]
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Numbers of the (seconds, error) that no other beats in one and equals or beats in the other; by seconds."""
+    """Indices of the points (seconds, error) of the Pareto front, by seconds.
+
+    No other point is better in one of the two and at least as good in the other.
+    """
     front, least = [], math.inf
     for number in sorted(range(len(points)), key=lambda i: points[i]):
         if points[number][1] < least:
@@ -91,5 +97,5 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def is_resolved(rmse: float, noise: float) -> bool:
-    """Whether an error stands out of the band: is larger than the noise of the reference."""
+    """Whether an error is larger than the noise of the reference."""
     return rmse > noise

@@ -1,4 +1,4 @@
-"""Rows of a chart from the calls that were kept, and CSV files of them."""
+"""Rows of a chart, made from the calls in its folder, and CSV files of them."""
 
 import csv
 import io
@@ -24,9 +24,10 @@ def row_of(
     image: tuple[np.ndarray, float],
     vertices: tuple[np.ndarray, float] | None,
 ) -> dict:
-    """Errors and times from the calls of a cell, call k at position k modulo `positions`; references with their noise.
+    """Errors and times from the calls of a cell. Call k is at position k modulo `positions`.
 
-    Values that are not finite leave the errors out; `status` says how many calls had some.
+    `image` and `vertices` are references with their noise. If values are not finite, the errors are left out, and
+    `status` says how many calls have such values.
     """
     row: dict = {"calls": len(calls["image"])}
     low, middle, high = np.percentile(calls["seconds"], (25, 50, 75))
@@ -58,7 +59,10 @@ def mark_front(rows: Sequence[dict]) -> None:
 
 
 def term_rows(calls: dict[str, np.ndarray], image: tuple[np.ndarray, float]) -> list[dict]:
-    """Standard deviation of each term in a call, and the size of its mean without noise; relative to the reference."""
+    """For each term its standard deviation in a call, and the size of its mean without noise.
+
+    Both are relative to the reference.
+    """
     power = size2(*image)
     rows = []
     for term, values in sorted(calls.items()):
@@ -73,7 +77,7 @@ def term_rows(calls: dict[str, np.ndarray], image: tuple[np.ndarray, float]) -> 
 
 
 def csv_text(rows: Sequence[dict], columns: Sequence[str]) -> str:
-    """The rows as CSV; what a row lacks stays empty."""
+    """The rows as CSV. A value that a row lacks is left empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()

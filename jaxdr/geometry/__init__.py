@@ -1,6 +1,7 @@
-"""Meshes and what is asked about them; the first room, which knows no scene.
+"""Meshes, and queries about them. This package does not depend on scenes.
 
-`mesh` is the triangle mesh, which `load` reads from files (`gltf/`: glTF as it is stored), `shapes` makes and `uvs`
-unwraps. `edges` lists its edges, `edge_tree` bounds them in a tree. `queries/` answers which face a ray hits and which
-edges bound what is seen. `vector` is the algebra of 3-vectors that everything uses.
+- `mesh`: the triangle mesh. `load` reads it from files (`gltf/` reads glTF), `shapes` makes it, `uvs` unwraps it.
+- `edges`: the edges of a mesh; `edge_tree`: a bounding tree over edges.
+- `queries/`: which face a ray hits, and which edges bound what is seen.
+- `vector`: algebra of 3-vectors.
 """

@@ -1,9 +1,9 @@
 """Bounding tree over edges for silhouette queries: boxes, and cones of the normals of the faces at the edges.
 
-Seen from a point, a node whose normals all face it, or all face away, holds no silhouette and is skipped however close
-it is: the cost of a query grows with the logarithm of the tessellation. The tree is complete and binary, in heap order
-from node 1, as plain arrays computed level by level: no handle, nothing cached. Which edges share a node is decided
-once a topology (`spatial_order`), boxes and cones follow the vertices.
+If all normals of a node face a point, or all face away, the node has no silhouette from that point. It is skipped, even
+if it is close. So the cost of a query grows with the logarithm of the tessellation. The tree is complete and binary, in
+heap order from node 1. It consists of plain arrays, computed level by level, without handles and caches. Which edges
+share a node is decided once for a topology (`spatial_order`). Boxes and cones follow the vertices.
 """
 
 from collections.abc import Sequence
@@ -22,10 +22,13 @@ LEAF = 4  # edges in a leaf
 class EdgeTree(NamedTuple):
     """Nodes 1 to 2^k - 1 of the tree (row 0 is unused); the leaves are the last half, with `LEAF` edges each.
 
-    `edge` are the edges of the leaves in turn, -1 where there is none. A node is three rows of four numbers, beside
-    each other in memory: box centre and radius, box half extent and rank, axis and cosine of the half-angle of a cone
-    around the face normals; the cosine is -1 where they fill more than a half-space or an edge is a silhouette from
-    everywhere. The rank is the largest `radius` (or other importance) of the edges, 0 where none counts.
+    `edge` has the edges of the leaves in order, -1 for an empty slot. A node is three rows of four numbers, beside each
+    other in memory:
+
+    - centre of the box, and its radius;
+    - half extent of the box, and the rank: the largest `radius` (or other importance) of the edges, 0 if none counts;
+    - axis of a cone around the face normals, and the cosine of its half-angle; -1 if the normals fill more than a
+      half-space, or if an edge may be a silhouette from everywhere.
     """
 
     edge: Int[Array, " s"]
@@ -48,9 +51,9 @@ def leaf_count(edges: int) -> int:
 
 
 def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """Order in which every node of the tree holds a cell of a kd-tree: halves along the longest side. On the host.
+    """Order in which every node of the tree is a cell of a kd-tree, halved along its longest side. On the host.
 
-    A third of the nodes that a Morton curve leaves a query to visit: its ranges are not compact.
+    Queries visit far fewer nodes than with a Morton curve, whose ranges are not compact.
     """
     count = len(points)
     slots = leaf_count(count) * LEAF
@@ -63,7 +66,7 @@ def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
         lower, upper = (np.stack([_along_rows(extreme, c) for c in cells]) for extreme in (np.minimum, np.maximum))
         for row in np.flatnonzero(np.isfinite(lower[0]) & np.isinf(upper[0])):  # the cell where padding starts
             upper[:, row] = np.where(np.isinf(cells[:, row]), -np.inf, cells[:, row]).max(1)
-        with np.errstate(invalid="ignore"):  # nothing but padding
+        with np.errstate(invalid="ignore"):  # cells of padding only
             extent = upper - lower
         axis = np.where(np.isfinite(extent), extent, -1.0).argmax(0)[:, None]
         along = np.where(axis == 0, cells[0], np.where(axis == 1, cells[1], cells[2]))
@@ -75,7 +78,7 @@ def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 
 
 def _along_rows(extreme: np.ufunc, cells: Float[np.ndarray, "n size"]) -> Float[np.ndarray, " n"]:
-    """The extreme of each row; column by column where rows are short, which takes NumPy a fraction of the time."""
+    """The extreme of each row. Short rows are reduced column by column, which is much faster in NumPy."""
     if cells.shape[1] > 64 or len(cells) < cells.shape[1]:
         return extreme.reduce(cells, axis=1)
     found = cells[:, 0].copy()
@@ -85,12 +88,12 @@ def _along_rows(extreme: np.ufunc, cells: Float[np.ndarray, "n size"]) -> Float[
 
 
 def leaf_edges(counts: Sequence[int]) -> Int[np.ndarray, " s"]:
-    """Edges in the leaves, -1 for none, of a tree over meshes with `counts` edges: each has a node of its own."""
+    """Edges in the leaves (-1: none) of a tree over meshes with `counts` edges. Each mesh has its own subtree."""
     first = np.cumsum([0, *counts])
     sizes = [leaf_count(count) * LEAF for count in counts]
     slots = np.full(leaf_count(sum(sizes)) * LEAF, -1, np.int32)
     start = 0
-    for i in sorted(range(len(counts)), key=lambda i: -sizes[i]):  # the largest first: all of them are aligned
+    for i in sorted(range(len(counts)), key=lambda i: -sizes[i]):  # the largest first, so that all are aligned
         slots[start : start + counts[i]] = np.arange(first[i], first[i + 1])
         start += sizes[i]
     return slots
@@ -104,16 +107,15 @@ def build_edge_tree(
     radius: Float[Array, " E"],
     counts: Sequence[int] | None = None,
 ) -> EdgeTree:
-    """The tree for the present vertices, detached.
+    """The tree for the current vertices, detached.
 
-    `opposite` are the third corners of the faces at each edge; `counts` the numbers of edges of the meshes, if there
-    are several.
+    `opposite` are the third corners of the faces at each edge. `counts` are the numbers of edges of several meshes.
     """
     vertices = stop_gradient(vertices)
     slots = leaf_edges(counts or [edges.shape[0]])
     leaves = len(slots) // LEAF
     p0, p1 = vertices[edges[:, 0]], vertices[edges[:, 1]]
-    # Interior edges have two faces; the others are silhouettes from almost everywhere and get no cone.
+    # Interior edges have two faces. The others are silhouettes from almost everywhere, so they have no cone.
     n0, slack0 = _normal(p0, p1, vertices[opposite[:, 0]])
     n1, slack1 = _normal(p1, p0, vertices[opposite[:, 1]])
     axis = normalize(n0 + n1)
@@ -188,7 +190,7 @@ def _parents(children: _Nodes) -> _Nodes:
         lower=jnp.minimum(a.lower, b.lower),
         upper=jnp.maximum(a.upper, b.upper),
         axis=axis,
-        # A little wider than computed: the arithmetic rounds.
+        # A little wider than computed, because the arithmetic rounds.
         cosine=jnp.where(unbounded & ~(empty_a & empty_b), -1.0, jnp.cos(angle) - 1e-5),
         radius=jnp.maximum(a.radius, b.radius),
     )

@@ -13,15 +13,16 @@ from jaxdr.geometry.vector import cross, dot, normalize
 INTERIOR = 0
 BOUNDARY = 1
 NON_MANIFOLD = 2
-ROUNDING = 16  # rounding steps of the coordinates within which positions are the same
+ROUNDING = 16  # positions are equal if their coordinates differ by at most so many rounding steps
 
 
 class Edges(eqx.Module):
     """The E undirected edges of a mesh; K = max(2, largest number of faces at one edge).
 
     Face 0 of an edge runs through it from `vertices[:, 0]` to `vertices[:, 1]`, so (v0, v1, opposite 0) is face 0 up to
-    rotation. Face 1 of an interior edge runs the other way. Edges are sorted by (min(v0, v1), max(v0, v1)); v0 < v1
-    unless every face at the edge runs downwards, which no interior edge's do.
+    rotation. Face 1 of an interior edge runs the other way. Edges are sorted by (min(v0, v1), max(v0, v1)), or in
+    spatial order. v0 < v1 unless all faces at the edge run from the higher vertex number to the lower; at interior
+    edges only one does.
 
     **Fields**
 
@@ -30,8 +31,8 @@ class Edges(eqx.Module):
     - `opposite`: for each face its vertex that is not on the edge, padded with -1.
     - `kind`: `INTERIOR` (two faces with opposite directions), `BOUNDARY` (one face) or `NON_MANIFOLD` (anything else:
       three or more faces, or two that disagree about the orientation).
-    - `first`: the first of the edges that lay on one another, without sharing vertices, where the mesh was made: itself
-      for most. None where all do.
+    - `first`: the first of the edges that coincided when the mesh was made, without sharing vertices. For most edges it
+      is the edge itself. None if no edges coincided.
     """
 
     vertices: Int[Array, "E 2"]
@@ -104,10 +105,10 @@ def is_convex(edges: Edges, vertices: Float[Array, "V 3"]) -> Bool[Array, " E"]:
 
 
 def edge_shares(edges: Edges, vertices: Float[Array, "V 3"]) -> Float[Array, " E"]:
-    """One over the number of edges that lie on one another now, of those that did when the mesh was made; detached.
+    """One over the number of edges that coincide now and did so when the mesh was made; detached.
 
-    Each of them is a boundary of what is seen, and all of them are one: what jumps there counts in these shares. Where
-    they have come apart by more than rounding each is one of its own again.
+    Edges that coincide are one boundary of what is seen, but each of them is found. So a jump there counts with this
+    share. An edge that has moved away by more than rounding counts in full.
     """
     if edges.first is None:
         return jnp.ones(edges.vertices.shape[0], vertices.dtype)

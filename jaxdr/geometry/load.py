@@ -22,20 +22,20 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     """All triangles of a file as one mesh, in the units of the file.
 
     Vertices at the same position are welded. UVs keep their own indices, so a seam does not split a vertex. The meshes
-    of a GLB are joined, each at the place of its node in the scene, in the default pose of the file. Where only some
-    have UVs, the others get (0, 0). Materials are not read.
+    of a GLB are joined, each at the place of its node in the scene, in the default pose of the file. If only some of
+    the meshes have UVs, the others get (0, 0). Materials are not read.
 
     `shading` is one of these:
 
     - "flat": the normal of the face.
     - "smooth": one normal per vertex.
     - "file": corners with the same position and the same stored normal share one normal, computed from the triangles.
-      It is flat where nothing is stored.
-    - "vertex": as "file". Where nothing is stored, there is one normal per vertex of the file. So edges at which the
-      file splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
+      Meshes without stored normals are flat.
+    - "vertex": like "file", but meshes without stored normals have one normal per vertex of the file. So edges at which
+      the file splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
 
-    Raises ValueError for an unknown extension or shading, a missing or unreadable file, one without triangles, and
-    whatever `Mesh` rejects.
+    Raises ValueError for an unknown extension or shading, a missing or unreadable file, a file without triangles, and
+    everything that `Mesh` rejects.
     """
     if shading not in SHADINGS:
         raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
@@ -47,7 +47,7 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
 
 
 def read_parts(path: str | PathLike) -> list["Triangles"]:
-    """The triangle meshes of a file, each at its place. Raises `ValueError` as `load_mesh` does."""
+    """The triangle meshes of a file, each at its place. Raises ValueError like `load_mesh`."""
     path = Path(path)
     _check_extension("load_mesh", path)
     if not path.is_file():
@@ -61,13 +61,13 @@ def read_parts(path: str | PathLike) -> list["Triangles"]:
         except GltfError as error:
             raise ValueError(f"load_mesh: {error}") from error
         return _not_empty(parts, path)
-    import trimesh  # on use: importing it takes longer than reading most files
+    import trimesh  # imported here, because that takes longer than reading most files
 
     source = io.StringIO(_text(path)) if path.suffix.lower() == ".obj" else path
     options = _parser_options(path)
     try:
         scene = trimesh.load_scene(source, file_type=path.suffix.lower()[1:], process=False, **options)
-    except Exception as error:  # trimesh's parsers let through whatever a broken file makes them raise
+    except Exception as error:  # trimesh's parsers may raise anything for a damaged file
         reason = str(error) or type(error).__name__
         raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({reason})") from error
     nodes = [(scene.geometry[name], to_world) for to_world, name in map(scene.graph.get, scene.graph.nodes_geometry)]
@@ -82,7 +82,7 @@ def _not_empty(parts: Sequence["Triangles"], path: Path) -> list["Triangles"]:
 
 
 def _text(path: Path) -> str:
-    """A text file; what is no UTF-8 can only be in comments and names, and is taken as Latin-1."""
+    """The text of a file in UTF-8, else Latin-1: only comments and names can have other characters than ASCII."""
     content = path.read_bytes()
     try:
         return content.decode()
@@ -91,16 +91,16 @@ def _text(path: Path) -> str:
 
 
 def joined(parts: Sequence["Triangles"], shading: str) -> Mesh:
-    """One mesh of several parts; the shadings are those of `load_mesh`. Raises `ValueError` as `Mesh` does."""
+    """One mesh of several parts; the shadings are those of `load_mesh`. Raises ValueError like `Mesh`."""
     arrays, _ = joined_arrays(parts, shading)
     mesh = Mesh(*arrays)
     return mesh.smooth() if shading == "smooth" else mesh
 
 
 def joined_arrays(parts: Sequence["Triangles"], shading: str) -> tuple[MeshArrays, Int[np.ndarray, " n"]]:
-    """What `joined` makes its mesh of, and for all vertices of the parts in turn their rows in its vertices.
+    """(arrays of the joined mesh, row in its vertices of every vertex of the parts in turn).
 
-    "smooth" is left to the caller.
+    The caller applies the shading "smooth".
     """
     counts = [len(part.vertices) for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
@@ -151,14 +151,14 @@ def _parser_options(path: Path) -> dict[str, Any]:
     if extension == ".obj":
         return {"skip_materials": True}
     if extension == ".ply":
-        # Splits the vertices at UV seams, but forgets to split the normals: only for UVs stored at the faces' corners.
+        # "fix_texture" splits vertices at UV seams but not their normals. So use it only for UVs stored at corners.
         header = path.read_bytes().partition(b"end_header")[0]
         return {"fix_texture": b"texcoord" in header}
     return {}
 
 
 def is_triangles(geometry: Any) -> bool:
-    """Whether trimesh read triangles here, rather than points or lines."""
+    """Whether trimesh has read triangles, rather than points or lines."""
     import trimesh
 
     return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
@@ -168,7 +168,7 @@ def is_triangles(geometry: Any) -> bool:
 class Triangles:
     """One mesh of a file. `uvs` and `normals` belong to the vertices, or are None.
 
-    `stored` are further numbers that a PLY file has, by element ("vertex", "face") and property.
+    `stored` are further numbers of a PLY file, by element ("vertex", "face") and property.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -178,7 +178,7 @@ class Triangles:
     stored: dict[str, dict[str, np.ndarray]] = dataclasses.field(default_factory=dict)
 
     def corner_normals(self) -> Float[np.ndarray, "F 3 3"]:
-        """The stored normal at each corner; where nothing is stored, the face's own, which makes it flat."""
+        """The stored normal at each corner; without stored normals that of the face."""
         if self.normals is not None:
             return self.normals[self.faces]
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
@@ -186,12 +186,12 @@ class Triangles:
 
 
 class Part(Triangles):
-    """One mesh of a file as trimesh read it, in world space."""
+    """One mesh of a file that trimesh has read, in world space."""
 
     def __init__(self, geometry: Any, to_world: Float[np.ndarray, "4 4"]):
         linear = to_world[:3, :3]
         uvs = getattr(geometry.visual, "uv", None)
-        # trimesh computes the normals a file does not store; only its cache can tell the two apart.
+        # If a file has no normals, trimesh computes them on access. Only its cache tells whether they were stored.
         stored = "vertex_normals" in geometry._cache
         super().__init__(
             geometry.vertices @ linear.T + to_world[:3, 3],
@@ -203,7 +203,7 @@ class Part(Triangles):
 
 
 def _ply_properties(geometry: Any) -> dict[str, dict[str, np.ndarray]]:
-    """Single numbers of a PLY file's vertices and faces, where trimesh has not split or triangulated these."""
+    """Scalar properties of a PLY file's vertices and faces, if trimesh has not split or triangulated these."""
     found = {}
     for element, count in (("vertex", len(geometry.vertices)), ("face", len(geometry.faces))):
         data = geometry.metadata.get("_ply_raw", {}).get(element, {}).get("data")
@@ -232,9 +232,9 @@ def smoothing_groups(
 
 
 def normals_apart(arrays: MeshArrays, corner_normals: Float[np.ndarray, "F 3 3"]) -> float:
-    """Mean angle (degrees) between stored normals and those of the smoothing groups, which are computed of the faces.
+    """Mean angle (degrees) between stored normals and the smoothing groups' normals, which are computed from faces.
 
-    Weighted by the corners' angles, as in `Mesh.vertex_normals`.
+    The mean is weighted by the corners' angles, as in `Mesh.vertex_normals`.
     """
     assert arrays.normal_faces is not None
     corners = np.asarray(arrays.vertices, float)[arrays.faces]
@@ -249,7 +249,7 @@ def normals_apart(arrays: MeshArrays, corner_normals: Float[np.ndarray, "F 3 3"]
 
 
 def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Corner triples (vertex, uv, normal group) that occur [n, 3], and the faces that index them."""
+    """(the distinct corner triples (vertex, uv, normal group) [n, 3], the faces that index them)."""
     columns = [mesh.faces, mesh.uv_faces, mesh.normal_faces]
     corners = np.stack([np.zeros(mesh.faces.size, int) if c is None else np.asarray(c).ravel() for c in columns], 1)
     triples, rows = np.unique(corners, axis=0, return_inverse=True)
@@ -257,7 +257,7 @@ def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _trimesh(mesh: Mesh) -> Any:
-    """trimesh's Trimesh with one index for everything, as GLB and PLY want it."""
+    """A trimesh.Trimesh with one index for all arrays, as GLB and PLY need it."""
     import trimesh
     from trimesh.visual import TextureVisuals
 
@@ -274,7 +274,7 @@ def _trimesh(mesh: Mesh) -> Any:
 
 
 def _obj_text(mesh: Mesh) -> str:
-    """OBJ indexes positions, UVs and normals separately, as Mesh does, and can hold every digit."""
+    """The mesh as OBJ, which indexes positions, UVs and normals separately like `Mesh`, and keeps every digit."""
     text = io.StringIO()
     normals = None if mesh.normal_faces is None else mesh.vertex_normals()
     for keyword, values in (("v", mesh.vertices), ("vt", mesh.uvs), ("vn", normals)):

@@ -20,11 +20,11 @@ from jaxdr.geometry.vector import cross, dot, normalize, scale
 
 
 class EmptyMesh(ValueError):
-    """A mesh without triangles, or without any that has an area."""
+    """A mesh without triangles, or whose triangles have no area."""
 
 
 class MeshArrays(NamedTuple):
-    """What a `Mesh` is made of, not checked yet: positions, UVs and smoothing groups with their own indices."""
+    """The arrays of a `Mesh`, not checked yet: positions, UVs and smoothing groups with their own indices."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -33,7 +33,7 @@ class MeshArrays(NamedTuple):
     normal_faces: Int[np.ndarray, "F 3"] | None = None
 
     def turned(self) -> "MeshArrays":
-        """Inside out."""
+        """The mesh turned inside out."""
         uv_faces, normal_faces = (None if f is None else f[:, ::-1] for f in (self.uv_faces, self.normal_faces))
         return MeshArrays(self.vertices, self.faces[:, ::-1], self.uvs, uv_faces, normal_faces)
 
@@ -52,13 +52,12 @@ class Mesh(eqx.Module):
       -> row of `uvs`. Both are None without texture coordinates.
     - `normal_faces` [F, 3]: corner -> smoothing group, whose corners share one interpolated normal; None for flat
       shading.
-    - `edges`: the edges and the faces at them, in spatial order (trees over them need no sorting).
+    - `edges`: the edges and the faces at them, in spatial order, so that trees over them need no sorting.
     - `closed`: watertight and consistently oriented, that is, every edge is interior.
     - `normal_group_count`: number of smoothing groups G, zero for flat shading.
 
-    Raises ValueError for arrays of another shape or kind, values that are not finite, indices out of range, and meshes
-    without area. Warns of faces without area, which are dropped, and of edges that lie on others without sharing
-    vertices.
+    Raises ValueError for arrays of another shape or type, values that are not finite, indices out of range, and meshes
+    without area. Warns of faces without area, which are dropped, and of edges that coincide without sharing vertices.
     """
 
     vertices: Float[Array, "V 3"]
@@ -78,13 +77,13 @@ class Mesh(eqx.Module):
         uv_faces: ArrayLike | None = None,
         normal_faces: ArrayLike | None = None,
     ):
-        """Check concrete arrays (see the fields for their shapes) and build the topology. Equal positions stay separate
-        vertices: call `weld` first where they should not.
+        """Check concrete arrays (see the fields for their shapes) and build the topology.
 
-        Vertices are stored in JAX's default float type. Faces without area in that precision are dropped, with one
-        warning that counts them. Another one counts edges that lie on one another without sharing vertices: split
-        vertices, faces that are there twice. Raises `ValueError` for traced arrays, wrong shapes or types, positions or
-        UVs that are not finite, an index out of range, and a mesh without any face.
+        Equal positions stay separate vertices; `weld` merges them. Vertices are stored in JAX's default float type.
+        Faces without area in that precision are dropped, with one warning that counts them. Another warning counts
+        edges that coincide without sharing vertices (split vertices, duplicate faces). Raises ValueError for traced
+        arrays, wrong shapes or types, positions or UVs that are not finite, an index out of range, and a mesh without
+        any face.
         """
         if isinstance(vertices, jax.core.Tracer):
             raise ValueError("Mesh: needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
@@ -121,9 +120,9 @@ class Mesh(eqx.Module):
         if doubled:
             self.edges = dataclasses.replace(self.edges, first=as_array(first, np.int32))
             warn(
-                f"Mesh: {doubled} edges lie on others without sharing vertices, as of split vertices and of faces that "
-                "are there twice. Gradients pull them apart, and derivatives are right only while they move together; "
-                "let faces share vertices (load_mesh joins them by position), and drop faces that are there twice"
+                f"Mesh: {doubled} edges lie on others without sharing vertices, as at split vertices and duplicate "
+                "faces. Derivatives are right only while such edges move together, and gradients pull them apart; "
+                "let faces share vertices (load_mesh joins them by position), and drop duplicate faces"
             )
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
@@ -152,7 +151,7 @@ class Mesh(eqx.Module):
         return self._with_normal_faces(self.faces, self.vertices.shape[0])
 
     def flat(self) -> "Mesh":
-        """The same mesh with the face normal all over each face. Traceable."""
+        """The same mesh with flat shading: the face normal everywhere on a face. Traceable."""
         return self._with_normal_faces(None, 0)
 
     def _with_normal_faces(self, normal_faces: Int[Array, "F 3"] | None, group_count: int) -> "Mesh":
@@ -160,7 +159,7 @@ class Mesh(eqx.Module):
 
     def _with(self, changed: dict) -> "Mesh":
         """The same mesh with some fields changed, unchecked."""
-        # eqx.tree_at cannot replace a static field and takes ten times longer; __init__ needs concrete arrays.
+        # eqx.tree_at is slow and cannot replace a static field; __init__ needs concrete arrays.
         mesh = object.__new__(Mesh)
         for field in dataclasses.fields(self):
             object.__setattr__(mesh, field.name, changed.get(field.name, getattr(self, field.name)))
@@ -170,7 +169,7 @@ class Mesh(eqx.Module):
 def weld(
     vertices: Float[np.ndarray, "V D"], faces: Int[np.ndarray, "..."]
 ) -> tuple[Float[np.ndarray, "W D"], Int[np.ndarray, "..."]]:
-    """Merge positions (or other rows) that are equal in float32, on the host; of each set the first stays, in order.
+    """Merge positions (or other rows) that are equal in float32, on the host. The first of equal rows stays, in order.
 
     `faces` are indices of any shape.
     """
@@ -179,7 +178,7 @@ def weld(
     order = np.lexsort(position.T)
     position = position[order]
     starts_set = np.concatenate([[True], np.any(position[1:] != position[:-1], axis=1)])
-    # lexsort is stable: the first of a set in sorted order is the first in the input as well.
+    # lexsort is stable: the first of equal rows in sorted order is the first in the input as well.
     representative = np.empty(len(order), np.int64)
     representative[order] = order[starts_set][np.cumsum(starts_set) - 1]
     kept, new_index = np.unique(representative, return_inverse=True)
@@ -195,8 +194,8 @@ def _group_normals(
     to_previous = normalize(jnp.roll(corners, 1, axis=1) - corners)
     crossed = cross(to_next, to_previous)
     normals = normalize(crossed)
-    # atan2 of sine and cosine, unlike arccos, is smooth at 0 and 180 degrees, but not at (0, 0): a side of length
-    # zero. There the normal is zero, so any other cosine does.
+    # Unlike arccos, atan2 of sine and cosine is smooth at 0 and 180 degrees, but not at (0, 0), which a side of length
+    # zero gives. Then the normal is zero, so any other cosine will do.
     sine, cosine = dot(normals, crossed), dot(to_next, to_previous)
     angles = jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), 1.0, cosine))
     weighted = scale(normals, angles).reshape(-1, 3)
@@ -204,13 +203,13 @@ def _group_normals(
 
 
 def _first_on_one_another(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """For every edge the first one that has its ends where this one has them."""
+    """For every edge, the first edge whose ends are at the same positions."""
     ends = points[edges] + 0.0  # +0 makes -0.0 a plain zero
     first = np.arange(len(edges))
-    # A number that is the same for such edges, and hardly ever for others: sorting rows of six takes far longer.
+    # Edges that coincide have the same number, others hardly ever. Sorting numbers is far faster than sorting rows.
     low, high = (extreme(ends[:, 0], ends[:, 1]) for extreme in (np.minimum, np.maximum))
     mixed = low + math.sqrt(2) * high
-    # Added one by one: a product of matrices rounds rows differently.
+    # Sum term by term: a matrix product would round rows differently.
     number = mixed[:, 0] + math.sqrt(3) * mixed[:, 1] + math.sqrt(5) * mixed[:, 2]
     order = np.argsort(number)
     same = np.diff(number[order]) == 0
@@ -255,7 +254,7 @@ def _checked_indices(name: str, indices: ArrayLike, count: int | None, target: s
 
 
 def has_area(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Whether each face's sine of the smallest angle is above the rounding of the vertices' own type."""
+    """Whether each face has an area: over its longest side squared, it exceeds rounding in the vertices' type."""
     a, b, c = (points[corners[:, k]].astype(np.float64) for k in range(3))
     longest_squared = np.max([np.sum((q - p) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Procedural meshes: z is up, closed shapes have outward normals, shading is flat (call `smooth()` for the other)."""
+"""Procedural meshes: z is up, closed shapes have outward normals, shading is flat (`Mesh.smooth()` changes that)."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -18,8 +18,8 @@ def sphere(
 ) -> Mesh:
     """Geodesic sphere: an icosahedron whose edges are split into n parts, projected outwards.
 
-    n is 2^subdivisions or, when `vertex_count` is given instead, what comes closest to that many vertices: there are
-    10 n² + 2. Raises `ValueError` for negative subdivisions, fewer than 12 vertices or a radius that is not positive.
+    n is 2^subdivisions. If `vertex_count` is given, n is chosen so that the number of vertices, 10 n² + 2, is close to
+    it. Raises ValueError for negative subdivisions, fewer than 12 vertices or a radius that is not positive.
     """
     _require(radius > 0, "sphere: radius must be positive", radius)
     points, faces = _geodesic("sphere", subdivisions, vertex_count)
@@ -37,8 +37,8 @@ def displaced_sphere(
 ) -> Mesh:
     """Bumpy sphere with many concave edges: the distance from the center varies by ± `amplitude` · `radius`.
 
-    The bumps are those of a gyroid, sin x cos y + sin y cos z + sin z cos x, at `frequency` times the point of the unit
-    sphere. Raises `ValueError` as `sphere` does, and for an amplitude outside [0, 1).
+    The bumps are the gyroid sin x cos y + sin y cos z + sin z cos x, with (x, y, z) = `frequency` times a point of the
+    unit sphere. Raises ValueError like `sphere`, and for an amplitude outside [0, 1).
     """
     _require(radius > 0, "displaced_sphere: radius must be positive", radius)
     _require(0 <= amplitude < 1, "displaced_sphere: amplitude must be in [0, 1)", amplitude)
@@ -101,10 +101,10 @@ def torus(
 
 
 def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> Mesh:
-    """Tube along a trefoil knot: a shape that shadows itself, whose centre line stays within 1 of the origin.
+    """Tube along a trefoil knot: a shape that shadows itself. Its centre line stays within 1 of the origin.
 
-    The centre line is (sin t + 2 sin 2t, cos t - 2 cos 2t, -sin 3t) / 3. Raises `ValueError` for fewer than 3 segments
-    or sides, and for a radius outside (0, 0.2): from there on the strands would run into one another.
+    The centre line is (sin t + 2 sin 2t, cos t - 2 cos 2t, -sin 3t) / 3. Raises ValueError for fewer than 3 segments or
+    sides, and for a radius outside (0, 0.2): with larger radii the strands would intersect.
     """
     _require(0 < radius < 0.2, "trefoil_tube: radius must be in (0, 0.2)", radius)
     _require(segments >= 3, "trefoil_tube: segments must be at least 3", segments)
@@ -112,7 +112,7 @@ def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> 
     line = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)], axis=1) / 3
     velocity = np.stack([np.cos(t) + 4 * np.cos(2 * t), -np.sin(t) + 4 * np.sin(2 * t), -3 * np.cos(3 * t)], axis=1)
     acceleration = np.stack([-np.sin(t) - 8 * np.sin(2 * t), -np.cos(t) + 8 * np.cos(2 * t), 9 * np.sin(3 * t)], axis=1)
-    # Frenet frame: this curve's curvature vanishes nowhere, so the frame closes up without a twist.
+    # Frenet frame: the curvature is nowhere zero, so the frame closes without a twist.
     binormal = _unit(np.cross(velocity, acceleration))
     normal = np.cross(binormal, _unit(velocity))  # tangent = normal × binormal
     across = _circle("trefoil_tube: sides", sides)
@@ -123,7 +123,7 @@ def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> 
 def revolved(profile: Vector, segments: int = 64) -> Mesh:
     """Solid of revolution around the z axis from a profile of (distance from the axis, height) rows [n, 2].
 
-    The profile may run up or down. Where an end is off the axis, a flat cap closes it.
+    The profile may run up or down. An end that is off the axis is closed by a flat cap.
 
     Raises ValueError for a profile with fewer than two rows, with numbers that are not finite, with a distance that is
     negative or (except at the ends) zero, and for one that encloses no area with the axis. Raises ValueError for fewer
@@ -162,7 +162,7 @@ def revolved(profile: Vector, segments: int = 64) -> Mesh:
 
 
 def pawn(segments: int = 64) -> Mesh:
-    """Chess pawn of height 1 that stands on z = 0: foot, waist, collar and head, as a `revolved` profile."""
+    """Chess pawn of height 1 on z = 0: foot, waist, collar and head, from a `revolved` profile."""
     foot = [(0.28, 0.0), (0.30, 0.03), (0.30, 0.09), (0.27, 0.13), (0.24, 0.15), (0.24, 0.18), (0.20, 0.22)]
     height = np.linspace(0.26, 0.60, 12)
     waist = np.stack([0.10 + 0.075 * ((0.60 - height) / 0.34) ** 2, height], axis=1)
@@ -175,7 +175,7 @@ def pawn(segments: int = 64) -> Mesh:
 def duck(subdivisions: int = 4, *, vertex_count: int | None = None) -> Mesh:
     """Bath duck that swims towards +x: a geodesic sphere stretched to a body with head, beak and tail, about 2 long.
 
-    Every ray from the origin meets it once. Raises `ValueError` as `sphere` does.
+    Every ray from the origin meets it once. Raises ValueError like `sphere`.
     """
     points, faces = _geodesic("duck", subdivisions, vertex_count)
     distance = 1.0 / np.linalg.norm(points / (1.0, 0.75, 0.6), axis=1)
@@ -191,7 +191,7 @@ def duck(subdivisions: int = 4, *, vertex_count: int | None = None) -> Mesh:
 
 
 def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) -> Mesh:
-    """Flat star in the plane z = 0, facing +z, one tip towards +y: an emitter whose shadows have corners.
+    """Flat star in the plane z = 0, facing +z, with one tip towards +y. As an emitter its shadows have corners.
 
     Raises `ValueError` for fewer than two points or unless 0 < inner_radius <= outer_radius.
     """
@@ -206,10 +206,10 @@ def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) 
 
 
 def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
-    """The mesh under an affine map [4, 4] of column vectors. A mirroring map turns faces over: outside stays outside.
+    """The mesh under an affine map [4, 4] of column vectors. A map that mirrors also reverses the faces.
 
-    For concrete matrices, on the host; inside jit use `mesh.with_vertices`. Raises `ValueError` for a matrix of another
-    shape, one that is not affine, and one without an inverse.
+    So their outside stays outside. For concrete matrices, on the host; inside jit use `mesh.with_vertices`. Raises
+    ValueError for a matrix of another shape, one that is not affine, and one without an inverse.
     """
     uvs = None if mesh.uvs is None else np.asarray(mesh.uvs)
     indices = (None if faces is None else np.asarray(faces) for faces in (mesh.uv_faces, mesh.normal_faces))
@@ -218,7 +218,7 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
 
 
 def transformed_arrays(arrays: MeshArrays, matrix: Vector) -> MeshArrays:
-    """`transformed` before there is a mesh."""
+    """`transformed` for the arrays of a mesh."""
     matrix = np.asarray(matrix, float)
     _require(matrix.shape == (4, 4), "transformed: matrix must have shape [4, 4]", matrix.shape)
     _require(np.array_equal(matrix[3], [0, 0, 0, 1]), "transformed: the last row must be 0 0 0 1", matrix[3].tolist())
@@ -232,7 +232,7 @@ def transformed_arrays(arrays: MeshArrays, matrix: Vector) -> MeshArrays:
 def centred(mesh: Mesh, size: float) -> Mesh:
     """The mesh with its bounding box around the origin, the longest side `size` long.
 
-    On the host, as `transformed`. Raises `ValueError` for a size that is not positive.
+    On the host, like `transformed`. Raises ValueError for a size that is not positive.
     """
     _require(size > 0, "size must be positive", size)
     points = np.asarray(mesh.vertices, float)
@@ -282,7 +282,7 @@ def _grid(width: float, height: float, resolution: int, center: Vector) -> Mesh:
 def _geodesic(
     name: str, subdivisions: int, vertex_count: int | None
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-    """Unit sphere of an icosahedron whose faces are split into n² triangles."""
+    """Unit sphere from an icosahedron whose faces are split into n² triangles."""
     _require(subdivisions >= 0, f"{name}: subdivisions must not be negative", subdivisions)
     _require(vertex_count is None or vertex_count >= 12, f"{name}: vertex_count must be at least 12", vertex_count)
     n = 2**subdivisions if vertex_count is None else max(1, round(np.sqrt((vertex_count - 2) / 10)))
@@ -301,7 +301,7 @@ def _geodesic(
     small = small[(small >= 0).all(axis=-1)]
 
     a, b, c = (corners[triples[:, k], None] for k in range(3))
-    # A triple is ascending, so both faces at an edge sum its points in the same order: equal to the last bit, for weld.
+    # Triples are ascending, so both faces at an edge sum in the same order. So their points are equal, for `weld`.
     points = (n - i - j)[:, None] * a + i[:, None] * b + j[:, None] * c
     outward = np.linalg.det(corners[triples]) > 0
     faces = np.where(outward[:, None, None], small, small[:, ::-1]) + len(i) * np.arange(20)[:, None, None]

@@ -8,9 +8,9 @@ from jaxdr.geometry.mesh import Mesh
 def spherical_uvs(mesh: Mesh) -> Mesh:
     """The mesh with longitude around the z axis as u and latitude as v, as seen from the origin; on the host.
 
-    v = 0 is -z, u = 0 is +x. Faces across that meridian have u up to 3/2 or below 0: with a texture that repeats,
-    nothing jumps there. At a pole u is the mean of the face's other corners. Made for closed meshes around the origin
-    that every ray from it meets once; on others several points share a texel.
+    v = 0 is -z, u = 0 is +x. Faces across the meridian u = 0 have u up to 3/2 or below 0, so a texture that repeats
+    does not jump there. At a pole u is the mean of the face's other corners. It is made for closed meshes that every
+    ray from the origin meets once. On other meshes several points share a texel.
 
     Raises ValueError for a mesh with a vertex at the origin.
     """

@@ -1,9 +1,9 @@
-"""Vector algebra, safe to differentiate: the one place where coordinates are taken apart and put together.
+"""Vector algebra, safe to differentiate. Only this file takes coordinates apart and puts them together.
 
-Coordinates are taken apart by `unstack`, whose transpose is one `stack`. That of a slice is a padding for each, and
-that of a product with numbers repeated along the axis a sum over it; XLA's CPU compiler makes slow programs of both.
-Arithmetic is on numbers [*n]: on columns [*n, 1] its programs take three times as long. `jax.jit` makes each function
-one equation, traced, differentiated and lowered once per shape.
+Coordinates are taken apart by `unstack`, whose transpose is one `stack`. The transpose of slices would be one padding
+for each slice. The transpose of a product with numbers repeated along the axis would be a sum over the axis. XLA's CPU
+compiler makes slow programs of both. Arithmetic is on numbers [*n], because programs on columns [*n, 1] are slower.
+`jax.jit` makes each function one equation, which is traced, differentiated and lowered once per shape.
 """
 
 from typing import NamedTuple
@@ -14,19 +14,19 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 
 def components(v: Shaped[ArrayLike, "*n d"]) -> tuple[Shaped[Array, "*n"], ...]:
-    """The components over the last axis: x, y and z of vectors, or of colours red, green and blue."""
+    """The components over the last axis: x, y and z of vectors; red, green and blue of colours."""
     v = jnp.asarray(v)
     return tuple(jax.lax.unstack(v, v.ndim - 1))
 
 
 def z_of(v: Shaped[ArrayLike, "*n 3"]) -> Shaped[Array, "*n"]:
-    """The third component alone: of local directions the cosine to the normal, of a camera's points the depth."""
+    """The third component: the cosine to the normal of local directions, the depth of points before a camera."""
     v = jnp.asarray(v)
     return jax.lax.squeeze(jax.lax.split(v, (2, 1), v.ndim - 1)[1], (v.ndim - 1,))
 
 
 def from_components(*numbers: Shaped[ArrayLike, "*#n"]) -> Shaped[Array, "*n d"]:
-    """Vectors of these components."""
+    """Vectors with these components."""
     arrays, dtype = jnp.broadcast_arrays(*numbers), jnp.result_type(*numbers)
     return jax.lax.stack([array.astype(dtype) for array in arrays], arrays[0].ndim)
 
@@ -41,8 +41,8 @@ def corners(triangles: Shaped[ArrayLike, "*n k d"]) -> tuple[Shaped[Array, "*n d
 def dot(a: Float[ArrayLike, "*#n d"], b: Float[ArrayLike, "*#n d"]) -> Float[Array, "*#n"]:
     """Inner product over the last axis.
 
-    Written out: XLA's CPU compiler (jaxlib 0.10.2) gets rows from 32768 on wrong where it fuses a sum over an axis of a
-    product with one vector for all rows, as in the derivative by a camera's position.
+    The sum is written out because of an error in XLA's CPU compiler (jaxlib 0.10.2): rows from 32768 on are wrong if it
+    fuses a sum over the axis with a product by one vector for all rows, as in the derivative by a camera's position.
     """
     first, *others = components(jnp.multiply(a, b))
     return sum(others, start=first)
@@ -77,8 +77,9 @@ def normalize(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n d"]:
     """Unit vectors; zero vectors stay zero with derivative zero."""
     squared = dot(a, a)
     positive = squared > 0
-    # Divided, not times the inverse: that product and a sum after it, as in 1 + z, become one operation in some of the
-    # copies that a compiler makes and two in others, which disagree where the sum cancels. Over infinity for zero.
+    # Divide, and don't multiply by the inverse. A product and a sum after it, as in 1 + z, become one fused operation
+    # in some copies that the compiler makes, and two operations in others. The results differ if the sum cancels. Zero
+    # vectors are divided by infinity.
     length = jax.lax.select(positive, jnp.sqrt(_or_one(positive, squared)), jnp.full_like(squared, jnp.inf))
     return from_components(*(part / length for part in components(a)))
 
@@ -91,7 +92,7 @@ def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Ar
 def interpolate(
     values: Float[ArrayLike, "*#n 3 d"] | tuple[Array, ...], barycentric: Float[ArrayLike, "*#n 3"]
 ) -> Float[Array, "*#n d"]:
-    """Values between those at the three corners of faces, which may be given one by one."""
+    """Values inside faces, interpolated from those at their three corners, which may be given as a tuple."""
     parts = values if isinstance(values, tuple) else corners(values)
     weights = components(barycentric)
     a, b, c = ([x * weight for x in components(part)] for part, weight in zip(parts, weights, strict=True))
@@ -100,14 +101,14 @@ def interpolate(
 
 @jax.jit
 def between(a: Float[ArrayLike, "*#n d"], b: Float[ArrayLike, "*#n d"], share: Float[ArrayLike, "*#n"]):
-    """Points at the shares of the ways from `a` to `b`, [*n, d]."""
+    """Points at the fractions `share` from `a` to `b`, [*n, d]."""
     rest = jnp.subtract(1, share)
     return from_components(*(rest * x + share * y for x, y in zip(components(a), components(b), strict=True)))
 
 
 @jax.jit
 def triangle_normals(triangles: Float[ArrayLike, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """Vector products of two sides: normals of twice the area's length."""
+    """Vector products of two sides: normals whose length is twice the area."""
     a, b, c = corners(triangles)
     return cross(b - a, c - a)
 

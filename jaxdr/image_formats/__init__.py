@@ -1,1 +1,1 @@
-"""Image file formats, one a file: `read` and `write` of pixel arrays, top row first, whatever the file's own order."""
+"""Image file formats, one module for each: `read` and `write` pixel arrays, always with the top row first."""

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 INSTALL = 'EXR files need OpenEXR, which is optional: pip install "jaxdr[exr]"'
-GROUPS = ("RGBA", "RGB", "Y")  # as the package groups channels of one layer
+GROUPS = ("RGBA", "RGB", "Y")  # the package's names for the channels of one layer
 
 
 def is_available() -> bool:
@@ -21,7 +21,7 @@ def is_available() -> bool:
 def read(path: Path) -> Float[np.ndarray, "H W C"]:
     """Linear values of the data window of the first part that has RGBA, RGB or Y, in float32.
 
-    Raises ValueError for a damaged file, one without these channels, and without the package.
+    Raises ValueError for a damaged file, for one without these channels, and if the package is missing.
     """
     if not is_available():
         raise ValueError(INSTALL)
@@ -30,7 +30,7 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
     try:
         with OpenEXR.File(str(path)) as file:
             parts = [{name: c.pixels for name, c in file.channels(i).items()} for i in range(max(1, len(file.parts)))]
-    except Exception as error:  # whatever the library makes of a broken file
+    except Exception as error:  # the library raises many kinds for broken files
         raise ValueError(f"not a readable EXR file ({error})") from error
     for channels in parts:
         if "RY" in channels or "BY" in channels:
@@ -44,7 +44,7 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
 
 
 def size(path: Path) -> tuple[int, int, int]:
-    """(width, height, channels) of what `read` reads, from the header alone. Raises ValueError as it does."""
+    """(width, height, channels) of the image that `read` reads, from the header alone. Raises ValueError as `read`."""
     if not is_available():
         raise ValueError(INSTALL)
     import OpenEXR
@@ -53,7 +53,7 @@ def size(path: Path) -> tuple[int, int, int]:
         with OpenEXR.File(str(path), header_only=True) as file:
             headers = [file.header(i) for i in range(max(1, len(file.parts)))]
             found = [({c.name for c in header["channels"]}, header["dataWindow"]) for header in headers]
-    except Exception as error:  # whatever the library makes of a broken file
+    except Exception as error:  # the library raises many kinds for broken files
         raise ValueError(f"not a readable EXR file ({error})") from error
     for names, (low, high) in found:
         for group in GROUPS:
@@ -63,7 +63,7 @@ def size(path: Path) -> tuple[int, int, int]:
 
 
 def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:
-    """Write float32 values, C = 1, 3 or 4, losslessly. Raises OSError, and ValueError without the package."""
+    """Write float32 values, C = 1, 3 or 4, losslessly. Raises OSError, and ValueError if the package is missing."""
     if not is_available():
         raise ValueError(INSTALL)
     import OpenEXR
@@ -74,5 +74,5 @@ def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:
     with OpenEXR.File(header, {name: pixels[..., 0].copy() if name == "Y" else pixels}) as file:
         try:
             file.write(str(path))
-        except RuntimeError as error:  # what the library makes of a full disk
+        except RuntimeError as error:  # the library raises it for a full disk
             raise OSError(str(error)) from error

@@ -1,4 +1,4 @@
-"""PNG, JPEG, BMP and TGA through Pillow, as the numbers stored: nothing is decoded from sRGB here."""
+"""PNG, JPEG, BMP and TGA through Pillow. Values are as stored: nothing is decoded from sRGB here."""
 
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +24,7 @@ def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
 
 
 def size(path: Path) -> tuple[int, int, int]:
-    """(width, height, channels) of what `read` reads, from the header alone. Raises ValueError as it does."""
+    """(width, height, channels) of the image that `read` reads, from the header alone. Raises ValueError as `read`."""
     try:
         with Image.open(path, formats=FORMATS) as image:
             mode = image.mode if _deep(image) else _mode(image)
@@ -42,8 +42,8 @@ def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
     if raw_mode := _deep(image):
         if image.mode == "I;16":
             return np.asarray(image).astype(np.float32) / 65535
-        # Pillow keeps the first byte of each 16-bit colour. Decoded as if they were stored the other way around, the
-        # same file gives the second bytes.
+        # Pillow keeps only the first byte of each 16-bit value. Decoded in the opposite byte order, the same file gives
+        # the second bytes.
         high = np.asarray(image).astype(np.uint16)
         with Image.open(path) as again:
             again.tile = [tile._replace(args=raw_mode.replace(";16B", ";16L")) for tile in again.tile]
@@ -53,7 +53,7 @@ def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
 
 
 def _deep(image: ImageFile.ImageFile) -> str:
-    """How Pillow calls the values of a file with 16 bits, else nothing."""
+    """Pillow's name for the values of a file with 16 bits; empty for other files."""
     raw_mode = image.tile[0].args if image.tile and isinstance(image.tile[0].args, str) else ""
     if not raw_mode.endswith(";16B"):
         return ""
@@ -63,7 +63,7 @@ def _deep(image: ImageFile.ImageFile) -> str:
 
 
 def _mode(image: ImageFile.ImageFile) -> str:
-    """What a file with 8 bits is converted to."""
+    """The Pillow mode to which a file with 8 bits is converted."""
     if image.mode == "CMYK":
         raise ValueError("CMYK colours are not supported; save the file as RGB")
     if image.has_transparency_data:

@@ -1,4 +1,4 @@
-"""Radiance HDR (.hdr): eight bits a colour with one exponent a pixel, run-length encoded (Ward 1991)."""
+"""Radiance HDR (.hdr): eight bits for each colour and one exponent for each pixel, run-length encoded (Ward 1991)."""
 
 import math
 import re
@@ -17,13 +17,13 @@ LONGEST_RUN, LONGEST_LITERAL, SHORTEST_RUN = 127, 128, 4
 def read(path: Path) -> Float[np.ndarray, "H W 3"]:
     """Linear RGB as stored.
 
-    Flat and "new" run-length encoded scanlines are read. A header with an EXPOSURE other than 1 warns: the values are
-    taken as they are, as other renderers do. Raises ValueError for a damaged file, XYZ colours, an image that is not
-    stored from the top left, and the run-length encoding of before 1991.
+    Flat and "new" run-length encoded scanlines are read. An EXPOSURE other than 1 in the header gives a warning: the
+    values are taken as stored, as other renderers do. Raises ValueError for a damaged file, XYZ colours, an image that
+    is not stored from the top left, and the run-length encoding of before 1991.
     """
     header, width, height, pixels = _parts(path.read_bytes())
     _check_exposure(path, header)
-    # What a scanline takes at least: a damaged size must not ask for any amount of memory.
+    # The least number of bytes of a scanline. The check keeps a damaged size from asking for too much memory.
     shortest = min(4 * width, 4 + 8 * math.ceil(width / LONGEST_RUN))
     if not 0 < height * shortest <= len(pixels):
         raise ValueError(f"{len(pixels)} bytes are too few for {width} x {height} pixels")
@@ -38,7 +38,7 @@ def size(path: Path) -> tuple[int, int, int]:
 
 
 def _parts(data: bytes) -> tuple[bytes, int, int, bytes]:
-    """(lines of the header, width, height, what follows)."""
+    """(lines of the header, width, height, bytes after the header)."""
     if not data.startswith(b"#?"):
         raise ValueError("the first line is not that of a Radiance file (#?RADIANCE)")
     header, separator, rest = data.partition(b"\n\n")
@@ -81,7 +81,7 @@ def _check_exposure(path: Path, header: bytes) -> None:
 
 
 def _floats(pixels: UInt8[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W 3"]:
-    """mantissa / 256 · 2^(exponent - 128); exponent 0 means black."""
+    """Values mantissa / 256 · 2^(exponent - 128); exponent 0 means black."""
     exponent = pixels[..., 3:].astype(np.int32)
     return np.where(exponent > 0, np.ldexp(pixels[..., :3].astype(np.float32), exponent - 136), np.float32(0))
 
@@ -116,7 +116,7 @@ def _scanlines(data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 4
 
 
 def _decoded(data: bytes, position: int, count: int, y: int) -> tuple[bytearray, int]:
-    """`count` bytes of row y from runs (length + 128, byte) and literals (length, bytes); where the next row starts."""
+    """(`count` bytes of row y, start of the next row), from runs (length + 128, byte) and literals (length, bytes)."""
     line = bytearray()
     while len(line) < count and position < len(data):
         length = data[position]
@@ -132,13 +132,13 @@ def _decoded(data: bytes, position: int, count: int, y: int) -> tuple[bytearray,
 
 
 def _encoded(row: UInt8[np.ndarray, "W 4"]) -> bytes:
-    """One scanline, the four components one after the other."""
+    """One encoded scanline: the four components one after the other."""
     line = bytearray(b"\2\2" + len(row).to_bytes(2))
     for component in row.T:
         bounds = np.flatnonzero(np.diff(component)) + 1
         starts, ends = np.concatenate([[0], bounds]), np.concatenate([bounds, [len(row)]])
         long = ends - starts >= SHORTEST_RUN
-        literal = 0  # from here on nothing is written yet
+        literal = 0  # everything before this index is written
         for start, end in zip(starts[long].tolist(), ends[long].tolist(), strict=True):
             _add_literal(line, component[literal:start].tobytes())
             for first in range(start, end, LONGEST_RUN):

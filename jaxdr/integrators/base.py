@@ -18,7 +18,7 @@ from jaxdr.transport.radiance import joined, radiance, split
 
 
 class Batch(NamedTuple):
-    """Samples that are traced together: their numbers, of `spp` of every pixel; those from `spp` on count zero."""
+    """Numbers of the samples of every pixel that are traced together; those from `spp` on have weight zero."""
 
     samples: Int[Array, " n"]
     spp: int
@@ -26,13 +26,13 @@ class Batch(NamedTuple):
     key: PRNGKeyArray
 
     def weights(self, dtype) -> Float[Array, " n"]:
-        """What they count in their pixels."""
+        """Weights of the samples in their pixels."""
         return jnp.where(self.samples < self.spp, 1.0 / self.spp, 0.0).astype(dtype)
 
 
 @runtime_checkable
 class ConnectedEstimator(Protocol):
-    """Boundary terms of pairs of subpaths: of what every strategy contributes, [C, N, 3], with its weight."""
+    """Boundary terms of N pairs of subpaths, for each of C strategies and with its weight."""
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Any: ...
 
@@ -42,7 +42,7 @@ class ConnectedEstimator(Protocol):
 
 
 def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) -> dict[str, Any]:
-    """What terms prepare, by name; detached. Those that are nothing here are left out."""
+    """The states of terms by name, detached. Terms that are zero here are left out."""
     still = context._replace(packed=stop_gradient(context.packed))
     states = {term.name: term.prepare(still, named_key(key, term.name)) for term in terms}
     return {name: stop_gradient(state) for name, state in states.items() if state is not None}
@@ -51,7 +51,7 @@ def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) ->
 def term_images(
     context: Context, terms: Sequence[Term], states: dict[str, Any], chunk: Chunk, key: PRNGKeyArray
 ) -> dict[str, Float[Array, "H W 3"]]:
-    """Images of the terms that have a state, by name: one wavefront answers the requests of all of them."""
+    """Images of the terms that have a state, by name. One wavefront answers the requests of all terms."""
     terms = [term for term in terms if term.name in states]
     still, still_chunk = detached(context, chunk)
     drawn = _drawn(still, terms, stop_gradient(states), still_chunk, key)
@@ -62,9 +62,9 @@ def term_images(
 
 
 def _drawn(context: Context, terms: Sequence[Term], states: dict[str, Any], chunk: Chunk, key: PRNGKeyArray):
-    """(what terms hold, the answers to their requests or None).
+    """(what terms keep for `image`, the answers to their requests or None).
 
-    A program of its own: nothing in it is differentiated, so that no transformation has to look into it.
+    It is a jitted function: nothing in it is differentiated, so no transformation has to trace through it.
     """
 
     @jax.jit
@@ -82,9 +82,9 @@ def _drawn(context: Context, terms: Sequence[Term], states: dict[str, Any], chun
 
 @runtime_checkable
 class Integrator(Protocol):
-    """What `render` estimates and how: `prepare` runs once for a derivative, `estimate` for every chunk of samples.
+    """How `render` estimates images: `prepare` runs once for a derivative, `estimate` for every chunk of samples.
 
-    `boundary` is None where only the interior term is wanted.
+    `boundary` is None for the interior term only.
     """
 
     max_depth: int
@@ -94,22 +94,22 @@ class Integrator(Protocol):
         """Raises ValueError for scenes that can't be rendered."""
 
     def paths_at_once(self, differentiated: bool) -> int:
-        """Paths in a chunk."""
+        """Number of paths in a chunk."""
         ...
 
     def prepare(self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False) -> Any:
-        """What all chunks share, by term, or None where visibility has no terms; `apart`: with more terms by name.
+        """States for all chunks by term, or None without boundary terms; `apart`: silhouettes and creases by name.
 
-        Raises ValueError for what can't move.
+        Raises ValueError for motions that are not covered.
         """
         ...
 
     def estimate(
         self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
-        """Share of the image from a batch of samples.
+        """The part of the image from a batch of samples, by term as in `derivative_terms`.
 
-        By term, as in `derivative_terms`; without `moving` the interior's value alone.
+        Without `moving` it has the interior term only, in value.
         """
         ...
 
@@ -122,7 +122,7 @@ def edge_points_per_sample(integrator) -> float:
 
 
 def _rough_glass(asked: Asked) -> str | None:
-    """Where the boundary terms of light that spreads through a surface are missing or not tested."""
+    """A message if boundary terms of light that spreads through a surface are missing or not tested; None if not."""
     scene = asked.scene
     for name, shape in scene.shapes.items():
         bsdf = unwrap(shape.bsdf)

@@ -26,8 +26,9 @@ from jaxdr.sizes import at_once
 from jaxdr.transport.bidirectional import BidirectionalSettings, Strategies, bidirectional_paths
 from jaxdr.transport.emission import has_emitters
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 
-HEURISTICS = {"balance": 1, "power": 2}  # the powers of densities that weights are shares of
+HEURISTICS = {"balance": 1, "power": 2}  # weights are shares of the densities to this power
 
 
 class _Connected:
@@ -65,7 +66,7 @@ def _moves(asked: Asked) -> bool:
 def _moved_over_mirrors(asked: Asked) -> str | None:
     if not (asked.packed.has_delta_lobes and _moves(asked)):
         return None
-    return f"render: paths of a {_NAME} over delta lobes do not move with mirrors and smooth glass; {_REMEDY}"
+    return f"render: a {_NAME} has no derivative by what moves in scenes with mirrors or smooth glass; {_REMEDY}"
 
 
 def _steep_filter(asked: Asked) -> str | None:
@@ -90,23 +91,23 @@ def _hard_shadows(asked: Asked) -> str | None:
 class BidirectionalPathTracer(eqx.Module):
     """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`. All fields are static.
 
-    Paths from the camera and from emitters are joined in all ways. Caustics and light from behind corners take a
-    fraction of the samples; everything else takes some more time. One thing more is in the image: light of points,
-    spots, projectors and parallel lights that mirrors and smooth glass throw onto surfaces. No path from the camera
-    finds it.
+    Paths from the camera and from emitters are joined in all ways. Caustics and light from behind corners need a
+    fraction of the samples; everything else takes more time. The image also has light of points, spots, projectors and
+    parallel lights that mirrors and smooth glass throw onto surfaces. No path from the camera finds this light.
 
-    Its derivative by what moves nothing (reflectance, roughness, radiance, intensity, textures, also the rotation of an
-    environment) needs no boundary terms. By what moves (vertices, camera) all vertices of paths are material points,
-    the first hits too. So the pixel filter is differentiated, and has to be Gaussian where surfaces move in the image.
+    Derivatives by parameters that move nothing (reflectance, roughness, radiance, intensity, textures, also the
+    rotation of an environment) need no boundary terms. In derivatives by vertices or the camera all vertices of paths
+    are material points, also the first hits. So the pixel filter is differentiated, and it must be Gaussian if surfaces
+    move in the image.
 
-    - `max_depth`: longest path in segments, as `PathTracer` counts.
+    - `max_depth`: longest path in segments, as in `PathTracer`.
     - `heuristic`: "balance" or "power" (2) combination of all ways to find a path.
     - `boundary`: `KernelDensity` or `WarpedArea`, for visibility changes behind the first hit, or None for the interior
       term only. Silhouettes in the image are explicit, as in `PathTracer`.
-    - `edge_samples`, `rays`: as of `PathTracer`.
+    - `edge_samples`, `rays`: as in `PathTracer`.
     - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample. Memory is
-      proportional to it, and independent of the samples per pixel; but one sample of every pixel is the least. None:
-      262,144 on CPUs and 2,097,152 elsewhere.
+      proportional to it, and independent of the samples per pixel. A chunk has at least one sample of every pixel.
+      None: 262,144 on CPUs and 2,097,152 elsewhere.
 
     Raises ValueError for boundary terms of lights without area. In scenes with mirrors or smooth glass it raises
     ValueError for derivatives by anything that moves, by the index of smooth glass and by normals of mirrors.
@@ -155,21 +156,24 @@ class BidirectionalPathTracer(eqx.Module):
 
     @property
     def settings(self) -> BidirectionalSettings:
-        """What the tracer itself needs."""
+        """The settings of `transport.bidirectional`."""
         return BidirectionalSettings(self.max_depth, HEURISTICS[self.heuristic], self.rays)
 
     def check(self, scene: Scene) -> None:
-        """All scenes can be rendered."""
+        """Does nothing: all scenes can be rendered."""
 
     def prepare(
         self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
     ) -> dict[str, Any] | None:
-        """Edges in the image, and what the estimator needs; None where only the interior term is wanted."""
+        """States of the edges in the image and of the estimator; None without boundary terms.
+
+        Raises ValueError for motions that are not covered.
+        """
         del apart
         asked = Asked(packed, self._context(packed, moving).settings, scene, moving)
         refuse(self.motion_refusals, asked)
         if not isinstance(self.boundary, ConnectedEstimator):
-            return None  # there is none
+            return None  # `boundary` is None
         refuse(self.boundary_refusals, asked)
         if not any(moving.seen):
             return None
@@ -177,17 +181,17 @@ class BidirectionalPathTracer(eqx.Module):
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:
         settings = PathSettings(self.max_depth, True, self.rays)
-        return Context(packed, moving, settings, "material", edge_points_per_sample(self))
+        return Context(packed, moving, settings, Form.MATERIAL, edge_points_per_sample(self))
 
     def _terms(self) -> list[Term]:
-        """What visibility brings; of edges there are silhouettes alone."""
+        """The boundary terms. First hits are material points, so creases have no term."""
         assert isinstance(self.boundary, ConnectedEstimator)  # else nothing is prepared
         return [FilmEdges("silhouettes"), _Connected(self.boundary)]
 
     def estimate(
         self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
-        """Share of the image, by term."""
+        """The part of the image from a batch of samples, by term."""
         del apart
         material = moving is not None and any(moving.seen)
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
@@ -197,6 +201,6 @@ class BidirectionalPathTracer(eqx.Module):
         images = {"interior": found.image(packed.camera.film, value, share, material)}
         if prepared is None:
             return images
-        assert moving is not None  # what was prepared is for it
+        assert moving is not None  # `prepared` was made for it
         chunk = Chunk(batch.samples, share, primary, found, key_radiance)
         return images | term_images(self._context(packed, moving), self._terms(), prepared, chunk, key_terms)

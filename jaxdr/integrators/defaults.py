@@ -1,4 +1,4 @@
-"""What to estimate with where nobody says it: known from the structure of a scene, before any ray."""
+"""The default integrator, chosen by the structure of a scene before any ray is traced."""
 
 from typing import Any
 
@@ -14,16 +14,16 @@ from jaxdr.scene.scene import Scene, unwrap
 
 
 class EstimatorChoice(UserWarning):
-    """A default estimator would fail on a scene, and another one was taken; the message names both and the reason."""
+    """The default estimator would fail on a scene, so another one was taken; the message names both and the reason."""
 
 
 def default_integrator(scene: Scene, moving: Moving | None = None, max_depth: int = 3) -> PathTracer:
-    """The path tracer that `render` takes: `KernelDensity`, where that fails `LineSampling`, or `GuidedEdges`.
+    """The path tracer that `render` takes: with `KernelDensity` or, where that fails, with another estimator.
 
-    The latter under lamps that are meshes, where all surfaces are diffuse and flat.
-
-    It looks at structure alone: the numbers of faces, the kinds of emitters, and what is differentiated, if `moving`
-    says so. So the choice is the same with and without `jit`, and costs nothing.
+    The other estimator is `LineSampling` or, under lamps that are meshes, `GuidedEdges`. The latter needs diffuse and
+    flat surfaces, a `Perspective` camera, and no environment. The choice depends on structure only: the numbers of
+    faces, the kinds of emitters and, with `moving`, what is differentiated. So it is the same with and without `jit`,
+    and costs nothing.
     """
     usual = PathTracer(max_depth)
     if _why_not(usual.boundary, scene, moving) is None:
@@ -34,7 +34,7 @@ def default_integrator(scene: Scene, moving: Moving | None = None, max_depth: in
 
 
 def default_reason(scene: Scene, moving: Moving | None = None) -> str | None:
-    """One sentence of what `default_integrator` took in place of what it usually takes; None where it did not."""
+    """A sentence about the estimator that `default_integrator` took in place of the usual one; None if it did not."""
     usual, taken = PathTracer().boundary, default_integrator(scene, moving).boundary
     reason = _why_not(usual, scene, moving)
     if reason is None:
@@ -43,16 +43,19 @@ def default_reason(scene: Scene, moving: Moving | None = None) -> str | None:
 
 
 def say_default(scene: Scene, moving: Moving) -> None:
-    """An `EstimatorChoice` at the caller's line, which Python shows once a line and text. Called while tracing."""
+    """Warn with an `EstimatorChoice` at the caller's line. Python shows it once for each line and text.
+
+    Called while tracing.
+    """
     reason = default_reason(scene, moving)
     if reason is not None:
         warn(f"jaxdr: no integrator was given; {reason}", EstimatorChoice)
 
 
 def _all_diffuse(scene: Scene) -> bool:
-    """Whether `GuidedEdges`, where a kernel fails, has less noise than `LineSampling` (experiments/mesh_lamps).
+    """Whether `GuidedEdges` covers the scene and has less noise than `LineSampling` (experiments/mesh_lamps).
 
-    It covers neither interpolated normals nor other cameras, and is weak where rough mirrors show an object.
+    It does not cover interpolated normals and other cameras, and is noisy where rough mirrors show an object.
     """
     shapes = scene.shapes.values()
     diffuse = all(isinstance(unwrap(shape.bsdf), Diffuse) and shape.mesh.normal_faces is None for shape in shapes)
@@ -60,7 +63,7 @@ def _all_diffuse(scene: Scene) -> bool:
 
 
 def _why_not(boundary: Any, scene: Scene, moving: Moving | None) -> str | None:
-    """Why `KernelDensity` is not taken; None where it is."""
+    """Why `boundary`, the usual `KernelDensity`, is not taken; None if it is."""
     failure = known_failure(boundary, traits(scene))
     if failure is not None:
         return failure.rpartition("; take ")[0]

@@ -1,4 +1,4 @@
-"""Path tracing with boundary terms: draw paths -> contributions -> interior + boundary -> film."""
+"""Path tracing with boundary terms. Paths give contributions; interior and boundary terms add up on the film."""
 
 import dataclasses
 import warnings
@@ -33,7 +33,7 @@ from jaxdr.scene.scene import Scene
 from jaxdr.sizes import at_once
 from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.radiance import arriving_radiance
 
 
@@ -71,21 +71,21 @@ STEEP_FILTER = Refusal(
 
 
 class PathTracer(eqx.Module):
-    """Path tracing from the camera, with next-event estimation. Fields are static, but for `ReusedGuides`.
+    """Path tracing from the camera, with next-event estimation. All fields are static, except a `ReusedGuides`.
 
     - `max_depth`: longest path in segments, as Mitsuba counts: 1 is emitters seen directly, 2 is direct light.
-    - `boundary`: estimator of visibility changes behind the first hit. With None the derivative lacks them, *and* it
-      lacks silhouettes and creases in the image: it is the interior term only.
-    - `primary`: how first hits move. "fixed_ray": camera rays stay, and moving edges in the image are explicit.
+    - `boundary`: estimator of visibility changes behind the first hit. None gives the interior term only: the
+      derivative lacks these changes, *and* silhouettes and creases in the image.
+    - `primary`: how first hits move. "fixed_ray": camera rays stay fixed, and edges that move in the image have a term.
       "material": first hits move with their surfaces, and the Gaussian pixel filter is differentiated; for textures
-      that jump. "warp": as "material", with warped areas in place of silhouettes; for a boundary of `WarpedArea`.
-    - `sampling`: "mis" combines emitter and BSDF sampling. "emitter" leaves BSDF-sampled emission out. That is faster
-      where emitters are small, and always noisier where they are large or near.
+      that jump. "warp": like "material", but with warped areas for silhouettes; needs `boundary=WarpedArea(...)`.
+    - `sampling`: "mis" combines emitter and BSDF sampling. "emitter" leaves out emission found by BSDF sampling. It is
+      faster if emitters are small, and always noisier if they are large or near.
     - `edge_samples`: points on silhouettes, and as many on creases, per path sample. None: 1/8 for direct light, and 1
       with indirect light, whose noise does not cancel between the two sides of a silhouette.
-    - `chunk_size`: paths traced at once; four times as many in images that nobody differentiates. Memory is
-      proportional to it, and independent of the samples per pixel. None: 65,536 on CPUs and 524,288 elsewhere. Each
-      chunk has random numbers of its own, so images of one key agree between machines where it is given.
+    - `chunk_size`: paths traced at once; four times as many in images without derivatives. Memory is proportional to
+      it, and independent of the samples per pixel. None: 65,536 on CPUs and 524,288 elsewhere. Each chunk has its own
+      random numbers. So give this number if images of one key must agree between machines.
     - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
 
@@ -140,16 +140,16 @@ class PathTracer(eqx.Module):
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
 
     def paths_at_once(self, differentiated: bool) -> int:
-        """Paths in a chunk: more in an image that nobody differentiates, which keeps nothing of them.
+        """Number of paths in a chunk. Images without derivatives keep no paths, so their chunks are larger.
 
-        So those that go on fill blocks for longer.
+        Then the paths that go on fill blocks for more bounces.
         """
         size = self.chunk_size or at_once(cpu=1 << 16, gpu=1 << 19)
         return size if differentiated else 4 * size
 
     @property
     def settings(self) -> PathSettings:
-        """What the path tracer itself needs."""
+        """The settings of `transport.path`."""
         return PathSettings(self.max_depth, self.sampling == "mis", self.rays)
 
     def check(self, scene: Scene) -> None:
@@ -159,7 +159,10 @@ class PathTracer(eqx.Module):
     def prepare(
         self, scene: Scene, packed: PackedScene, moving: Moving, key: PRNGKeyArray, apart: bool = False
     ) -> dict[str, Any] | None:
-        """Only what can move: where nothing but lights does, there are no terms but for their shadows."""
+        """States of the terms that this motion needs: if only lights move, only their shadows have a term.
+
+        Raises ValueError for motions that are not covered.
+        """
         if self.boundary is None:
             return None
         refuse(self.refusals, Asked(packed, self.settings, scene, moving, self.primary))
@@ -172,11 +175,11 @@ class PathTracer(eqx.Module):
         return Context(packed, moving, self.settings, form, edge_points_per_sample(self))
 
     def _terms(self, moving: Moving, apart: bool) -> list[Term]:
-        """What visibility brings, `apart` by kinds of edges."""
+        """The boundary terms; `apart`: silhouettes and creases as two terms."""
         assert self.boundary is not None  # else nothing is prepared
         edges: list[Term] = [FilmEdges("silhouettes"), FilmEdges("creases")] if apart else [FilmEdges()]
         if self.primary == "warp":
-            assert isinstance(self.boundary, WarpedArea)  # so `__check_init__` says
+            assert isinstance(self.boundary, WarpedArea)  # `__check_init__` has checked it
             edges = [WarpedCamera(self.boundary)]
         terms: list[Term] = [*edges, PixelBorders(), FilmChains(), HardShadows()]
         return [*terms, self.boundary] if any(moving.seen) or moving.environment else terms
@@ -184,11 +187,11 @@ class PathTracer(eqx.Module):
     def estimate(
         self, packed: PackedScene, prepared: Any, batch: Batch, moving: Moving | None, apart: bool = False
     ) -> dict[str, Float[Array, "H W 3"]]:
-        """Share of the image, by term."""
+        """The part of the image from a batch of samples, by term."""
         if moving is None:
             return self._image(packed, batch)
         context = None if prepared is None else self._context(packed, moving)
-        settings, form = self.settings, "fixed"
+        settings, form = self.settings, Form.FIXED
         if context is not None:
             packed, form = context.packed, context.form
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
@@ -206,25 +209,25 @@ class PathTracer(eqx.Module):
         return images | term_images(context, self._terms(moving, apart), prepared, chunk, key_terms)
 
     def _image(self, packed: PackedScene, batch: Batch) -> dict:
-        """The same in value, for images that nobody differentiates."""
+        """The same in value, for images without derivatives."""
         settings = self.settings
-        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, "fixed")
+        primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, Form.FIXED)
         radiance = arriving_radiance(packed, primary.first, primary.direction, primary.u, batch.key, settings)
         return {"interior": pixel_sums(packed, radiance, batch.weights(radiance.dtype))}
 
-    def _form(self, packed: PackedScene, moves: bool) -> str:
-        """How first hits move, see `primary_samples`; without boundary terms of moving edges as they always did."""
+    def _form(self, packed: PackedScene, moves: bool) -> Form:
+        """How first hits move; see `primary_samples`. If nothing moves, rays are fixed."""
         if not moves:
-            return "fixed"
+            return Form.FIXED
         if self.primary != "fixed_ray":
-            return "material"
-        # Of direct light only what emitters that touch a surface send comes from close by: not worth a second form.
+            return Form.MATERIAL
+        # Direct light comes from close by only if an emitter touches a surface. It is not worth a second form.
         pixel_filter = packed.camera.film.filter
-        return "near" if (pixel_filter.smooth or pixel_filter.tiles) and self.max_depth > 2 else "fixed"
+        return Form.NEAR if (pixel_filter.smooth or pixel_filter.tiles) and self.max_depth > 2 else Form.FIXED
 
 
 def _warn_of_caustics(packed: PackedScene, max_depth: int) -> None:
-    """Of what is left out with mirrors and smooth glass."""
+    """Warn that the derivative lacks moving caustics of mirrors and smooth glass."""
     if packed.has_delta_lobes and max_depth > 2 and not all(only_delta(group.bsdf) for group in packed.bsdfs):
         warnings.warn(
             "jaxdr: the derivative lacks visibility changes of reflected/refracted light from diffuse surfaces via "

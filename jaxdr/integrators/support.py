@@ -1,4 +1,4 @@
-"""The table of what is refused, by who refuses it, as the documentation shows it (docs/limits.md).
+"""The table of refusals in the documentation (docs/limits.md): who refuses what, and what to take instead.
 
 `python -m jaxdr.integrators.support` prints it.
 """
@@ -14,7 +14,7 @@ HEAD = "| who | refuses | take |\n| --- | --- | --- |\n"
 
 
 def refusals() -> dict[str, tuple[Refusal, ...]]:
-    """What everybody refuses, by name."""
+    """The refusals of every integrator, term and estimator, by its name."""
     found = {"all with boundary terms": (MOVED_MAPS,)}
     found |= {kind.__name__: kind.refusals for kind in INTEGRATORS.values()}
     found |= {"shadows of lights without area": HardShadows.refusals, '`primary="warp"`': WarpedCamera.refusals}
@@ -22,7 +22,7 @@ def refusals() -> dict[str, tuple[Refusal, ...]]:
 
 
 def table() -> str:
-    """In Markdown."""
+    """The table in Markdown."""
     rows = [f"| {who} | {row.what} | {row.remedy} |" for who, several in refusals().items() for row in several]
     return HEAD + "\n".join(rows) + "\n"
 

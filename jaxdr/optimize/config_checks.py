@@ -8,43 +8,43 @@ from typing import Any
 
 
 def require(condition: bool, key: str, rule: str, value) -> None:
-    """Raise ValueError that starts with the key unless the condition holds."""
+    """Raises ValueError that starts with the key unless the condition holds."""
     if not condition:
         raise ValueError(f"{key}: {rule}, got {value!r}")
 
 
 def at_least(least: int, of: Any, *keys: str) -> None:
-    """Raise ValueError for the first field of a dataclass that is less, of those in `keys`; of all without `keys`."""
+    """Raises ValueError for the first field of a dataclass that is less, of those in `keys`; of all without `keys`."""
     for key, value in _values(of, keys):
         require(value >= least, key, f"must be at least {least}", value)
 
 
 def positive(of: Any, *keys: str) -> None:
-    """Raise ValueError for the first field that is not positive, as `at_least` does; None is left alone."""
+    """Raises ValueError for the first field that is not positive, as `at_least` does; None is left alone."""
     for key, value in _values(of, keys):
         require(value is None or value > 0, key, "must be positive", value)
 
 
 def not_negative(of: Any, *keys: str) -> None:
-    """Raise ValueError for the first field that is negative, as `at_least` does; None is left alone."""
+    """Raises ValueError for the first field that is negative, as `at_least` does; None is left alone."""
     for key, value in _values(of, keys):
         require(value is None or value >= 0, key, "must not be negative", value)
 
 
 def check_run(config: Any) -> None:
-    """Raise ValueError for a `seed` out of range, and without an `output` folder."""
+    """Raises ValueError for a `seed` out of range, and without an `output` folder."""
     require(0 <= config.seed < 2**32, "seed", "must be between 0 and 2^32 - 1", config.seed)
     require(bool(config.output.strip()), "output", "must name the folder for the results", config.output)
 
 
 def check_choice(key: str, value: str, known: Collection[str]) -> None:
-    """Raise ValueError unless a name is one of those that are known."""
+    """Raises ValueError unless a name is one of those that are known."""
     if value not in known:
         raise ValueError(f"{key}: expected one of {', '.join(known)}, got {value!r}")
 
 
 def check_options(key: str, function: Callable, options: dict, name: str, kind: str = "option") -> None:
-    """Raise ValueError for options that a function, known to users by its `name`, does not take."""
+    """Raises ValueError for options that a function, known to users by its `name`, does not take."""
     known = inspect.signature(function).parameters
     for option in options:
         if option not in known:

@@ -1,1 +1,1 @@
-"""What to render a scene and its derivatives with, measured and explained (docs/plan.md)."""
+"""The choice of integrator, estimator and samples for a scene and its derivatives, by measurement (docs/plan.md)."""

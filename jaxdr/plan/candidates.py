@@ -1,4 +1,4 @@
-"""Which estimators are tried on a scene, and why others are not: rules that were measured, and reasons by nature."""
+"""The estimators that are tried on a scene, and the reasons why others are not."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -14,30 +14,30 @@ from jaxdr.integrators.base import edge_points_per_sample
 from jaxdr.integrators.known_failures import known_failure
 from jaxdr.plan.static_look import StaticLook
 
-# Tried in this order; what comes first wins where two are equal. A wider kernel finds more edges, each at less weight.
+# Tried in this order; of two equal ones the first wins. A wider kernel finds more edges, each with less weight.
 ESTIMATORS: dict[str, Any] = {
     "LineSampling": LineSampling(),
     "KernelDensity": KernelDensity(),
     "KernelDensity, radius 0.06": KernelDensity(radius=0.06),
     "GuidedEdges": GuidedEdges(),
 }
-# Never tried: right only in a limit that no budget reaches. They can be asked for by name.
+# They are never tried, since they are right only in a limit that no budget reaches. They can be asked for by name.
 LEFT_OUT = {
     "WarpedArea": "up to 5 % short with few auxiliary points, and noisier than the others wherever it was measured",
 }
-SPLIT = 4.0  # by how much the samples of a term are raised or lowered against the others, for a try
-DOMINANT, NEGLIGIBLE = 0.7, 0.05  # shares of the variance from which on, and up to which, that is worth a try
+SPLIT = 4.0  # factor by which a try raises or lowers the samples of a term
+DOMINANT, NEGLIGIBLE = 0.7, 0.05  # a try is worth it above the first share of the variance, and below the second
 
 
 class Candidates(NamedTuple):
-    """Boundary estimators to be tried, by name, and those that are not, with the reason."""
+    """Boundary estimators to be tried, by name, and reasons for those that are not tried, by name."""
 
     tried: dict[str, Any]
     left_out: dict[str, str]
 
 
 def candidates(look: StaticLook, max_depth: int) -> Candidates:
-    """What to try where a path tracer of this depth is differentiated."""
+    """The estimators to try for the derivative of a path tracer of this depth."""
     if not look.moving.any or max_depth == 1:
         return Candidates({"KernelDensity": KernelDensity()}, {})  # no boundary term is in the program
     tried, left_out = dict(ESTIMATORS), dict(LEFT_OUT)
@@ -51,10 +51,11 @@ def candidates(look: StaticLook, max_depth: int) -> Candidates:
 
 
 def splits(tracer: Any, shares: dict[str, float]) -> dict[str, Any]:
-    """Tracers with samples moved between terms, by what was changed, from the terms' shares of the variance.
+    """Tracers with more or fewer samples for some terms, by name of the change. `shares` are those of the variance.
 
-    Empty where no term is out of proportion. Edges in the image are what `edge_samples` draws, boundary segments what
-    `LineSampling.chords` and `GuidedEdges.samples` do; of the interior there are as many as of samples per pixel.
+    It is empty if no term is out of proportion. `edge_samples` counts the samples of edges in the image, and
+    `LineSampling.chords` or `GuidedEdges.samples` those of boundary segments. The interior term has as many as there
+    are samples per pixel.
     """
     if not isinstance(tracer, PathTracer):
         return {}
@@ -73,6 +74,6 @@ def splits(tracer: Any, shares: dict[str, float]) -> dict[str, Any]:
 
 
 def replaced(module: Any, **fields: Any) -> Any:
-    """A module of static fields with some of them changed."""
+    """A module with some of its fields changed."""
     assert isinstance(module, eqx.Module)
     return dataclasses.replace(module, **fields)  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""How long paths have to be: light and its derivative by the number of segments, from a pilot of long paths."""
+"""How long paths have to be. A pilot of long paths measures light and its derivative by the number of segments."""
 
 import math
 from typing import NamedTuple
@@ -14,23 +14,24 @@ from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.depths import radiance_by_depth
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 DEEPEST = 16  # segments of the pilot's paths
 KEYS, SAMPLES = 8, 4  # independent calls, and samples per pixel of each
 
 
 class Share(NamedTuple):
-    """What is left out at `max_depth` 1, 2, …, relative to all of it, and its standard error; [D]."""
+    """The share that paths of `max_depth` 1, 2, …, D leave out (`rest`), and its standard error."""
 
     rest: Float[np.ndarray, " D"]
     error: Float[np.ndarray, " D"]
 
 
 class DepthChoice(NamedTuple):
-    """The smallest `max_depth` that leaves out no more than `tolerance`; `reached` is off where none does.
+    """The smallest `max_depth` that leaves out no more than `tolerance`; `reached` is False if noise hides that.
 
-    `energy` of the image, `gradient` of the derivative's interior term: None where that is no more than noise.
+    `energy` is the share of the light, and `gradient` that of the derivative's interior term, or None if that is all
+    noise.
     """
 
     max_depth: int
@@ -50,11 +51,11 @@ class DepthChoice(NamedTuple):
         what = f"depth: {self.max_depth} segments; longer paths, up to {deepest}, carry {left}"
         if self.reached:
             return f"{what}, within {self.tolerance:.1%}"
-        return f"{what}; whether that is within {self.tolerance:.1%} the pilot's noise hides"
+        return f"{what}; the pilot's noise hides whether that is within {self.tolerance:.1%}"
 
 
 def choose_depth(scene: Scene, along: Direction, tolerance: float, key: PRNGKeyArray) -> DepthChoice:
-    """Measure and choose; one program is compiled. Raises ValueError for a tolerance that is not positive."""
+    """Measure the shares and choose a depth. Raises ValueError for a tolerance that is not positive."""
     if not tolerance > 0:
         raise ValueError(f"plan: depth_tolerance must be positive (a share), got {tolerance}")
 
@@ -71,18 +72,18 @@ def choose_depth(scene: Scene, along: Direction, tolerance: float, key: PRNGKeyA
 
 
 def images_by_depth(scene: Scene, key: PRNGKeyArray) -> Float[Array, "D H W 3"]:
-    """Images of the paths of 1, 2, … `DEEPEST` segments, of few samples."""
+    """Images of the light of paths of exactly 1, 2, …, `DEEPEST` segments, with few samples."""
     packed = pack(scene)
     _, _, width, height = packed.camera.film.window
     key_film, key_path = jax.random.split(key)
     settings = PathSettings(DEEPEST, True, "auto")
-    primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, settings.rays, "fixed")
+    primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, settings.rays, Form.FIXED)
     rows = radiance_by_depth(packed, primary.first, primary.direction, primary.u, key_path, settings)
     return rows.reshape(DEEPEST, height, width, SAMPLES, 3).mean(3)
 
 
 def energy_share(images: Float[np.ndarray, "K D H W 3"]) -> Share:
-    """What longer paths add to the mean of the image."""
+    """The share of the image's mean that longer paths add."""
     by_depth = images.mean((2, 3, 4))
     total = by_depth.sum(1).mean()
     if not total > 0:
@@ -92,9 +93,10 @@ def energy_share(images: Float[np.ndarray, "K D H W 3"]) -> Share:
 
 
 def derivative_share(images: Float[np.ndarray, "K D H W 3"]) -> Share | None:
-    """Root mean square of what longer paths add to the derivative image, relative to its own.
+    """Root mean square of what longer paths add to the derivative image, relative to that of the whole image.
 
-    From products of independent calls, so that noise adds nothing; None where the whole is within its noise of zero.
+    Products of independent calls estimate the squares, so that noise adds nothing. It is None if the square of the
+    whole image is within two standard errors of zero.
     """
     rest = _after(images)
     whole, whole_error = _square(images.sum(1)[:, None])
@@ -107,23 +109,26 @@ def derivative_share(images: Float[np.ndarray, "K D H W 3"]) -> Share | None:
 
 
 def depth_choice(energy: Share, gradient: Share | None, tolerance: float) -> DepthChoice:
-    """The smallest depth whose rests are within the tolerance, a standard error added; or without, if none is."""
+    """The smallest depth that leaves out no more than the tolerance.
+
+    A standard error is added to what it leaves out. If no depth fits then, it is not added.
+    """
     shares = [energy] if gradient is None else [energy, gradient]
     for errors in (1.0, 0.0):
         fits = np.all([share.rest + errors * share.error <= tolerance for share in shares], axis=0)
-        fits[-1] = False  # of nothing deeper is anything known
+        fits[-1] = False  # the pilot knows nothing about deeper paths
         if fits.any():
             return DepthChoice(int(fits.argmax()) + 1, tolerance, errors > 0, energy, gradient)
     return DepthChoice(len(energy.rest), tolerance, False, energy, gradient)
 
 
 def _after(rows: Float[np.ndarray, "K D *rest"]) -> Float[np.ndarray, "K D *rest"]:
-    """Sums over all later depths."""
+    """For every depth the sum over all larger depths."""
     return rows[:, ::-1].cumsum(1)[:, ::-1] - rows
 
 
 def _square(values: Float[np.ndarray, "K D *rest"]) -> tuple[np.ndarray, np.ndarray]:
-    """(mean square of the means, its standard error by the jackknife over calls), [D], from pairs of calls."""
+    """(mean square of the expected values, its standard error by the jackknife over calls), from pairs of calls."""
     axes = tuple(range(2, values.ndim))
 
     def pairs(some):

@@ -1,4 +1,4 @@
-"""Along which direction in parameter space derivatives are looked at, and what moves then."""
+"""The direction in parameter space along which derivatives are measured, and what moves along it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,29 +13,29 @@ from jaxdr.scene.scene import Scene
 
 
 class Direction(NamedTuple):
-    """Parameters of a scene by name, and one velocity of each."""
+    """Parameters of a scene by name, and a velocity for each."""
 
     values: dict[str, Array]
     velocities: dict[str, Array]
 
     def at(self, scene: Scene, t: Float[Array, ""]) -> Scene:
-        """The scene at time t; traceable."""
+        """The scene at time t, which may be traced."""
         return scene.replace({name: value + t * self.velocities[name] for name, value in self.values.items()})
 
     def nudge(self) -> float:
-        """A time in which all vertices move by rounding; 0 where none do: then structures stay in use anyway."""
+        """A time in which all moving vertices move by rounding; 0 if no vertices move."""
         moved = [name for name in self.values if name.endswith(".vertices")]
         speeds = {name: float(jnp.abs(self.velocities[name]).max()) for name in moved}
         return max((rounding_step(self.values[name], speeds[name]) for name in moved), default=0.0)
 
 
 def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> Direction:
-    """A direction for some parameters together.
+    """A direction in which all of some parameters change.
 
     `params`: names of `scene.parameters()`, or motions such as `spot.translate.x` (see `jaxdr.scene.motion`); None for
-    the vertices of all shapes. Motions have their own velocity. Others get a random one, of the size of what they are:
-    vertices move as a whole, turn and grow, cameras and other frames move and turn, numbers change independently.
-    Raises ValueError for an unknown name, for no name, and where two name the same parameter.
+    the vertices of all shapes. Motions have their own velocity. Other parameters get a random one in proportion to
+    their size: vertices move as a whole, turn and grow; cameras and other frames move and turn; numbers change
+    independently. Raises ValueError for an unknown name, for no name, and if two names mean the same parameter.
     """
     parameters = scene.parameters()
     names = [name for name in parameters if name.endswith(".vertices")] if params is None else list(params)
@@ -55,7 +55,7 @@ def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> 
 
 
 def moving_along(scene: Scene, names: Sequence[str]) -> Moving:
-    """What moves when the parameters `names` are differentiated."""
+    """What moves in the scene when the parameters `names` change."""
     parameters = scene.parameters()
     replaced = scene.replace({name: parameters[name] + 0 for name in names})
     return moving_in(scene, jax.tree.map(lambda new, old: new is not old, replaced, scene))

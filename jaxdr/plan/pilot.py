@@ -1,4 +1,4 @@
-"""Pilot runs: variance and seconds of derivative images, all candidates in turns, and the choice among them."""
+"""Pilot runs measure variance and seconds of the derivative images of all candidates; the best is chosen."""
 
 import statistics
 import time
@@ -18,20 +18,20 @@ from jaxdr.plan.directions import Direction
 from jaxdr.render import derivative_terms
 from jaxdr.scene.scene import Scene
 
-FIRST = 4  # samples per pixel of the first round
-MOST = 256  # and at most of the second
+FIRST = 4  # samples per pixel in the first round
+MOST = 256  # most samples per pixel in the second round
 TURNS = 6  # independent calls of every candidate in a round
-CLOSE = 2.0  # how much worse than the best a candidate may be in the first round and go on to the second
+CLOSE = 2.0  # candidates go on to the second round if their work is at most this times the best
 FINALISTS = 2
-BETTER = 0.9  # what a change has to come to, relative to what it is a change of
-COMPILERS = 2  # threads of XLA, while the next program is traced
-LEAST_SECONDS = 1e-4  # below, the clock is all that is measured
+BETTER = 0.9  # a change is taken if its work is at most this, relative to the candidate without it
+COMPILERS = 2  # threads in which XLA compiles, while the next program is traced
+LEAST_SECONDS = 1e-4  # shorter times say more about the clock than about the program
 
 Setting = tuple[Any, int]  # integrator, samples per pixel
 
 
 class Measured(NamedTuple):
-    """One call at `spp` samples per pixel: median `seconds`, `variance` of the image, and the terms' `shares` of it."""
+    """One setting at `spp` samples per pixel: median `seconds` of a call, `variance` of its image, terms' `shares`."""
 
     spp: int
     seconds: float
@@ -40,22 +40,22 @@ class Measured(NamedTuple):
 
     @property
     def work(self) -> float:
-        """Squared error times seconds: what it costs whatever the budget is."""
+        """Squared error times seconds: the cost, which does not depend on the budget."""
         return self.variance * self.seconds
 
 
 class Refused(NamedTuple):
-    """What an estimator says about a scene that it doesn't know."""
+    """An estimator refuses the scene, with this message."""
 
     message: str
 
 
 Measure = Callable[[dict[str, Setting]], dict[str, Measured | Refused]]
-Changes = Callable[[Any, dict[str, float]], dict[str, Any]]  # (integrator, shares) -> changed ones by what is changed
+Changes = Callable[[Any, dict[str, float]], dict[str, Any]]  # (integrator, shares) -> changed integrators, by name
 
 
 class Choice(NamedTuple):
-    """The integrator by `name`, its samples per pixel, everything that was measured (by round), and the reasons."""
+    """The chosen integrator with its `name`, samples per pixel, all measurements (by round), and lines of reasons."""
 
     name: str
     integrator: Any
@@ -65,20 +65,21 @@ class Choice(NamedTuple):
 
 
 class Pilot:
-    """Measures settings on a scene along a direction. Compilation is not in the seconds, everything else is."""
+    """Measures settings on a scene along a direction. The seconds include everything but compilation."""
 
     def __init__(self, scene: Scene, along: Direction, moving: Moving, key: PRNGKeyArray):
         self.scene, self.along, self.moving, self.key = scene, along, moving, key
         self.nudge = along.nudge()
-        self.programs: dict[tuple[int, int], tuple[Integrator, Any]] = {}  # by id, which the integrator kept here holds
+        # By the integrator's id. The integrator is kept too, so that no other one gets its id.
+        self.programs: dict[tuple[int, int], tuple[Integrator, Any]] = {}
 
     def __call__(self, settings: dict[str, Setting], key: PRNGKeyArray | None = None) -> dict[str, Measured | Refused]:
-        """Every setting by name, in turns, each round beginning with another one. `key`: in place of the pilot's."""
+        """Measure settings, in turns; each turn begins with another one. `key` replaces the pilot's own."""
         key = self.key if key is None else key
         programs, found = self._compiled(settings)
         calls: dict[str, list] = {name: [] for name in programs}
         names = list(programs)
-        for turn in range(TURNS + 1):  # the first one is slow for other reasons too
+        for turn in range(TURNS + 1):  # the first turn does not count: it is slow for other reasons too
             for i in range(len(names)):
                 name = names[(i + turn) % len(names)]
                 answer = self._call(programs[name], turn, key)
@@ -89,7 +90,7 @@ class Pilot:
         return {name: found[name] for name in settings}
 
     def _compiled(self, settings: dict[str, Setting]) -> tuple[dict[str, Any], dict[str, Measured | Refused]]:
-        """(programs, refusals) by name; each integrator is compiled once per number of samples."""
+        """(programs, refusals) by name. Each integrator is compiled once for each number of samples."""
         refused: dict[str, Measured | Refused] = {}
         compiled: dict[str, Future] = {}
         pool = ThreadPoolExecutor(COMPILERS, "jaxdr plan")
@@ -120,7 +121,8 @@ class Pilot:
         return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key)
 
     def _call(self, program, turn: int, key: PRNGKeyArray) -> tuple[dict[str, Array], float]:
-        # Moved by rounding alone, otherwise every time: acceleration structures are kept by their content.
+        # Each turn moves the scene by another tiny step. Acceleration structures are cached by their content, and would
+        # not be built otherwise.
         t = jax.block_until_ready(jnp.asarray(self.nudge * (turn + 1)))
         key = jax.random.fold_in(key, turn)
         start = time.perf_counter()
@@ -129,7 +131,7 @@ class Pilot:
 
 
 def measured(spp: int, calls: list[dict[str, Array]], seconds: list[float]) -> Measured:
-    """From derivative images by term, of independent calls."""
+    """The figures of a setting, from derivative images by term, and seconds, of independent calls."""
     images = {term: np.stack([np.asarray(call[term], np.float64) for call in calls]) for term in calls[0]}
     total = float(sum(images.values()).var(0, ddof=1).mean())  # pyright: ignore[reportAttributeAccessIssue]
     own = {term: float(stack.var(0, ddof=1).mean()) for term, stack in images.items()}
@@ -143,9 +145,9 @@ def choose(
 ) -> Choice:
     """The setting of least squared error times seconds, and the samples per pixel that fill the budget.
 
-    `budget`: seconds of one derivative image, `ratio` times as many pixels as the pilot's; `spp` in its place where it
-    is given. A first round of few samples; those close to the best, and `changes` of the best, go on to a second one
-    with as many as the budget allows. Raises ValueError where all are refused, or not finite.
+    `budget`: seconds of one derivative image, which has `ratio` times as many pixels as the pilot's. If `spp` is given,
+    it counts instead. The first round has few samples. Candidates close to the best, and `changes` of the best, go on
+    to a second round, which has as many samples as the budget allows. Raises ValueError if no candidate is finite.
     """
     first = measure({name: (integrator, spp or FIRST) for name, integrator in tried.items()})
     lines = [f"not possible here: {name} ({m.message})" for name, m in first.items() if isinstance(m, Refused)]
@@ -179,18 +181,18 @@ def choose(
 
 
 def _ranked(found: dict[str, Measured | Refused]) -> dict[str, Measured]:
-    """What was measured and is finite, the best first; without noise the fastest."""
+    """The measurements that are finite, the best first. Of those without noise the fastest is first."""
     good = {name: m for name, m in found.items() if isinstance(m, Measured) and np.isfinite(m.variance)}
     return dict(sorted(good.items(), key=lambda entry: (entry[1].work, entry[1].seconds)))
 
 
 def _fitting(found: Measured, seconds: float) -> int:
-    """Samples for the second round: what fits the seconds if all of them were spent on samples, within limits."""
+    """Samples for the second round: as many as fit into the seconds, within limits, if time grows in proportion."""
     return int(np.clip(round(found.spp * seconds / found.seconds), FIRST, MOST))
 
 
 def _line(found: list[Measured]) -> tuple[float, float]:
-    """(seconds that a call takes anyway, seconds per sample): through two counts of samples, through one by ratio."""
+    """(fixed seconds of a call, seconds per sample): a line through two counts of samples, or a ratio from one."""
     one, two = found[0], found[-1]
     if two.spp > one.spp and two.seconds > one.seconds:
         slope = (two.seconds - one.seconds) / (two.spp - one.spp)

@@ -1,4 +1,4 @@
-"""`jaxdr.plan`: look at a scene, trace a few paths, and say what its derivatives are best estimated with."""
+"""`jaxdr.plan`: looks at a scene, runs estimators on a small image, and chooses the best for its derivatives."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from jaxdr.plan.static_look import StaticLook, static_look
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene
 
-PIXELS = 48 * 48  # of the pilots' film, at most
+PIXELS = 48 * 48  # most pixels of the pilots' film
 DEPTH_TOLERANCE = 0.02
 AUTO: Any = "auto"
 
@@ -39,13 +39,13 @@ def plan(
 
     - `params`: names of `scene.parameters()`, or motions such as `spot.translate.x`; None for all vertices.
     - `budget`: seconds that a derivative image may take.
-    - `max_depth`, `boundary` (an estimator or None), `spp`, `integrator`: kept as they are, if given.
+    - `max_depth`, `boundary` (an estimator or None), `spp`, `integrator`: if one is given, it is not chosen but kept.
     - `depth_tolerance`: share of the light, and of its derivative, that longer paths may carry.
 
-    It runs the estimators with few samples on an image of at most 48 x 48 pixels. That takes some minutes, nearly all
-    of them for compilation, and does not work under `jit`. Timings vary, and with them choices between equals. To
-    repeat a run, keep the plan (`Plan.to_dict`). Raises ValueError for bad arguments, and where nothing can
-    differentiate the scene.
+    It runs the estimators with few samples on an image of about 48 x 48 pixels or fewer. That takes some minutes,
+    nearly all of them for compilation, and does not work under `jit`. Timings vary, so the choice between equally good
+    estimators may vary too. To repeat a run, keep the plan (`Plan.to_dict`). Raises ValueError for bad arguments, and
+    if no estimator can differentiate the scene.
     """
     _check(scene, budget, max_depth, spp, integrator, boundary)
     key_direction, key_depth, key_pilot = jax.random.split(jax.random.key(0) if key is None else key, 3)
@@ -84,7 +84,7 @@ def plan(
 
 
 def small_film(scene: Scene) -> tuple[Scene, float]:
-    """(the scene with a film of fewer pixels that sees the same, how many times as many pixels it had)."""
+    """(the scene with a film of fewer pixels for the same view, ratio of its old number of pixels to the new one)."""
     film = scene.camera.film
     _, _, width, height = film.window
     scale = math.sqrt(PIXELS / (width * height))
@@ -131,7 +131,7 @@ def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
 
 
 def _figures(look: StaticLook, depth: DepthChoice | None, chosen: Choice) -> dict[str, Any]:
-    """Numbers for JSON."""
+    """Everything that was measured, as tables for JSON."""
     static = {name: value for name, value in look._asdict().items() if name != "moving"}
     static["textures"] = list(look.textures)
     static["traits"] = look.traits._asdict()

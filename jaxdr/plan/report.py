@@ -1,4 +1,4 @@
-"""What a plan says: an integrator, samples, and why; as text and as a table that can be read back."""
+"""A plan: an integrator, samples and reasons, as text and as a table that can be read back."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -14,10 +14,10 @@ INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTrace
 
 @dataclass(frozen=True)
 class Plan:
-    """What to differentiate a scene with: `integrator`, `spp` samples per pixel, and the reasons in `lines`.
+    """The choice for the derivatives of a scene: `integrator`, `spp` samples per pixel, and the reasons in `lines`.
 
-    `figures` has what was measured. `str(plan)` gives the lines. `to_dict` makes a table for JSON, from which
-    `Plan.from_dict` makes the same plan again, with nothing measured.
+    `figures` has the measurements. `str(plan)` gives the lines. `to_dict` makes a table for JSON. `Plan.from_dict`
+    makes the same plan from it, without measuring again.
     """
 
     integrator: Any
@@ -29,7 +29,10 @@ class Plan:
         return "\n".join(self.lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Integrator, samples, lines and figures, of numbers, strings, lists and tables."""
+        """Integrator, samples, lines and figures as a table of numbers, strings, lists and tables.
+
+        Raises ValueError for an integrator or estimator that a table can't hold.
+        """
         return {
             "integrator": settings(self.integrator),
             "spp": self.spp,
@@ -39,7 +42,7 @@ class Plan:
 
     @staticmethod
     def from_dict(table: dict[str, Any]) -> "Plan":
-        """The plan that `to_dict` was of. Raises ValueError for anything else."""
+        """The plan from which `to_dict` made the table. Raises ValueError for any other table."""
         try:
             chosen = integrator(table["integrator"])
             return Plan(chosen, int(table["spp"]), tuple(table["lines"]), dict(table["figures"]))
@@ -48,7 +51,7 @@ class Plan:
 
 
 def settings(integrator: Any) -> dict[str, Any]:
-    """The fields of an integrator as a table. Raises ValueError for one that is not of this library's."""
+    """The fields of an integrator as a table. Raises ValueError for an integrator that is not this library's."""
     kind = type(integrator).__name__
     if INTEGRATORS.get(kind) is not type(integrator):
         raise ValueError(f"a plan can keep {' and '.join(INTEGRATORS)}, but not {kind}")

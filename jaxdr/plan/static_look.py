@@ -1,4 +1,4 @@
-"""What a scene has, and what its program therefore holds: no ray is traced."""
+"""What a scene has, and what its compiled program therefore contains. No ray is traced for that."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from jaxdr.scene.scene import Scene, textures_of, unwrap
 
 
 class StaticLook(NamedTuple):
-    """Models by name with how often they occur, textures by parameter, faces and edges.
+    """Models with the number of their uses, names of textured parameters, numbers of faces and edges.
 
-    - `traits`: what makes estimators fail by nature.
-    - `film_edges`: those that move relative to the camera; they, and no others, are drawn in the image.
-    - `still_edges`: of shapes that stand still. Behind the first hit they carry derivatives only where a path segment
-      ends on something that moves; segments with still ends don't look at them.
+    - `traits`: properties of the scene for which some estimators are known to fail.
+    - `film_edges`: number of edges that move relative to the camera. Only these are sampled in the image.
+    - `still_edges`: number of the other edges. Behind the first hit they carry derivatives only for path segments that
+      end on something that moves.
     """
 
     lobes: dict[str, int]
@@ -28,7 +28,7 @@ class StaticLook(NamedTuple):
     moving: Moving
 
     def lines(self) -> list[str]:
-        """One line each: what is in the program, and which edges."""
+        """Lines that say what is in the program, and which edges carry derivatives."""
         moving = self.moving
         found = [
             f"lobes: {_counted(self.lobes)}; no other model is in the program",
@@ -36,7 +36,7 @@ class StaticLook(NamedTuple):
             f"textures: {', '.join(self.textures) or 'none'}",
         ]
         if not moving.any:
-            found.append(f"edges: none of {self.edges:,} carries a derivative, for nothing moves: no boundary terms")
+            found.append(f"edges: nothing moves, so none of {self.edges:,} carries a derivative: no boundary terms")
             return found
         shapes = f"{sum(moving.shapes)} of {len(moving.shapes)} shapes"
         what = "the camera" if moving.camera else shapes
@@ -45,14 +45,14 @@ class StaticLook(NamedTuple):
         found.append(f"edges: {what} move: {self.film_edges:,} of {self.edges:,} edges can move in the image")
         if self.still_edges and any(moving.seen):
             found.append(
-                f"edges behind the first hit: the {self.still_edges:,} of what stands still count only for path "
+                f"edges behind the first hit: the {self.still_edges:,} edges of what stands still count only for path "
                 "segments that end on something that moves"
             )
         return found
 
 
 def static_look(scene: Scene, moving: Moving) -> StaticLook:
-    """Look at a scene in which `moving` is differentiated."""
+    """What a scene has, if the derivative is by parameters that move `moving`."""
     emitters = [shape for shape in scene.shapes.values() if shape.emitter is not None]
     lights = Counter(type(light).__name__ for light in scene.lights.values())
     if emitters:

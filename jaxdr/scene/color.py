@@ -9,13 +9,13 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """Of linear RGB (Rec. 709 primaries)."""
+    """Luminance of linear RGB (Rec. 709 primaries)."""
     red, green, blue = (share * part for share, part in zip(LUMINANCE, components(rgb), strict=True))
     return red + green + blue
 
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:
-    """An RGB triple from a number or three numbers; ValueError names the parameter otherwise."""
+    """RGB from one number or three numbers. Raises ValueError, with the parameter's name, for any other shape."""
     array = as_array(value)
     if array.shape not in ((), (1,), (3,)):
         raise ValueError(f"{name} must be a number or three numbers (RGB), got shape {array.shape}")

@@ -1,10 +1,10 @@
-"""Clusters of emitting faces: which of them matter at a point, by power, distance and the side they shine to.
+"""Clusters of emitting faces: how much each matters at a point, by its power, its distance and where it faces.
 
-For emitters of many faces only. Faces that lie close together (Morton order) share a leaf of a complete binary tree of
-few levels. A node bounds its faces by a sphere and their normals by a cone; its importance at a point is an upper bound
-of what it sends there, as in Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree
-Splitting", Eq. 3. All nodes are looked at at once: they are few, and that is faster than descending. All of it is
-detached; densities are exact, whatever the importance.
+Only emitters of many faces have clusters. Faces that lie close together (in Morton order) share a leaf of a complete
+binary tree of few levels. A node bounds its faces by a sphere and their normals by a cone. Its importance at a point is
+an upper bound of the light that it sends there: Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with
+Adaptive Tree Splitting", Eq. 3. The importance of all nodes is computed at once. They are few, and that is faster than
+a descent through the tree. Everything here is detached. The densities are exact, whatever the importance is.
 """
 
 import math
@@ -18,20 +18,22 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.vector import components, corners, cross, dot, norm, normalize
 from jaxdr.scene.sampling import search_sorted_rows
 
-# Emitters of no more faces than this, all together, are chosen among by power alone and have no clusters.
+# Up to this number of emitting faces in the scene there are no clusters: faces are chosen by power alone.
 FEW_FACES = 16
-FACES_OF_LEAF, MOST_LEAVES = 4, 32  # a leaf has about so many faces or more; so many leaves at most
-SMALL = 0.5  # sine of the angle under which a cluster's radius is seen from where it is not split
-SLACK = 1e-3  # by which bounds are widened against rounding
+FACES_OF_LEAF, MOST_LEAVES = 4, 32  # faces of a leaf, about, at least; leaves of a tree, at most
+SMALL = 0.5  # a cluster is not split where the sine of the angle that its radius subtends is at most this
+SLACK = 1e-3  # bounds are widened by this, against rounding
 
 
 class EmitterClusters(eqx.Module):
-    """A complete binary tree over emitting faces, U = 2 K - 1 nodes in heap order from node 0, the last K are leaves.
+    """A complete binary tree over the emitting faces of a scene. Its U = 2 K - 1 nodes are in heap order, leaves last.
 
-    - `face`: faces of the leaves in turn, and `cdf`: the cumulative probability of each in its leaf, [K, m].
-    - `leaf` of every face of the scene, 0 where it does not glow, and `density`: probability per area in its leaf.
-    - `power`: the share of the nodes in all power, and `radiance`: the mean luminance of theirs.
-    - `centre`, `radius` of spheres around their faces; cones around their normals: `axis`, `cosine` (half-angle).
+    - `face`: the m faces of every leaf; `cdf`: their cumulative probabilities within the leaf.
+    - `leaf`: the leaf of every face of the scene, 0 for faces that do not glow; `density`: the probability per area
+      of points on a face, within its leaf, 0 for faces that do not glow.
+    - `power`: the share of each node in all power; `radiance`: its power per area.
+    - `centre`, `radius`: a sphere around the faces of each node.
+    - `axis`, `cosine` (of the half-angle): a cone around the normals of each node.
     """
 
     face: Int[Array, "K m"]
@@ -47,25 +49,28 @@ class EmitterClusters(eqx.Module):
 
     @property
     def leaves(self) -> int:
-        """K."""
+        """Number of leaves, K."""
         return self.face.shape[0]
 
     def sample(self, apex: Float[Array, "N 3"], u: Float[Array, " N"]) -> tuple[Int[Array, " N"], Float[Array, " N"]]:
-        """(faces chosen by their clusters' importance at points and by power, uniform numbers that are left)."""
+        """(faces, uniform numbers that are left). Leaves are chosen by importance at the points, faces by power."""
         leaf, left = chosen(self._of_leaves(apex), u)
         place, left = search_sorted_rows(self.cdf, leaf, left)
         return self.face[leaf, place], left
 
     def pdf(self, apex: Float[Array, "N 3"], face: Int[Array, " N"]) -> Float[Array, " N"]:
-        """Probability per area with which `sample` finds a point of glowing faces, zero on other faces."""
+        """Probability per area of `sample` at points on these faces; zero on faces that do not glow."""
         return picked(self._of_leaves(apex), self.leaf[face]) * self.density[face]
 
     def _of_leaves(self, apex: Float[Array, "N 3"]) -> Float[Array, "N K"]:
-        """Probabilities of the leaves at points."""
+        """Probability of every leaf, as seen from the points."""
         return self._probabilities(self._importance(apex, self.leaves - 1), self.leaves - 1)
 
     def cut(self, apex: Float[Array, "N 3"]) -> "Cut":
-        """The largest clusters that are `SMALL` as seen from points, each face in one of them, by importance."""
+        """For every point the largest clusters that look `SMALL` from there, chosen by importance.
+
+        Every emitting face is in exactly one of them. Leaves are used even where they do not look small.
+        """
         wide = self.radius > SMALL * norm(self.centre - apex[:, None])
         levels, first = [], 0
         free = jnp.ones((apex.shape[0], 1), bool)  # whether no cluster further up is small
@@ -81,7 +86,7 @@ class EmitterClusters(eqx.Module):
         return Cut(used, self._probabilities(importance, 0, used))
 
     def node_at(self, cut: "Cut", face: Int[Array, " N"]) -> Int[Array, " N"]:
-        """The node of each cut that holds a glowing face."""
+        """The node of each point's cut that holds the point's glowing face."""
         node = self.leaf[face] + self.leaves - 1
         found = node
         for _ in range(self.leaves.bit_length() - 1):
@@ -90,7 +95,7 @@ class EmitterClusters(eqx.Module):
         return found
 
     def _importance(self, apex: Float[Array, "N 3"], first: int) -> Float[Array, "N k"]:
-        """Power x cosine / distance^2 at points, at most, of the nodes from `first` on."""
+        """Upper bound of power x cosine / distance^2 at the points, for the nodes from `first` on."""
         power, centre, radius, axis, cosine = (
             table[first:] for table in (self.power, self.centre, self.radius, self.axis, self.cosine)
         )
@@ -108,21 +113,21 @@ class EmitterClusters(eqx.Module):
         return power * facing / jnp.maximum(distance2, radius**2)
 
     def _probabilities(self, importance, first: int, used: Any = True) -> Float[Array, "N k"]:
-        """Of nodes by their importance; by power where nothing can be lit."""
+        """Probabilities of nodes in proportion to their importance; to their power where no node has any."""
         total = importance.sum(1, keepdims=True)
         either = jnp.where(total > 0, importance, jnp.where(used, self.power[first:], 0.0))
         return either / either.sum(1, keepdims=True)
 
 
 class Cut(eqx.Module):
-    """Which nodes are `used` at points, and with what `probability` each is chosen there."""
+    """The nodes that are `used` at each point, and the `probability` of each node there."""
 
     used: Bool[Array, "N U"]
     probability: Float[Array, "N U"]
 
 
 def chosen(probability: Float[Array, "N k"], u: Float[Array, " N"]) -> tuple[Int[Array, " N"], Float[Array, " N"]]:
-    """(entries chosen by the probabilities in their rows, uniform numbers that are left)."""
+    """(entry of every row, chosen by the row's probabilities; uniform numbers that are left)."""
     cumulative = jnp.cumsum(probability, 1)
     aim = u * cumulative[:, -1]
     entry = jnp.minimum((cumulative <= aim[:, None]).sum(1), probability.shape[1] - 1)
@@ -137,7 +142,7 @@ def picked(table: Array, entry: Int[Array, " N"]) -> Array:
 
 
 def _less(cosine, sine, other, other_sine):
-    """(cosine, sine) of an angle less another one, or of zero if that is larger."""
+    """(cosine, sine) of the first angle minus the other one, or of zero if the other is larger."""
     less = cosine > other
     return jnp.where(less, 1.0, cosine * other + sine * other_sine), jnp.where(
         less, 0.0, sine * other - cosine * other_sine
@@ -145,14 +150,17 @@ def _less(cosine, sine, other, other_sine):
 
 
 def leaf_count(faces: int) -> int:
-    """Leaves of the tree over so many emitting faces."""
+    """Number of leaves of a tree over this number of emitting faces."""
     return min(MOST_LEAVES, 1 << max(0, math.ceil(math.log2(faces / FACES_OF_LEAF))))
 
 
 def emitter_clusters(
     triangles: Float[Array, "L 3 3"], faces: Int[Array, " L"], weight: Float[Array, " L"], face_count: int
 ) -> EmitterClusters:
-    """The tree over emitting `faces` of a scene with their corners; `weight` is what they are chosen by. Detached."""
+    """The tree over emitting `faces`, detached.
+
+    `triangles` are their corners. Faces are chosen in proportion to `weight`. `face_count` is that of the whole scene.
+    """
     triangles, weight = jax.lax.stop_gradient((triangles, weight))
     count, leaves = faces.shape[0], leaf_count(faces.shape[0])
     size = -(-count // leaves)
@@ -170,7 +178,7 @@ def emitter_clusters(
     share, radiance, centre, radius, axis, cosine = (jnp.concatenate(parts) for parts in zip(*nodes, strict=True))
 
     in_leaf = power.reshape(leaves, size)
-    dark = in_leaf.sum(1, keepdims=True) == 0  # never chosen, but no division by zero
+    dark = in_leaf.sum(1, keepdims=True) == 0  # such a leaf is never chosen, but must not divide by zero
     within = jnp.where(dark, 1.0, in_leaf)
     within = within / within.sum(1, keepdims=True)
     density = jnp.where(dark, 0.0, within).reshape(-1) / jnp.where(area > 0, area, 1.0)
@@ -190,7 +198,7 @@ def emitter_clusters(
 
 
 def _bounds(corner, normal, power, area, nodes: int):
-    """(power, mean radiance, sphere, cone) of as many nodes of one size."""
+    """(power, mean radiance, centre, radius, axis, cosine) of the nodes of one level, which has `nodes` of them."""
     power, area = (table.reshape(nodes, -1).sum(1) for table in (power, area))
     points = corner.reshape(nodes, -1, 3)
     centre = 0.5 * (points.min(1) + points.max(1))
@@ -204,7 +212,7 @@ def _bounds(corner, normal, power, area, nodes: int):
 
 
 def _morton(points: Float[Array, "L 3"]) -> Int[Array, " L"]:
-    """Places on a Morton curve through the points' bounding cube, ten bits a side."""
+    """Positions of points on a Morton curve through their bounding cube, with ten bits for each axis."""
     low = points.min(0)
     size = (points.max(0) - low).max()
     cell = jnp.clip((points - low) / jnp.where(size > 0, size, 1.0) * 1023.0, 0.0, 1023.0).astype(jnp.int32)

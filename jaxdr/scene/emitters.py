@@ -1,4 +1,4 @@
-"""Emitters: surfaces that glow, what an environment is, and the constant one."""
+"""Emitters: surfaces that glow, the interface of environments, and the constant environment."""
 
 import abc
 import math
@@ -28,40 +28,44 @@ class AreaEmitter(eqx.Module):
 
 
 class DirectionSampler(eqx.Module):
-    """Draws directions from which an environment sends light; detached from the radiance."""
+    """Draws directions from which an environment sends light. It is detached from the radiance."""
 
     @abc.abstractmethod
     def sample(self, u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
-        """World directions drawn from `pdf`, from uniform numbers; detached."""
+        """World directions with density `pdf`, drawn by uniform numbers in [0, 1)^2; detached."""
 
     @abc.abstractmethod
     def numbers(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
-        """The uniform numbers from which `sample` draws unit world directions; detached."""
+        """The uniform numbers from which `sample` draws these unit world directions; detached."""
 
     @abc.abstractmethod
     def pdf(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
-        """Density (solid angle) at unit world directions; differentiable in them, and turns with the environment."""
+        """Density (solid angle) at unit world directions.
+
+        It is differentiable in the directions, and in the rotation of the environment.
+        """
 
     @abc.abstractmethod
     def extent(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
-        """Angle (radians) around directions within which the density stays comparable to that there; detached."""
+        """Angle (radians) around each direction within which the density is comparable to that there; detached."""
 
     @abc.abstractmethod
     def reach(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n"] | float:
-        """Angle (radians) that no `extent` of another direction exceeds which goes as far as this one; detached."""
+        """Upper bound (radians) of the `extent` of all directions whose extents contain this direction; detached."""
 
     @abc.abstractmethod
     def mean(self) -> Float[Array, ""]:
-        """Luminance of the mean radiance over the sphere, about; detached."""
+        """Approximate luminance of the mean radiance over the sphere; detached."""
 
 
 class Environment(eqx.Module):
-    """Light from infinitely far away. A new one is a file with a look-up by direction, a sampler and a turn.
+    """Light from infinitely far away. A new kind is a file with a look-up by direction, a sampler and a turn.
 
     `uniform`: whether radiance and density are the same in all directions.
 
-    By a parameter that `turn` depends on, everything is differentiated in directions that turn along. By any other it
-    is in fixed ones: there the radiance has to be continuous, in the parameter and in the direction.
+    The derivative by a parameter that `turn` depends on is taken at directions that turn with the environment. The
+    derivative by any other parameter is taken at fixed directions. For it the radiance has to be continuous, in the
+    parameter and in the direction.
     """
 
     uniform: eqx.AbstractClassVar[bool]
@@ -72,18 +76,19 @@ class Environment(eqx.Module):
 
     @abc.abstractmethod
     def sampler(self) -> DirectionSampler:
-        """What directions are drawn from."""
+        """The sampler that draws directions to this environment."""
 
     @abc.abstractmethod
     def turn(self) -> Float[Array, "3 3"]:
-        """The identity, differentiable as the rotation that takes directions along as the environment turns.
+        """The identity matrix, with the derivative of the rotation by which the environment turns.
 
-        Where the radiance jumps, as at the rim of a sun, that has to go along; `jnp.eye(3)` if nothing turns.
+        Directions times this matrix turn with the environment. A jump of the radiance, such as the rim of a sun, has
+        to turn with them. An environment that can't turn returns `jnp.eye(3)`.
         """
 
 
 class UniformDirections(DirectionSampler):
-    """Every direction is as likely, and has the same `radiance`."""
+    """All directions are equally likely, and have the same `radiance`."""
 
     radiance: Float[Array, "3"]
 

@@ -1,7 +1,8 @@
-"""Environment map: radiance from a photograph of all directions, looked up as Mitsuba's `envmap` does.
+"""Environment map: radiance from a panorama of all directions, looked up as by Mitsuba's `envmap`.
 
-With direction d in the map's frame, u = atan2(d.x, -d.z) / 2π and v = acos(d.y) / π. Column i of W is centred at
-u = (i + 1/2) / W and goes around; row j of H is at v = j / (H - 1), the first at the pole +y. Look-ups are bilinear.
+A direction d in the map's frame has u = atan2(d.x, -d.z) / 2π and v = acos(d.y) / π. Column i of W is centred at
+u = (i + 1/2) / W; columns wrap around. Row j of H is at v = j / (H - 1); the first row is the pole +y. Look-ups are
+bilinear.
 """
 
 import math
@@ -20,21 +21,23 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.sampling import linear, linear_number, number_in_rows, search_sorted_rows
 
-FLOOR = 0.01  # luminance that every direction is sampled with at least, relative to the mean
-# Share of the mean of a cell in its corners. Bilinear alone, the density is so low at a black texel beside the sun that
-# the slope of the look-up, which is what a turning map's derivative samples, is divided by next to nothing.
+FLOOR = 0.01  # added to the luminance that directions are sampled by, relative to its mean
+# Share of the mean of a cell in the density at its corners. A purely bilinear density would be very low at a black
+# texel beside the sun. The derivative of a turning map is the slope of the look-up divided by the density, and that
+# slope is large there.
 BLEND = 0.5
-COMPARABLE = 0.25  # share of the density to which it may fall within `extent`
+COMPARABLE = 0.25  # within `extent` the density does not fall below this share of the highest in the cell
 
 
 class EnvironmentMap(Environment):
-    """Radiance `scale` x `radiance` [H, W, 3] from all directions, on a grid of longitude and latitude.
+    """Radiance `scale` x `radiance` [H, W, 3] (W / m^2 sr) from all directions, on a grid of longitude and latitude.
 
-    `to_world` [4, 4] turns the map's frame into the world's. It is a rotation; it may mirror or scale evenly, since
+    `to_world` [4, 4] maps the map's frame to the world's. It is a rotation; it may also mirror or scale evenly, since
     only directions matter. Conventions are Mitsuba's: in the map's frame the top of the image is the direction +y, its
-    middle column is +z, and further right comes -x. Bright pixels are sampled more often, by luminance.
+    middle column is +z, and -x is to the right of the middle. Directions are sampled in proportion to luminance.
 
-    Raises ValueError for an image that is not RGB or has fewer than 3 x 2 pixels, and for a matrix that skews.
+    Raises ValueError unless `radiance` is [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a 4 x 4 matrix
+    that does not skew or scale unevenly.
     """
 
     radiance: Float[Array, "H W 3"]
@@ -78,7 +81,8 @@ class EnvironmentMap(Environment):
     def turn(self):
         rotation = _rotation(self.to_world[:3, :3])
         turned = rotation @ stop_gradient(rotation).T
-        # Whatever else a change of the matrix does, the look-up in a fixed direction accounts for.
+        # The derivative of a rotation is antisymmetric. Any other change of the matrix is left to the look-up in a
+        # fixed direction.
         turned = 0.5 * (turned - turned.T)
         return jnp.eye(3, dtype=turned.dtype) + (turned - stop_gradient(turned))
 
@@ -86,10 +90,14 @@ class EnvironmentMap(Environment):
 class LatLongSampler(DirectionSampler):
     """Density per solid angle that is bilinear in longitude and the cosine of the polar angle, in every cell of a map.
 
-    `corners` is what it is proportional to at the texels but for `BLEND`, `integral` that over the sphere. Cells lie
-    between the texels: `rows` is the cumulative probability of the bands of cells, `columns` that of the cells within
-    each band. `extents` of the cells: within that angle the density stays above a quarter of the highest in the cell,
-    or half a texel; `reaches`: the largest extent of a cell that goes as far as this one.
+    Cells lie between the texels.
+
+    - `corners`: unnormalised density at the texels, before it is blended (`BLEND`); `integral`: the same over the
+      sphere.
+    - `rows`: cumulative probabilities of the bands of cells; `columns`: those of the cells within each band.
+    - `extents`: an angle around every cell within which the density stays above a quarter of the highest in the cell.
+      It is half a texel where no larger angle is known to do so.
+    - `reaches`: for every cell the largest extent of the cells whose extents contain it.
     """
 
     corners: Float[Array, "H W"]
@@ -103,7 +111,7 @@ class LatLongSampler(DirectionSampler):
 
     @classmethod
     def of(cls, luminances: Float[Array, "H W"], to_world: Float[Array, "3 3"], scale) -> "LatLongSampler":
-        """Proportional to luminance, but never zero: texels that are black now have a derivative."""
+        """The sampler in proportion to luminance, but never zero: texels that are black now have a derivative too."""
         height, width = luminances.shape
         floor = FLOOR * luminances.mean()
         corners = luminances + jnp.where(floor > 0, floor, 1.0)
@@ -203,9 +211,9 @@ def _to_map(to_world: Float[Array, "3 3"], direction: Float[Array, "*n 3"]) -> F
 
 
 def _angles(local: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
-    """(cosine, polar angle from +y, turns around it from -z) of directions of any length; zero derivative at the poles.
+    """(cosine of the polar angle from +y, that angle, turns around +y from -z) of directions of any length.
 
-    Slots that hold no direction (zero) count as +y.
+    The derivative is zero at the poles. Zero vectors, in slots without a direction, count as +y.
     """
     x, y, z = components(local)
     on_axis = x * x + z * z == 0
@@ -216,13 +224,13 @@ def _angles(local: Float[Array, "*n 3"]) -> tuple[Float[Array, "*n"], Float[Arra
 
 
 def _cell(position, count: int) -> tuple[Int[Array, "*n"], Float[Array, "*n"]]:
-    """(cell of 0 to count - 1, share of the way through it) of positions in [0, count]."""
+    """(cell from 0 to count - 1, share of the way through it) of positions in [0, count]."""
     cell = jnp.clip(jnp.floor(stop_gradient(position)), 0, count - 1)
     return cell.astype(jnp.int32), position - cell
 
 
 def _columns(u, width: int) -> tuple[Int[Array, "*n"], Int[Array, "*n"], Float[Array, "*n"]]:
-    """(left column, right column, share of the way) of turns around the axis."""
+    """(left column, right column, share of the way between them) at turns around the axis."""
     position = u * width - 0.5
     left = jnp.floor(stop_gradient(position))
     first = jnp.mod(left.astype(jnp.int32), width)
@@ -230,19 +238,22 @@ def _columns(u, width: int) -> tuple[Int[Array, "*n"], Int[Array, "*n"], Float[A
 
 
 def _band_edges(height: int) -> Float[np.ndarray, " H"]:
-    """Cosines of the polar angles of the rows."""
+    """Cosines of the polar angles of the rows of texels, which bound the bands of cells."""
     return np.cos(np.pi * np.arange(height) / (height - 1))
 
 
 def _band_angles(height: int, width: int, dtype) -> Float[Array, " R"]:
-    """Solid angle of a cell in every band."""
+    """Solid angle of one cell of every band."""
     middle = np.pi * (np.arange(height - 1) + 0.5) / (height - 1)
     return jnp.asarray(2 * np.sin(middle) * np.sin(0.5 * np.pi / (height - 1)) * 2 * np.pi / width, dtype)
 
 
 def _extents(corners: Float[Array, "H W"]) -> tuple[Float[Array, "R W"], Float[Array, "R W"]]:
-    """(angles around the cells within which the lowest corner is at least a quarter of the highest of the cell;
-    for every cell the largest of those that go as far as it, or more)."""
+    """(extents, reaches) of the cells, in radians; see `LatLongSampler`.
+
+    Within the extent of a cell all corners are at least a quarter of the cell's highest corner. The reach of a cell is
+    the largest extent of the cells whose extents contain it, or more.
+    """
     height, width = corners.shape
     stacked = jnp.stack([corners[:-1], corners[1:]])
     stacked = jnp.concatenate([stacked, jnp.roll(stacked, -1, axis=2)])
@@ -250,10 +261,10 @@ def _extents(corners: Float[Array, "H W"]) -> tuple[Float[Array, "R W"], Float[A
     step = np.pi / (height - 1)
     middle = (np.arange(height - 1) + 0.5) * step
     polar = np.minimum(middle, np.pi - middle)[:, None]
-    # What is certainly within k cells of a cell: columns are narrower towards the poles.
+    # An angle that is certainly no larger than k cells. Columns are narrower towards the poles.
     extent, reach, k = jnp.full_like(lowest, 0.5) * _texel(polar, width, step), jnp.full_like(lowest, 0.5 * step), 1
     while 2 * k <= min(height - 1, width) // 2:
-        lowest = -_grown(-lowest, max(k // 2, 1))  # over 1, 2, 4, ... cells to all sides
+        lowest = -_grown(-lowest, max(k // 2, 1))  # the minimum over 1, 2, 4, ... cells to all sides
         wide = lowest >= COMPARABLE * highest
         extent = jnp.where(wide, k * _texel(polar - k * step, width, step), extent)
         around = wide
@@ -265,7 +276,7 @@ def _extents(corners: Float[Array, "H W"]) -> tuple[Float[Array, "R W"], Float[A
 
 
 def _doubling(count: int):
-    """Numbers that add up to `count`, none larger than the sum of those before it by more than one."""
+    """Numbers that add up to `count`. Each exceeds the sum of those before it by at most one."""
     total = 0
     while total < count:
         cells = min(total + 1, count - total)
@@ -274,14 +285,15 @@ def _doubling(count: int):
 
 
 def _texel(polar, width: int, step: float):
-    """Smaller side of a cell (radians) at an angle from the nearer pole."""
+    """Smaller side of a cell (radians) whose centre is at the angle `polar` from the nearer pole."""
     return np.minimum(step, 2 * np.pi / width * np.sin(np.maximum(polar, 0.5 * step)))
 
 
 def _grown(table: Shaped[Array, "R W"], cells: int) -> Shaped[Array, "R W"]:
-    """Maximum over what is up to `cells` further away in rows and columns than what the table's is over.
+    """A table of maxima over neighbourhoods that are larger by `cells` rows and columns to all sides.
 
-    Nothing is left out if that was over no less than `cells` - 1 to all sides. Columns go around.
+    The entries of `table` are maxima over their neighbourhoods. Nothing is left out if those go at least `cells` - 1
+    rows and columns to all sides. Columns wrap around.
     """
     down = jnp.pad(table, ((cells, cells), (0, 0)), mode="edge")
     table = jnp.maximum(jnp.maximum(down[: -2 * cells], down[2 * cells :]), table)

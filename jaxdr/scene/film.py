@@ -16,10 +16,11 @@ from jaxtyping import Array, Float
 
 @runtime_checkable
 class ReconstructionFilter(Protocol):
-    """A separable density over film offsets: `radius` and standard deviation `stddev` (pixels), `sample` and `pdf`.
+    """A separable density over film offsets, per square pixel: `sample` draws offsets from `pdf`.
 
-    `smooth`: the derivative of log `pdf` has finite variance, so that first hits can be material points. `tiles`: it is
-    constant on its own pixel and zero elsewhere.
+    - `radius` and standard deviation `stddev`, in pixels.
+    - `smooth`: whether the derivative of log `pdf` has finite variance, so that first hits can be material points.
+    - `tiles`: whether `pdf` is constant on its own pixel and zero elsewhere.
     """
 
     @property
@@ -40,7 +41,7 @@ class ReconstructionFilter(Protocol):
 
 
 class Gaussian(eqx.Module):
-    """Gaussian pixel filter, the default. It is cut at four standard deviations, as in Mitsuba.
+    """Gaussian pixel filter, the default. It is cut off at four standard deviations, as in Mitsuba.
 
     `stddev` is in pixels. Raises ValueError unless it is positive.
     """
@@ -77,7 +78,7 @@ class Gaussian(eqx.Module):
 
 
 class Box(eqx.Module):
-    """Box pixel filter: constant within `radius` pixels; the default 0.5 is one pixel.
+    """Box pixel filter: constant within `radius` pixels. The default, 0.5, covers one pixel.
 
     Raises ValueError unless the radius is positive.
     """
@@ -149,7 +150,7 @@ class Film(eqx.Module):
     """The pixels of an image: `width` x `height`, and the pixel filter.
 
     `crop` = (x0, y0, width, height) renders a window of them. Film points are in pixels, from the top left corner of
-    the uncropped film. Raises ValueError for no pixels, or a window that does not lie inside.
+    the uncropped film. Raises ValueError for a film without pixels, and for a window that does not lie inside.
     """
 
     width: int = eqx.field(static=True)

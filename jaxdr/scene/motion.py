@@ -13,16 +13,16 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 def rounding_step(value: Float[Array, "*n"], speed: float) -> float:
-    """How far to go for a move of four units in the last place of the largest component of `value` (float32).
+    """Step of a motion that changes the largest component of `value` by four units in the last place (float32).
 
-    `speed`: size of the value's derivative. Acceleration structures are kept by their content; after such a step
-    they are built anew, and nothing else changes.
+    `speed` is the size of the value's derivative. Such a step changes no picture. But acceleration structures are
+    cached by the content of the scene, so they are built anew.
     """
     return 4 * EPSILON * float(np.abs(np.asarray(value)).max()) / max(speed, 1e-12)
 
 
 def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Array, "*n"]]:
-    """Scene parameter that a motion changes, its value, and its derivative with respect to the motion.
+    """(name of the scene parameter that a motion changes, its value, its derivative with respect to the motion).
 
     - `<shape>.translate.x|y|z`: world-space translation of the vertices, in scene units;
     - `<shape>.rotate.x|y|z`: right-handed rotation, in radians, about a world axis through the centre of the shape's

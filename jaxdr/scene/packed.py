@@ -1,8 +1,8 @@
-"""A scene as flat tables over all shapes, ready for tracing: one vertex array, one face array, one row a shape.
+"""A scene as flat tables over all shapes, ready for tracing: one vertex array, one face array, one row for each shape.
 
 Packing happens inside the traced function, so every table is a differentiable function of the scene's parameters.
-Only what the scene has is there: one group per kind of BSDF, emitter tables only with emitters, shading normals only
-with smooth shapes, texture coordinates only with textures that use them.
+There are tables only for what the scene has: one group for each kind of BSDF, emitter tables with emitters, shading
+normals with smooth shapes, texture coordinates with textures that use them.
 """
 
 import dataclasses
@@ -30,15 +30,15 @@ from jaxdr.scene.packed_lights import EVENLY, LightGroup, emitter_choice, group_
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
 
-# At how many points the textures of emitters are looked up to choose among their faces: all in all, and the square root
-# of their number on one face.
+# Textures of emitters are looked up at this number of points on all emitting faces together, about. The points of one
+# face are the square of a number between the two others.
 MEAN_POINTS, LEAST_SIDE, MOST_SIDE = 1 << 14, 2, 32
 
 
 class PackedEdges(eqx.Module):
-    """Edges of all shapes; indices refer to the packed vertices and faces, -1 pads.
+    """Edges of all shapes. Indices refer to the packed vertices and faces; -1 is padding.
 
-    `share`: what counts of what jumps at each, see `edge_shares`; None where all of it does.
+    `share`: which share of a jump counts at each edge, see `edge_shares`; None where all of it does at every edge.
     """
 
     vertices: Int[Array, "E 2"]
@@ -49,14 +49,15 @@ class PackedEdges(eqx.Module):
     share: Float[Array, " E"] | None = None
 
     def shared(self, edge: Int[Array, " n"], value: Float[Array, " n"]) -> Float[Array, " n"]:
-        """What counts of values at some edges."""
+        """Values at edges times the share that counts there."""
         return value if self.share is None else value * self.share[edge]
 
 
 class BSDFGroup(eqx.Module):
-    """All BSDFs of one kind, fields stacked; `row` maps a shape to its row (0 for shapes of another kind).
+    """All BSDFs of one kind, with their fields stacked.
 
-    Of one kind are those with the same static fields, and with textures of the same kinds and sizes.
+    BSDFs of one kind have the same static fields, and textures of the same kinds and sizes. `member`: which shapes have
+    a BSDF of this kind. `row`: the row of every shape, 0 for shapes with another kind.
     """
 
     bsdf: BSDF
@@ -64,7 +65,7 @@ class BSDFGroup(eqx.Module):
     member: Bool[Array, " S"]
 
     def at(self, shape: Int[Array, " N"], point: TexturePoint | None) -> BSDF:
-        """The BSDFs of shapes at points of theirs, where they are members: textures are looked up."""
+        """The BSDFs of shapes at points on them, with textures looked up. Only members get their own BSDF."""
         row = self.row[shape]
 
         def at_points(field):
@@ -74,7 +75,7 @@ class BSDFGroup(eqx.Module):
 
 
 class GlowGroup(eqx.Module):
-    """Radiance of shapes by textures of one kind and size, fields stacked; `row` and `member` as of a `BSDFGroup`."""
+    """Radiance textures of one kind and size, with their fields stacked; `row` and `member` are as in `BSDFGroup`."""
 
     texture: Texture
     row: Int[Array, " S"]
@@ -82,7 +83,7 @@ class GlowGroup(eqx.Module):
 
 
 class Triangles(NamedTuple):
-    """N faces: their vertices, unit normals (zero without an area), areas and largest coordinates."""
+    """N faces: vertices, unit normals (zero for a face without area), areas, and largest absolute coordinates."""
 
     a: Float[Array, "N 3"]
     b: Float[Array, "N 3"]
@@ -93,16 +94,18 @@ class Triangles(NamedTuple):
 
 
 class PackedScene(eqx.Module):
-    """Tables over all shapes of a scene. S shapes, V vertices, F faces, L emitting faces.
+    """Tables over all shapes of a scene: S shapes, V vertices, F faces, L emitting faces.
 
-    Faces of shape i are rows `first_face[i]` to `first_face[i + 1]`, its vertices start at `first_vertex[i]`; it has
-    `edge_counts[i]` edges. `uv_faces` is 0 all over faces of shapes whose textures use no UVs. `choice` among the
-    emitters, where there are several, is as `emitter_choice` says. `radiance` is that of emitters without a texture,
-    `glow` of those with one. `emitter_cdf` and `emitter_density` (per area, zero elsewhere) say how emitting faces are
-    chosen, in proportion to their power; `clusters`, of emitters of more than `FEW_FACES` faces, say which matter at a
-    point. `table` has all `Triangles`, `size` is the scene's bounding-box diagonal. With
-    `environment_turns`, directions to the environment turn with it; else they are fixed in the world, and what is seen
-    in them changes.
+    - `first_face[i]` to `first_face[i + 1]` are the faces of shape i. Its vertices start at `first_vertex[i]`, and it
+      has `edge_counts[i]` edges.
+    - `table`: all `Triangles`; `size`: the diagonal of the scene's bounding box.
+    - `uv_faces`: 0 on all faces of shapes that use no UVs.
+    - `radiance`: that of emitters without a texture; `glow`: that of emitters with one.
+    - `emitter_cdf`, `emitter_density` (per area, zero on other faces): how emitting faces are chosen by their power.
+    - `clusters`: which emitting faces matter at a point; None unless there are more than `FEW_FACES` of them.
+    - `choice`: cumulative probabilities of the emitters, see `emitter_choice`; None unless there are several.
+    - `environment_turns`: directions to the environment turn with it. Otherwise they are fixed in the world, and the
+      radiance seen in them changes.
     """
 
     vertices: Float[Array, "V 3"]
@@ -152,17 +155,17 @@ class PackedScene(eqx.Module):
 
     @property
     def has_seams(self) -> bool:
-        """Whether textures of BSDFs may jump at edges inside a mesh."""
+        """Whether textures of BSDFs may be discontinuous at edges inside a mesh."""
         return self.uvs is not None or self.uses_faces
 
     @property
     def uses_slopes(self) -> bool:
-        """Whether any texture has to know the lengths that u and v stand for."""
+        """Whether any texture needs the lengths on the surface that u and v stand for."""
         return any(texture.uses_slopes for _, texture in textures_in(self.bsdfs))
 
     @property
     def tangential(self) -> bool:
-        """Whether any BSDF has to know where u increases."""
+        """Whether any BSDF needs the direction in which u increases."""
         return any(group.bsdf.tangential for group in self.bsdfs)
 
     @property
@@ -177,21 +180,21 @@ class PackedScene(eqx.Module):
 
     @property
     def has_delta_lobes(self) -> bool:
-        """Whether any BSDF scatters light of one direction into one direction."""
+        """Whether any BSDF scatters light of one direction into single directions (delta lobes)."""
         return any(group.bsdf.delta for group in self.bsdfs)
 
     @property
     def spreads_through(self) -> Bool[Array, " S"] | None:
-        """Which shapes scatter light through their surface into more than single directions; None for none."""
+        """Which shapes scatter light through their surface into a range of directions; None if no shape does."""
         members = [group.member for group in self.bsdfs if spreads_through(group.bsdf)]
         return jnp.stack(members).any(0) if members else None
 
     def edges_of(self, shapes: tuple[bool, ...]) -> Int[Array, " E"]:
-        """Numbers of the edges of some shapes."""
+        """Indices of the edges of the chosen shapes."""
         return _rows_of(np.cumsum([0, *self.edge_counts]), shapes)
 
     def faces_of(self, shapes: tuple[bool, ...]) -> tuple[Int[Array, " F"], Callable[[Array], Array]]:
-        """(numbers of the faces of some shapes, function from such numbers to their rows among these)."""
+        """(indices of the faces of the chosen shapes, function from such indices to their rows in this list)."""
         first, counts = np.asarray(self.first_face[:-1]), np.diff(self.first_face) * np.asarray(shapes)
         shift = jnp.asarray(first - np.cumsum([0, *counts])[:-1], jnp.int32)
         return _rows_of(self.first_face, shapes), lambda face: face - shift[self.face_shape[face]]
@@ -208,12 +211,12 @@ class PackedScene(eqx.Module):
         return norm(upper - lower)
 
     def triangles(self, face: Int[Array, " N"]) -> Triangles:
-        """Rows of the table of faces: one look-up brings all that a point on a face depends on."""
+        """Rows of the table of faces. One look-up brings everything that a point on a face depends on."""
         a, b, c, normal, *rest = jax.lax.split(self.table[face], (3, 3, 3, 3, 1, 1), 1)
         return Triangles(a, b, c, normal, *(jax.lax.squeeze(x, (1,)) for x in rest))
 
     def with_vertices(self, vertices: Float[Array, "V 3"]) -> "PackedScene":
-        """The same with all that depends on the vertices; what emitters are chosen by stays."""
+        """The same scene with other vertices and all that depends on them, but with the old choice of emitters."""
         table, size = _face_table(vertices, self.faces), _size(vertices)
         return dataclasses.replace(self, vertices=vertices, table=table, size=size)
 
@@ -222,7 +225,7 @@ class PackedScene(eqx.Module):
         return self.table[:, 9:12]
 
     def turned(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """Directions to the environment, fixed in value, as they turn with it where `environment_turns`."""
+        """The same directions to the environment. With `environment_turns` their derivative turns with it."""
         return transform(self.environment.turn(), direction) if self.environment_turns else direction
 
     @property
@@ -231,7 +234,7 @@ class PackedScene(eqx.Module):
         return self.lights[0].row.shape[0] if self.lights else 0
 
     def texture_point(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"]) -> TexturePoint:
-        """Where textures are looked up, from faces and barycentric coordinates."""
+        """The points, by face and barycentric coordinates, as textures are looked up at them."""
         uv = None
         if self.uvs is not None:
             uv = interpolate(self.uvs[self.uv_faces[face]], on_face)
@@ -242,7 +245,7 @@ class PackedScene(eqx.Module):
         return TexturePoint(uv, on_face, self.faces[face] - first[:, None], of_mesh)
 
     def surface_radiance(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"] | None) -> Float[Array, "N 3"]:
-        """Radiance of emitters at barycentric coordinates (only textures need them), zero on other surfaces."""
+        """Radiance emitted at points of faces, zero where nothing glows. Only textures need barycentric coordinates."""
         shape = self.face_shape[face]
         radiance = jnp.zeros((*face.shape, 3), self.vertices.dtype) if self.radiance is None else self.radiance[shape]
         if self.glow:
@@ -269,13 +272,11 @@ def _size(vertices) -> Float[Array, ""]:
 
 
 def _emitter_tables(packed: PackedScene):
-    """(cumulative probability of choosing each emitting face, density per area on every face, total power, clusters).
+    """(cumulative probabilities of emitting faces, density per area on every face, total power, clusters); detached.
 
-    All of them are detached.
-
-    Proportional to power; to area where all emitters are off, as an optimisation of their radiance may start. With
-    textures some of it always is: the means that they are chosen by see neither every texel nor what a black one may
-    become.
+    Faces are chosen in proportion to power. They are chosen in proportion to area where all emitters are off: an
+    optimisation of their radiance may start there. With textures a part of the choice is always by area. The mean
+    radiance of a face is estimated at a few points, and texels that are black now have a derivative too.
     """
     faces, packed = packed.emitter_faces, stop_gradient(packed)
     assert faces is not None  # asked only where something glows
@@ -304,7 +305,7 @@ def _rows_of(first, shapes: tuple[bool, ...]) -> Int[Array, " n"]:
 
 
 def pack(scene: Scene) -> PackedScene:
-    """Flat tables of a scene; traceable in all its float parameters."""
+    """Flat tables of a scene. All its float parameters may be traced."""
     shapes = list(scene.shapes.values())
     meshes = [shape.mesh for shape in shapes]
     first_vertex = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
@@ -362,14 +363,17 @@ def pack(scene: Scene) -> PackedScene:
 
 
 def _numbered(tables: list[Int[Array, "_ K"]], first) -> Int[Array, "N K"]:
-    """Tables of meshes as one; their indices count on from `first`, -1 stays. Operations don't grow with the meshes."""
+    """Index tables of meshes as one table. The indices of mesh i are shifted by `first[i]`; -1 stays.
+
+    The number of operations does not grow with the number of meshes.
+    """
     joined = jnp.concatenate(tables)
     offset = np.repeat(np.asarray(first[: len(tables)]), [table.shape[0] for table in tables])
     return jnp.where(joined >= 0, joined + jnp.asarray(offset[:, None], joined.dtype), -1)
 
 
 def _normals(meshes):
-    """Shading normals of all smooth meshes and corner indices into them, -1 for flat faces; None when all are flat."""
+    """(shading normals of all smooth meshes, corner indices into them, -1 on flat meshes); None if all are flat."""
     if all(m.normal_faces is None for m in meshes):
         return None, None
     normals, indices, first = [], [], 0
@@ -384,7 +388,7 @@ def _normals(meshes):
 
 
 def _uvs(shapes):
-    """Texture coordinates of the shapes whose textures use them and corner indices into them; None without any."""
+    """(UVs of the shapes that use them, indices of the corners into them); None if no shape uses any."""
     meshes = [shape.mesh for shape in shapes]
     uses = [unwrap(s.bsdf).tangential or any(texture.uses_uv for _, texture in textures_of(s)) for s in shapes]
     if not any(uses):
@@ -420,12 +424,12 @@ def _pack_edges(meshes, first_vertex, first_face) -> PackedEdges:
 
 
 def group_bsdfs(bsdfs: list[BSDF]) -> tuple[BSDFGroup, ...]:
-    """BSDFs of one kind together."""
+    """The BSDFs of the shapes, grouped by kind."""
     return tuple(BSDFGroup(*group) for group in _stacked(bsdfs))
 
 
 def _stacked(models: list) -> Iterator[tuple[Any, Int[Array, " S"], Bool[Array, " S"]]]:
-    """(fields stacked, row, member) of models with the same static structure and sizes; None belongs to no group."""
+    """Groups (stacked fields, row, member) of models of the same static structure and sizes. None is in no group."""
     structures = [m and (jax.tree.structure(m), tuple(map(jnp.shape, jax.tree.leaves(m)))) for m in models]
     for structure in dict.fromkeys(s for s in structures if s is not None):
         members = [i for i, s in enumerate(structures) if s == structure]
@@ -437,7 +441,7 @@ def _stacked(models: list) -> Iterator[tuple[Any, Int[Array, " S"], Bool[Array, 
 
 
 def _constant_radiance(glows: list, dtype) -> Float[Array, "S 3"] | None:
-    """Radiance of shapes whose emitters have no texture, black for the others; None without any."""
+    """Radiance of the shapes whose emitters have no texture, black for other shapes; None if there are none."""
     constant = [None if isinstance(glow, Texture) else glow for glow in glows]
     if all(glow is None for glow in constant):
         return None
@@ -450,7 +454,10 @@ def _group_glow(glows: list) -> tuple[GlowGroup, ...]:
 
 
 def _mean_luminance(packed: PackedScene) -> Float[Array, " L"]:
-    """Of the radiance of emitting faces, from a grid of points on each; detached. Only the noise depends on it."""
+    """Mean luminance of the radiance of emitting faces, from a grid of points on each; detached.
+
+    It only guides the sampling: an error makes noise, not bias.
+    """
     packed = jax.tree.map(stop_gradient, packed)
     faces = packed.emitter_faces
     assert faces is not None
@@ -464,7 +471,7 @@ def _mean_luminance(packed: PackedScene) -> Float[Array, " L"]:
 
 
 def _grid(side: int) -> Float[np.ndarray, "n 3"]:
-    """Barycentric coordinates of the centres of side² triangles that a triangle is cut into."""
+    """Barycentric coordinates of the centres of the side² small triangles that a triangle is cut into."""
     upright = [(i + 1 / 3, j + 1 / 3) for i in range(side) for j in range(side - i)]
     turned = [(i + 2 / 3, j + 2 / 3) for i in range(side) for j in range(side - i - 1)]
     points = np.array(upright + turned) / side
@@ -472,9 +479,9 @@ def _grid(side: int) -> Float[np.ndarray, "n 3"]:
 
 
 def concave_edges(packed: PackedScene) -> Bool[Array, " E"]:
-    """Interior edges that fold towards the side their normals point to, detached.
+    """Interior edges at which the surface folds towards the side that its normals point to, detached.
 
-    Seen from outside a closed opaque surface such an edge never bounds what is visible.
+    Such an edge of a closed opaque surface is never a silhouette, seen from outside.
     """
     vertices, edges = stop_gradient(packed.vertices), packed.edges
     p0, p1 = vertices[edges.vertices[:, 0]], vertices[edges.vertices[:, 1]]

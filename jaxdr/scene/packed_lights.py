@@ -12,11 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.scene.emitters import DirectionSampler
 from jaxdr.scene.lights import DeltaLight
 
-EVENLY = 0.1  # share of the choice that does not depend on power: a light that is off now has a derivative
+EVENLY = 0.1  # share of the choice that does not depend on power: a light that is off now has a derivative too
 
 
 class LightGroup(eqx.Module):
-    """Lights of one kind, fields stacked; or one light alone. `row` maps a light of the scene to its row."""
+    """Lights of one kind, with their fields stacked, or one light alone.
+
+    `member`: which lights of the scene are in it. `row`: the row of every light of the scene, 0 if it is not.
+    """
 
     light: DeltaLight
     row: Int[Array, " D"]
@@ -24,17 +27,17 @@ class LightGroup(eqx.Module):
     stacked: bool = eqx.field(static=True)
 
     def at(self, index: Int[Array, " N"]) -> DeltaLight:
-        """The lights of these numbers, where they are members."""
+        """The lights of these numbers; meaningless for lights that are no members."""
         return jax.tree.map(lambda field: field[self.row[index]], self.light) if self.stacked else self.light
 
     def powers(self, radius: Float[Array, ""]) -> Float[Array, " D"]:
-        """Luminance of their power, zero for lights that are no members."""
+        """Luminance of the power of every light, zero for lights that are no members."""
         power = jax.vmap(lambda light: light.power(radius))(self.light) if self.stacked else self.light.power(radius)
         return jnp.where(self.member, power[self.row] if self.stacked else power, 0.0)
 
 
 def group_lights(lights: list[DeltaLight]) -> tuple[LightGroup, ...]:
-    """Lights of the same static structure are stacked into one group, those with borders or tables are not."""
+    """Groups of the lights. Lights of the same static structure share a group, those with borders or tables do not."""
     stacks = [light.stackable and light.borders() is None for light in lights]
     structures = [jax.tree.structure(light) if stacks[i] else i for i, light in enumerate(lights)]
     groups = []
@@ -56,12 +59,12 @@ def emitter_choice(
     surfaces: Float[Array, ""] | None,
     lights: tuple[LightGroup, ...],
 ) -> Float[Array, " K"]:
-    """Cumulative probabilities of environment, surfaces and lights, as far as there are any, by power. Detached.
+    """Cumulative probabilities, by power, of the environment, the surfaces and each light that there are; detached.
 
     `surfaces` is the area of the emitting surfaces times the luminance of their radiance. Their power is pi times that.
     An environment of mean radiance L counts as pi R^2 L, with R the radius of the scene. The light through the scene's
-    bounding sphere is 4 pi times as much, but most of it meets nothing. With this choice, a sky and a panel of area A
-    at a distance of R / 2 count about alike if they light a surface alike.
+    bounding sphere is 4 pi times as much, but most of it meets nothing. With this choice, a sky and a panel at a
+    distance of R / 2 have about the same probability if they light a surface equally.
     """
     lights = jax.tree.map(stop_gradient, lights)
     radius = 0.5 * size

@@ -1,4 +1,4 @@
-"""Maps from uniform numbers in [0, 1)^2 to directions, disks and triangles, and choices by such numbers."""
+"""Maps from uniform numbers in [0, 1)^2 to directions, disks and triangles; discrete choices by such numbers."""
 
 import math
 
@@ -71,7 +71,7 @@ def choose(
 
 
 def linear(u: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Numbers in [0, 1] of a density that is linear from `start` at 0 to `end` at 1, both positive, by inversion."""
+    """Numbers in [0, 1] with a density that is linear from `start` at 0 to `end` at 1 (both positive), by inversion."""
     root = jnp.sqrt((1.0 - u) * start * start + u * end * end)
     return jnp.minimum(u * (start + end) / (start + root), 1.0)
 
@@ -84,12 +84,12 @@ def linear_number(t: Float[Array, "*n"], start: Float[Array, "*n"], end: Float[A
 def search_sorted_rows(
     cdf: Float[Array, "R K"], row: Int[Array, "*n"], u: Float[Array, "*n"]
 ) -> tuple[Int[Array, "*n"], Float[Array, "*n"]]:
-    """(entries chosen by the cumulative probabilities in these rows, uniform numbers in [0, 1] that are left)."""
+    """(entries chosen by the cumulative probabilities of these rows, uniform numbers in [0, 1] that are left)."""
     count, flat = cdf.shape[1], cdf.reshape(-1)
     first = row * count
 
     def halve(_, bounds):
-        # The entry is the number of those whose cumulative probability is not above u: in [low, high).
+        # The entry is the number of cumulative probabilities that are not above u. It lies in [low, high].
         low, high = bounds
         middle = (low + high) // 2
         above = flat[first + middle] > u
@@ -105,7 +105,7 @@ def search_sorted_rows(
 def number_in_rows(
     cdf: Float[Array, "R K"], row: Int[Array, "*n"], entry: Int[Array, "*n"], left: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """The number for which `search_sorted_rows` chooses an entry and leaves a number."""
+    """The number for which `search_sorted_rows` chooses `entry` and leaves the number `left`."""
     flat, index = cdf.reshape(-1), row * cdf.shape[1] + entry
     before = jnp.where(entry > 0, flat[index - 1], 0.0)
     return before + left * (flat[index] - before)

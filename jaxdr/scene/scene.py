@@ -23,10 +23,10 @@ class Shape(eqx.Module):
     """A mesh with its material and, if it glows, its emitter.
 
     - `mesh`: a `Mesh`.
-    - `bsdf`: how it scatters light; by default grey `Diffuse`.
+    - `bsdf`: how the surface scatters light; by default grey `Diffuse`.
     - `emitter`: an `AreaEmitter`, or None.
 
-    Raises ValueError for objects of another kind.
+    Raises ValueError if one of them is of another type.
     """
 
     mesh: Mesh
@@ -53,9 +53,9 @@ class Scene(eqx.Module):
     - `environment`: light from infinitely far away, or None for black.
     - `lights`: lights without area, by id.
 
-    Ids begin the names of `parameters`. Raises ValueError for an id that is empty, has a dot, is `camera` or
-    `environment`, or names both a shape and a light. Raises ValueError for textures that do not fit the mesh of their
-    shape.
+    Names of `parameters` begin with an id. Raises ValueError for a scene without shapes, for an id that is empty, has a
+    dot, is `camera` or `environment`, or names both a shape and a light, and for textures that do not fit the mesh of
+    their shape.
     """
 
     shapes: dict[str, Shape] = eqx.field(converter=_sorted_by_id)
@@ -144,18 +144,18 @@ def _float_fields(module: eqx.Module) -> list[str]:
 
 
 def textures_of(shape: Shape) -> list[tuple[str, Texture]]:
-    """All textures of a shape, with the names of their parameters after the shape's."""
+    """All textures of a shape, each with the name of its field below the shape, such as `bsdf.reflectance`."""
     bsdf = [(f"bsdf.{field}", texture) for field, texture in textures_in(unwrap(shape.bsdf))]
     return bsdf + [(f"emitter.{field}", texture) for field, texture in textures_in(shape.emitter)]
 
 
 def _check_textures(name: str, shape: Shape) -> None:
-    """Raise ValueError for a shape whose mesh has not what its textures need."""
+    """Raises ValueError for a shape whose mesh lacks what its textures need."""
     mesh, bsdf = shape.mesh, unwrap(shape.bsdf)
     if bsdf.tangential and mesh.uvs is None:
         raise ValueError(
-            f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs "
-            "that tell their axes"
+            f"Scene: {name}.bsdf has a normal map, a bump map or two roughnesses, and the mesh of {name!r} has no uvs, "
+            "which define their axes"
         )
     for field, texture in [(field, part) for field, whole in textures_of(shape) for part in whole.parts]:
         owner = f"Scene: {name}.{field}, a {type(texture).__name__},"

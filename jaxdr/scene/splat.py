@@ -1,4 +1,4 @@
-"""Adding values at arbitrary film points to the pixels whose reconstruction filter covers them."""
+"""Splatting: values at arbitrary film points are added to the pixels whose reconstruction filter covers them."""
 
 import math
 
@@ -13,9 +13,9 @@ from jaxdr.scene.film import Film
 def splat(
     film: Film, points: Float[Array, "n 2"], values: Float[Array, "n 3"], moving: bool = False
 ) -> Float[Array, "H W 3"]:
-    """Image of the rendered window: each value weighted with the filter density around its point.
+    """Image of the rendered window: each value is weighted with the filter density (per square pixel) around its point.
 
-    The points are detached unless `moving`; which pixels they reach always is.
+    The points are detached unless `moving`. The choice of the pixels that they reach is always detached.
     """
     x0, y0, width, height = film.window
     points = points if moving else stop_gradient(points)

@@ -19,7 +19,7 @@ from jaxdr.transport.connections import (
     with_emitters,
 )
 from jaxdr.transport.emission import EmitterSample, sample_emitter
-from jaxdr.transport.primary import PrimarySamples, primary_samples
+from jaxdr.transport.primary import Form, PrimarySamples, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.subpaths import Subpath, camera_start, light_start, trace_on
 
@@ -35,10 +35,10 @@ class BidirectionalSettings(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """What N pairs of subpaths are made of.
+    """Everything that was drawn for N pairs of subpaths.
 
-    - Vertices x_1, x_2, ... from the camera [B, N] and from emitters [I, N].
-    - `start`: the emitter samples [N] from which the latter begin.
+    - `camera`, `light`: vertices x_1, x_2, ... from the camera [B, N] and from emitters [I, N].
+    - `start`: the emitter samples [N] from which the subpaths `light` begin.
     - `direct`: the emitter samples [I, N] that the first I vertices from the camera are joined with.
     - `lens`: uniform numbers of lens points [I, N, 2]; None without an aperture.
     """
@@ -51,11 +51,11 @@ class Drawn(NamedTuple):
 
 
 class Strategies(NamedTuple):
-    """What N pairs of subpaths contribute by each strategy, [C, N, ...]; weights are detached.
+    """Contributions of N pairs of subpaths by each strategy, [C, N, ...]; weights are detached.
 
-    `names` are (s, t). The first strategies contribute to the pixel of the subpath itself. The last
-    `film_points.shape[0]` ones have t = 1. They contribute to the film around `film_points`, per square pixel, as if
-    every pixel had one such path. `drawn` is None where no vertices are joined.
+    `names` are (s, t). The first strategies contribute to the subpath's own pixel. The last `film_points.shape[0]`
+    strategies have t = 1. They contribute to the film around `film_points`, per square pixel, as if every pixel had one
+    such path. `drawn` is None if no vertices are joined.
     """
 
     names: tuple[tuple[int, int], ...]
@@ -67,9 +67,9 @@ class Strategies(NamedTuple):
     def image(
         self, film: Film, values: Float[Array, "C N 3"], share: Float[Array, " n"], moving: bool
     ) -> Float[Array, "H W 3"]:
-        """Image of `values` by every strategy; `share` is what the samples of a pixel count, in a row in N.
+        """Image of `values` of all strategies. `share`: weights of the samples of a pixel, which are in a row in N.
 
-        The film points of t = 1 are differentiated where `moving`.
+        The film points of t = 1 are differentiated if `moving`.
         """
         _, _, width, height = film.window
         pixels = width * height
@@ -90,14 +90,14 @@ def bidirectional_paths(
     settings: BidirectionalSettings,
     moving: bool,
 ) -> tuple[PrimarySamples, Strategies]:
-    """First hits of the samples numbered `samples` of every pixel, and what paths through them contribute.
+    """First hits of the samples numbered `samples` of every pixel, and the contributions of paths through them.
 
-    `moving`: surfaces or the camera move relative to each other in the derivative that is taken. First hits then are
-    material points and the pixel filter is differentiated.
+    `moving`: in the derivative, surfaces move relative to the camera. Then first hits are material points, and the
+    pixel filter is differentiated.
     """
     _, _, width, height = packed.camera.film.window
     pixels = width * height
-    primary = primary_samples(packed, samples, key, settings.rays, "material" if moving else "fixed")
+    primary = primary_samples(packed, samples, key, settings.rays, Form.MATERIAL if moving else Form.FIXED)
     number = (jnp.arange(pixels)[:, None] + samples[None] * pixels).reshape(-1)
     light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)[0]
     return primary, strategies(packed, primary, light, chunk_key, settings)
@@ -110,16 +110,16 @@ def strategies(
     key: PRNGKeyArray,
     settings: BidirectionalSettings,
 ) -> Strategies:
-    """Every strategy for pairs of a camera subpath, from a first hit, and a subpath from an emitter, by numbers `u`.
+    """Every strategy for pairs of a camera subpath, from a first hit, and a subpath from an emitter, from numbers `u`.
 
-    Shadow rays of all connections are cast at once: (depth - 1) (depth + 2) / 2 a pair, beside 2 depth - 1 rays of the
-    subpaths.
+    Shadow rays of all connections are cast at once: (depth - 1) (depth + 2) / 2 for each pair. The subpaths themselves
+    need 2 depth - 1 rays.
     """
     depth, power, rays = settings.max_depth, settings.power, settings.rays
     paths, dtype = u.shape[0], u.dtype
     keys = jax.random.split(key, 5)
     start = camera_start(packed, primary)
-    # Only surfaces and the environment can be met: else the last vertex would be for nothing.
+    # Paths can only meet surfaces and the environment. If these emit nothing, the last vertex is not needed.
     met = packed.has_area_emitters or packed.environment is not None
     bounces = max(depth - 1 if met else depth - 2, 0)
     steps = uniform(keys[0], (bounces, paths, 2), dtype)
@@ -164,12 +164,12 @@ def strategies(
 
 
 def joined_vertices(inner: int) -> list[tuple[int, int]]:
-    """(i, j) for which x_1 + i from the camera is joined with x_1 + j from emitters, `inner` the most of either."""
+    """(i, j) for which vertex 1 + i from the camera is joined with vertex 1 + j from emitters, both below `inner`."""
     return [(i, j) for i in range(inner) for j in range(inner - 1 - i)]
 
 
 def _visible(packed: PackedScene, joined: Connections, rays: str) -> Bool[Array, " C"]:
-    """Which connections of those that carry something nothing lies in the way of."""
+    """Which connections carry light and are not blocked."""
     carries = (joined.value != 0).any(-1)
     reach = jnp.where(carries, 1.0, 0.0).astype(joined.value.dtype)
     offset = joined.end - joined.start

@@ -1,13 +1,13 @@
-"""Rows that count, gathered in front."""
+"""Compaction: the numbers of the rows that count, moved to the front."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 
 def rows_where(mask: Bool[Array, " n"], size: int | None = None, fill_value: int = 0) -> Int[Array, " size"]:
-    """Numbers of the rows where `mask`, in order, then `fill_value`; those beyond `size` (n by default) are left out.
+    """Numbers of the rows where `mask` is true, in order, then `fill_value`. At most `size` (default n) are kept.
 
-    As `jnp.nonzero`, with one running sum in place of two: XLA compiles each as a tree of small kernels.
+    It is like `jnp.nonzero` but with one running sum instead of two. XLA compiles each sum to a tree of small kernels.
     """
     size = mask.shape[0] if size is None else size
     place = jnp.where(mask, jnp.cumsum(mask, dtype=jnp.int32) - 1, size)

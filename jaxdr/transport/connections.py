@@ -1,8 +1,8 @@
-"""Connections of subpaths: what each strategy (s, t) of bidirectional path tracing contributes, and its weight.
+"""Connections of subpaths: contribution and weight of each strategy (s, t) of bidirectional path tracing.
 
 s vertices come from an emitter, t from the camera (Veach 1997, chapter 10). s = 0: a camera subpath meets an emitter.
-s = 1: a vertex is joined with an emitter sample drawn for it. t = 1: a vertex is joined with the lens, and seen by any
-pixel. Paths of one segment, emitters seen directly, are found by the camera alone: lights without area are not seen.
+s = 1: a vertex is joined with an emitter sample drawn for it. t = 1: a vertex is joined with the lens, and any pixel
+may see it. Only camera subpaths find emitters that the camera sees directly. It does not see lights without area.
 """
 
 from typing import NamedTuple
@@ -30,8 +30,8 @@ from jaxdr.transport.subpaths import LARGEST, Subpath, quotient, relative_densit
 class Connections(NamedTuple):
     """C connections of N pairs of subpaths, in a row.
 
-    `value`: what the path contributes over its density, visible or not; `weight` is that of the strategy, detached.
-    Visible if nothing lies between `start` and `end`, both off their surfaces.
+    `value`: contribution of the path over its density, whether it is visible or not. `weight`: of the strategy,
+    detached. The connection is visible if nothing lies between `start` and `end`, which are just off their surfaces.
     """
 
     value: Float[Array, "C 3"]
@@ -48,7 +48,7 @@ class Ends(NamedTuple):
     paths: int
 
     def rows(self, numbers: list[int], wi: Float[Array, "M 3"] | None = None) -> "Ends":
-        """Those of the vertices x_1 + `numbers`, [M], M = len(numbers) * N; seen from `wi` instead of `back`."""
+        """The vertices 1 + `numbers`, [M], M = len(numbers) * N; seen from `wi`, if given, instead of `back`."""
 
         def pick(a):
             return jnp.concatenate([a[i * self.paths : (i + 1) * self.paths] for i in numbers])
@@ -66,7 +66,7 @@ def ends(packed: PackedScene, subpath: Subpath, count: int) -> Ends:
 def found_emission(
     packed: PackedScene, camera: Subpath, power: int
 ) -> tuple[Float[Array, "B N 3"], Float[Array, "B N"]]:
-    """s = 0: (what emitters contribute that camera subpaths meet at x_1, x_2, ..., weights of the strategy)."""
+    """s = 0: (contributions of emitters that camera subpaths meet at x_1, x_2, ..., weights of the strategy)."""
     bounces, paths = camera.density.shape
     vertex = camera.vertices(bounces)
     value = vertex.throughput * emitted(packed, vertex.point, vertex.back)
@@ -120,7 +120,7 @@ def with_each_other(seen: Ends, lit: Ends, power: int) -> Connections:
     towards = normalize(offset)
     distance2 = jnp.maximum(dot(offset, offset), 1e-30)
     at_camera, at_light = (jnp.abs(dot(v.point.normal, towards)) for v in (z, y))
-    # Both surfaces seen from both sides: each towards its previous vertex and towards the other end.
+    # Both BSDFs in both directions: each surface is seen from its previous vertex and from the other end.
     z_onwards, y_onwards = seen.scatterer.seen_from(towards), lit.scatterer.seen_from(-towards)
     value = seen.scatterer.eval(towards) * y_onwards.eval(y.back) * (at_light / distance2)[:, None]
     value = jnp.where((z.point.valid & y.point.valid)[:, None], z.throughput * value * y.throughput, 0.0)

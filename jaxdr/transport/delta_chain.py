@@ -1,7 +1,7 @@
-"""Chains of delta lobes: what a ray does between the camera and the first surface that spreads light.
+"""Chains of delta lobes: the rays from the camera to the first surface that spreads light.
 
-Given the film point and the random numbers that choose lobes, mirrors and smooth glass continue a ray without any
-freedom. So every segment of the chain is a differentiable function of the film point and of the scene.
+Mirrors and smooth glass continue a ray in a way that the film point and the random numbers for lobes determine. So
+every segment of the chain is a differentiable function of the film point and of the scene.
 """
 
 from typing import NamedTuple
@@ -19,10 +19,10 @@ from jaxdr.transport.shading import Scatterer
 
 
 class ChainSegments(NamedTuple):
-    """B segments of N chains, the camera's first; only `reached` ones mean anything.
+    """B segments of N chains, the camera's first; only `reached` segments exist.
 
-    From `origin` in the unit `direction`, both differentiable, to what they hit: its `face`, -1 for none, at `distance`
-    (scene units, infinite for none).
+    A segment goes from `origin` along the unit `direction`, both differentiable. It hits `face` (-1 on a miss) at
+    `distance` (scene units, infinite on a miss).
     """
 
     origin: Float[Array, "B N 3"]
@@ -42,8 +42,8 @@ def delta_chain(
 ) -> ChainSegments:
     """The first B segments of paths from film points, as far as lobes are delta lobes.
 
-    `u` are the numbers of all bounces, as `trace_paths` uses them. With `faces`, the hits of a chain that was traced
-    before, nothing is traced: the chain as it goes over these faces.
+    `u` are the numbers of all bounces, as `trace_paths` uses them. `faces` are the hits of a chain that was traced
+    before: with them nothing is traced, and the chain goes over these faces.
     """
     origin, direction = view.rays(film_points)
     origin = jnp.broadcast_to(origin, direction.shape)

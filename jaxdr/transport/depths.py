@@ -1,4 +1,4 @@
-"""What a path tracer gathers, apart by the length of the paths."""
+"""The radiance that a path tracer gathers, by the length of the paths."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray

@@ -1,4 +1,4 @@
-"""Emitters of a packed scene: drawn by power, found by rays, and what they send."""
+"""Emitters of a packed scene: sampling, densities and radiance."""
 
 from typing import NamedTuple
 
@@ -14,12 +14,11 @@ from jaxdr.transport.interaction import SurfacePoint, material_point
 
 
 class EmitterSample(NamedTuple):
-    """Points on emitters (or directions to the environment, see `PackedScene.turned`) with their densities.
+    """Points on emitters, or directions to the environment (see `PackedScene.turned`), with their densities.
 
     `pdf` is per area at `point`, or per solid angle where `infinite`; detached. `direction` is set where `infinite`.
-    `light` is the number of the light without area that was chosen, -1 for other emitters, None where the scene has
-    none; `pdf` is a probability there, `point` has nothing but a position, and the radiance is that of
-    `radiance_towards`.
+    `light` is the number of the chosen light without area, -1 for other emitters; None if the scene has no such lights.
+    For these lights `pdf` is a probability, `point` has only a position, and `radiance_towards` gives their intensity.
     """
 
     point: SurfacePoint
@@ -31,21 +30,21 @@ class EmitterSample(NamedTuple):
 
     @property
     def is_delta(self) -> Bool[Array, " N"] | None:
-        """Whether it is on a light without area; None where the scene has none."""
+        """Whether samples are lights without area; None if the scene has none."""
         return None if self.light is None else self.light >= 0
 
     def direction_from(self, position: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """Unit directions to them from points of the scene."""
+        """Unit directions to the samples from points of the scene."""
         return jnp.where(self.infinite[:, None], self.direction, normalize(self.point.position - position))
 
     def shines_on(self, towards: Float[Array, "N 3"]) -> Bool[Array, " N"]:
-        """Whether they glow, as seen along `towards` (of any length); lights without area do not."""
+        """Whether samples emit light against `towards` (of any length); False for lights without area."""
         glows = self.infinite | (dot(self.point.normal, towards) < 0)
         return glows if self.is_delta is None else glows & ~self.is_delta
 
 
 class Shares(NamedTuple):
-    """Probabilities of choosing the environment, surfaces, and any of the lights; plain numbers without a choice."""
+    """Probabilities of choosing the environment, surfaces, and each light; plain numbers if there is one kind only."""
 
     environment: Float[Array, ""] | float
     surfaces: Float[Array, ""] | float
@@ -53,7 +52,7 @@ class Shares(NamedTuple):
 
 
 def emitter_shares(packed: PackedScene) -> Shares:
-    """With which probabilities emitters are chosen."""
+    """The probabilities with which emitters are chosen."""
     if packed.choice is None:
         environment = 0.0 if packed.environment is None else 1.0
         return Shares(environment, 1.0 - environment, 1.0)
@@ -84,9 +83,9 @@ def surface_radiance(packed: PackedScene, point: SurfacePoint) -> Float[Array, "
 def sample_emitter(
     packed: PackedScene, u: Float[Array, "N 2"], apex: Float[Array, "N 3"] | None = None
 ) -> EmitterSample:
-    """Material points on emitters, directions to the environment, lights without area: chosen by power.
+    """Material points on emitters, directions to the environment, or lights without area, chosen by power.
 
-    With `apex`, the positions that are lit, clusters of emitting faces are chosen by what they may send there.
+    With `apex`, the positions that are lit, clusters of emitting faces are chosen by the light they may send there.
     """
     n, dtype = u.shape[0], u.dtype
     shares = emitter_shares(packed)
@@ -117,7 +116,7 @@ def sample_emitter(
 
 
 def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shares) -> EmitterSample:
-    """Samples with the chosen lights in place of what they have now."""
+    """Samples, replaced by lights without area where `light` chooses one."""
     chosen = light >= 0
     number = jnp.maximum(light, 0)
     position, direction, infinite = sample.point.position, sample.direction, sample.infinite & ~chosen
@@ -142,7 +141,7 @@ def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shar
 
 
 def radiance_towards(packed: PackedScene, sample: EmitterSample, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-    """Radiance of samples, of lights without area their intensity; `towards` them from where it arrives, unit."""
+    """Radiance of samples, or intensity of lights without area; `towards`: unit directions to them."""
     if sample.light is None:
         return sample.radiance
     intensity = light_intensity(packed, jnp.maximum(sample.light, 0), -towards)
@@ -173,9 +172,9 @@ def light_intensity(
 def sample_emitting_surface(
     packed: PackedScene, u: Float[Array, "N 2"], apex: Float[Array, "N 3"] | None = None
 ) -> tuple[SurfacePoint, Float[Array, " N"]]:
-    """(material points on area emitters, proportional to power, and their densities, per area, detached).
+    """(material points on area emitters, their densities): in proportion to power. Densities are per area, detached.
 
-    With `apex` by clusters of emitting faces, where the scene has any: see `EmitterClusters`.
+    With `apex`, clusters of emitting faces are used if the scene has any; see `EmitterClusters`.
     """
     if apex is not None and packed.clusters is not None:
         face, left = packed.clusters.sample(stop_gradient(apex), u[:, 0])

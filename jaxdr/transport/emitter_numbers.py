@@ -12,9 +12,9 @@ from jaxdr.transport.interaction import SurfacePoint
 def emitter_numbers(
     packed: PackedScene, point: SurfacePoint, direction: Float[Array, "N 3"]
 ) -> tuple[Float[Array, "N 2"], Bool[Array, " N"]]:
-    """(numbers from which `sample_emitter` draws `point`, or on a miss `direction`; whether there are any). Detached.
+    """(numbers from which `sample_emitter` draws `point`, or on a miss `direction`; whether they exist). Detached.
 
-    There are none for surfaces that do not glow.
+    They do not exist for surfaces that emit no light.
     """
     u, found = jnp.zeros_like(direction[:, :2]), jnp.zeros_like(point.valid)
     environment = packed.environment_sampler is not None

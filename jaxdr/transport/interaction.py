@@ -13,17 +13,18 @@ from jaxdr.geometry.vector import components, cross, dot, from_components, inter
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene, Triangles
 
-# Ray origins leave the surface by this share of the largest coordinate involved: some 32 float32 roundings.
+# Ray origins leave the surface by this share of the largest coordinate: about 32 float32 roundings.
 OFFSET = 4e-6
 
 
 class SurfacePoint(NamedTuple):
-    """N points on the scene's surfaces; only `valid` ones mean anything (the others sit on face 0).
+    """N points on the scene's surfaces; only `valid` points count (the others are on face 0).
 
-    `normal` is the unit geometric normal (orientation of the face), `shading_normal` the interpolated one, `area` the
-    area of the face, all differentiable; `barycentric`, `face` and `scale`, the largest coordinate that the position
-    was computed from, are detached. `on_face` are the barycentric coordinates as they change where the point slides
-    over its face, differentiable; None in scenes without textures.
+    - `position`; `normal`: unit geometric normal, with the face's orientation; `shading_normal`: interpolated normal;
+      `area`: of the face. All are differentiable.
+    - `face`, `barycentric`, `scale` (the largest coordinate from which the position was computed): detached.
+    - `on_face`: barycentric coordinates that change as the point slides over its face, differentiable; None in scenes
+      without textures.
     """
 
     valid: Bool[Array, " N"]
@@ -81,7 +82,7 @@ def on_fixed_ray(
 ) -> SurfacePoint:
     """Where rays meet the moving planes of their faces: the points slide over the surface (fixed camera ray).
 
-    `face` is -1 for a miss. `barycentric`: coordinates of the hits, where they are known.
+    `face` is -1 for a miss. `barycentric`: coordinates of the hits, if known.
     """
     valid = face >= 0
     face = jnp.where(valid, face, 0)
@@ -91,7 +92,7 @@ def on_fixed_ray(
     position = origin + scale(direction, t)
     if packed.textured or packed.normals is not None:
         barycentric = _barycentric(triangle, position)
-    elif barycentric is None:  # nothing depends on where on its face a point is
+    elif barycentric is None:  # no derivative depends on the place of a point on its face
         barycentric = _barycentric(*stop_gradient((triangle, position)))
     largest = jnp.maximum(triangle.largest, _largest(origin))
     return _surface_point(packed, valid, face, barycentric, position, triangle, largest)
@@ -119,7 +120,7 @@ def material_hit(packed: PackedScene, hit: queries.Hit) -> SurfacePoint:
 
 
 def displaced(packed: PackedScene, point: SurfacePoint, moved: Float[Array, "N 3"]) -> SurfacePoint:
-    """Points `moved` within the planes of their faces; shading normals and textures from as far as the faces reach."""
+    """Points `moved` within the planes of their faces. Outside a face, shading normal and texture are its border's."""
     triangle = packed.triangles(point.face)
     rate = _barycentric(triangle, triangle.a + moved) - jnp.asarray([1.0, 0.0, 0.0], moved.dtype)
     barycentric = _inside(point.barycentric + rate)

@@ -1,8 +1,8 @@
-"""Keys inside of a rendering: JAX keys whose generator is a hash of four words.
+"""Keys inside a rendering: JAX keys whose generator is a hash of four words.
 
-A program derives some fifty keys. With JAX's default generator, Threefry, each derivation is a loop of its own on CPUs,
-a third of all kernels to compile. Inside of a rendering keys are those of the hash pcg4d; `jax.random` works on them as
-on all keys.
+A program derives dozens of keys. JAX's default generator, Threefry, compiles each derivation to a loop on CPUs, which
+makes up a large part of all kernels. So inside a rendering the keys use the hash pcg4d. `jax.random` accepts them like
+all keys.
 """
 
 from typing import Any
@@ -14,12 +14,12 @@ from jaxtyping import Array, PRNGKeyArray, UInt32
 
 WORDS = 4
 NAME = "jaxdr_pcg4d"
-# What numbers are for: other words for every purpose.
+# Purposes of derived words: each has a different constant.
 _BITS, _SPLIT, _FOLD_IN = 0x00000000, 0x9E3779B9, 0x85EBCA6B
 
 
 def inner_key(key: PRNGKeyArray) -> PRNGKeyArray:
-    """The key of a rendering, made of any JAX key by 128 of its random bits; keys made here stay as they are."""
+    """The key of a rendering, from 128 random bits of any JAX key. Keys made here stay as they are."""
     if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and jax.random.key_impl(key) == pcg4d:
         return key
     return jax.random.wrap_key_data(jax.random.bits(key, (WORDS,), jnp.uint32), impl=pcg4d)
@@ -31,7 +31,7 @@ def fixed_key(seed: int) -> PRNGKeyArray:
 
 
 def hashed(words: list[UInt32[Array, "*#n"]]) -> list[UInt32[Array, "*n"]]:
-    """Four words of four: pcg4d of Jarzynski and Olano 2020, "Hash functions for GPU rendering"."""
+    """Hash four words to four words: pcg4d of Jarzynski and Olano 2020, "Hash functions for GPU rendering"."""
     words = [word * jnp.uint32(1664525) + jnp.uint32(1013904223) for word in words]
     return _mixed([word ^ (word >> 16) for word in _mixed(words)])
 
@@ -55,9 +55,9 @@ def _drawn(key: UInt32[Array, " 4"], number: UInt32[Array, "*n"], purpose: int) 
 def _derived(key: UInt32[Array, " 4"], number: UInt32[Array, "*n"], purpose: int) -> UInt32[Array, "*n 4"]:
     """A key for each number.
 
-    The remainder changes one word in 65,536. XLA takes a division by an unknown number for expensive: it makes a kernel
-    of what ends with one. Chains of cheap operations it computes again in every kernel that uses them, and the chain of
-    a key's ancestors doubles with each of them.
+    The remainder changes one word in 65,536. It is there for XLA, which repeats chains of cheap operations in every
+    kernel that uses their result: the chain of a key's ancestors would double with each ancestor. XLA takes a division
+    by an unknown number for expensive, so it ends a kernel here and keeps the result.
     """
     words = _drawn(key, number, purpose)
     return jax.lax.rem(words, words | jnp.uint32(0xFFFF0000))

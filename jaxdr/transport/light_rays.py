@@ -1,7 +1,7 @@
 """The emitters' end of paths: rays that leave emitters, and their densities.
 
-Rays leave surfaces by the cosine law, and lights without area as their kind says. From infinitely far away they come
-through a disk across the direction, which covers the scene.
+Rays leave surfaces by the cosine law, and lights without area as their class says. From infinitely far away they come
+through a disk that is perpendicular to the direction and covers the scene.
 """
 
 import math
@@ -17,11 +17,11 @@ from jaxdr.scene.sampling import cosine_hemisphere, uniform_disk
 from jaxdr.transport.emission import EmitterSample
 from jaxdr.transport.interaction import SurfacePoint, leave
 
-MARGIN = 1e-4  # of the disk beyond what covers the scene: rounding must not leave its outermost corners in the dark
+MARGIN = 1e-4  # the disk is larger than needed by this share, so that rounding does not darken the scene's corners
 
 
 class LightRays(NamedTuple):
-    """Rays that leave emitters, detached: `start` just off them, unit `direction`.
+    """Rays that leave emitters, detached: `start` just off the emitter, unit `direction`.
 
     `pdf` is per solid angle, or per area across the direction where the emitter is infinitely far away.
     """
@@ -90,7 +90,7 @@ def _finite_lights(packed: PackedScene, sample: EmitterSample):
     """(numbers of the lights, which samples are on one of the group, group) for lights without area at a point."""
     for group in packed.lights:
         if not group.light.infinite:
-            assert sample.light is not None  # there wherever the scene has such lights
+            assert sample.light is not None  # set if the scene has such lights
             number = jnp.maximum(sample.light, 0)
             here: Bool[Array, " N"] = (sample.light >= 0) & group.member[number]
             yield number, here, group

@@ -1,20 +1,21 @@
 """Light that a narrow lobe sends to a surface: its derivative from antithetic pairs of points.
 
-A point x sees a glossy surface at y, which reflects an emitter at z: a caustic. Where x moves, the half vector at y
-turns by dx / |x - y|, and a lobe of width alpha changes by that over alpha. It rises on one side of the lobe and falls
-on the other, so the derivative is small; but paths find one side at a time, and the noise goes as one over alpha. So
-every y is taken together with its mirror image y' = 2 m - y in the plane of its face, m being where a mirror would show
-z to x. With F the contribution and q the density with which all samplers together find (y, z), per area squared,
+A point x sees a glossy surface at y, which reflects an emitter at z: a caustic. If x moves by dx, the half vector at y
+turns by dx / |x - y|. A lobe of width alpha changes by this angle over alpha. The change is positive on one side of the
+lobe and negative on the other, so the derivative is small. But a path finds one side only, so the noise grows like
+1 / alpha. Here every y is paired with its mirror image y' = 2 m - y in the plane of its face; m is where a mirror would
+show z to x. Let F be the contribution, and q the density with which all samplers together find (y, z), per area
+squared. Then
 
     [ dF(y, z) + dF(y', z) ] / [ q(y, z) + q(y', z) ]
 
-takes the place of dF(y, z) / q(y, z): antithetic sampling (Zhang et al. 2021, "Antithetic sampling for Monte Carlo
-differentiable rendering"), of positions, so that points stay material points and boundary terms what they are.
+replaces dF(y, z) / q(y, z). This is antithetic sampling of positions (Zhang et al. 2021, "Antithetic sampling for Monte
+Carlo differentiable rendering"). Points stay material points, so boundary terms do not change.
 
-Why it has no bias: m depends on x, z and the plane alone. So for every z the map from y to y' is its own inverse and
-keeps areas. S = dF + dF' is the same at both, so that the integral of q S / (q + q') is half that of S: that of dF. All
-that decides whether a point is in a pair is the same at y and y'. The others stay alone: those whose image x does not
-see, or which lies on no surface in the same plane with a narrow lobe.
+It has no bias: m depends on x, z and the plane only. So for every z the map from y to y' is its own inverse and keeps
+areas. S = dF + dF' is the same at y and y'. So the integral of q S / (q + q') is half the integral of S, which is the
+integral of dF. Whether a point is in a pair is decided alike at y and y'. A point has no partner if x does not see its
+image, or if the image is on no surface in the same plane with a narrow lobe.
 """
 
 from typing import NamedTuple
@@ -38,9 +39,9 @@ FLAT = 1e-5  # sine of the angle between faces, and distance from the plane as a
 
 
 class Previous(NamedTuple):
-    """The vertices x that N paths came from, and whether they left by a lobe that spreads, not by a delta lobe.
+    """The previous vertices x of N paths, and whether the paths left them by a lobe that is no delta lobe (`spread`).
 
-    `seen` and `apart`: of vertices that have two forms, as `scatter` takes them.
+    `seen` and `apart` are for vertices that have two forms, as in `scatter`.
     """
 
     vertex: Vertex
@@ -50,10 +51,11 @@ class Previous(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """Emitters z that N vertices may be lit by: points, or directions where `infinite`.
+    """Emitters z that may light N vertices: points, or directions where `infinite`.
 
-    `drawn`: whether there is one. `visible`: whether it sends light to the vertex, which scatters some. `light`:
-    numbers of lights without area, -1 for others, None in scenes without.
+    - `drawn`: whether there is one.
+    - `visible`: whether its light reaches the vertex and is scattered there.
+    - `light`: number of the light without area, -1 for other emitters; None if the scene has no such lights.
     """
 
     point: SurfacePoint
@@ -65,12 +67,12 @@ class Ends(NamedTuple):
 
     @property
     def is_delta(self) -> Bool[Array, " N"] | None:
-        """Whether lights have no area."""
+        """Whether emitters are lights without area; None if the scene has none."""
         return None if self.light is None else self.light >= 0
 
 
 def has_pairs(packed: PackedScene) -> bool:
-    """Whether any surface may have a narrow lobe that is no delta lobe."""
+    """Whether any surface may have a narrow lobe, apart from delta lobes."""
     return any(has_lobe(group.bsdf) for group in packed.bsdfs)
 
 
@@ -84,7 +86,7 @@ def pair_derivatives(
     mis: bool,
     rays: str,
 ) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
-    """Light by emitter sampling, emission found by BSDF sampling: the same values, with the derivatives of pairs.
+    """(`light` of emitter sampling, `emission` of BSDF sampling): the same values, with the derivatives of pairs.
 
     `scatterer`: the BSDFs at the vertices `at`, which are the y of the pairs.
     """
@@ -118,7 +120,7 @@ def pair_derivatives(
 def _images(
     packed: PackedScene, previous: Previous, before: Scatterer, own: Scatterer, ends: Ends, rays: str
 ) -> tuple[Bool[Array, " N"], Transfer, Scatterer]:
-    """(whether vertices, of BSDFs `own`, have mirror images, the transfer to those, their BSDFs); material points."""
+    """(whether the vertices with BSDFs `own` have mirror images, the transfer to the images, the BSDFs there)."""
     image, opposite = _mirrored(stop_gradient(before.point.position), stop_gradient(own.point), ends)
     asked = ends.drawn & previous.spread & own.point.valid & opposite & (own.lobe_width() < NARROW)
     start = before.leave(image - stop_gradient(before.point.position))
@@ -133,7 +135,7 @@ def _images(
         offset = before.point.position + moved - there.position
         back = jnp.where(paired[:, None], normalize(jnp.where(paired[:, None], offset, 1.0)), back)
     other = Scatterer(packed, there, back)
-    arrives = (stop_gradient(previous.vertex.throughput * transfer.value) != 0).any(-1)  # else no path goes on from it
+    arrives = (stop_gradient(previous.vertex.throughput * transfer.value) != 0).any(-1)  # else no path continues there
     return paired & arrives & (other.lobe_width() < NARROW), transfer, other
 
 
@@ -171,7 +173,7 @@ def _point_pdf(scatterer: Scatterer, point: SurfacePoint) -> Float[Array, " N"]:
 
 
 def _radiance(packed: PackedScene, ends: Ends, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-    """What ends send against the unit directions `towards` them; of lights without area the intensity."""
+    """Radiance of emitters (intensity of lights without area) against the unit directions `towards` them."""
     sent = emitted(packed, ends.point, -towards)
     if ends.light is None:
         return sent
@@ -180,9 +182,9 @@ def _radiance(packed: PackedScene, ends: Ends, towards: Float[Array, "N 3"]) -> 
 
 
 def _emitter_pdf(packed: PackedScene, scatterer: Scatterer, arrives: Transfer, ends: Ends, visible, mis: bool):
-    """Density with which vertices find ends, by emitter sampling and, where `visible`, by BSDF sampling; detached.
+    """Density with which vertices find emitters, by emitter sampling and, where `visible`, by BSDF sampling; detached.
 
-    Per area; per solid angle where `infinite`; the probability of lights without area.
+    It is per area, per solid angle where `infinite`, or a probability for lights without area.
     """
     shares, found = emitter_shares(packed), jnp.zeros_like(arrives.cosine)
     if packed.has_area_emitters:

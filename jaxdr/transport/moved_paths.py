@@ -1,9 +1,9 @@
-"""Paths of bidirectional path tracing as functions of where their vertices are: what boundary estimators move.
+"""Paths of bidirectional path tracing as functions of their vertices' positions, which boundary estimators move.
 
-Every segment but the camera's has an apex on the camera's side and a target on the emitters'. A path's vertex is the
-target of one segment, but the segment depends on the strategy where subpaths are joined. So there is a layer of targets
-for every segment of a camera subpath, for every emitter sample drawn for one of its vertices, for every connection and
-for every segment of a subpath from an emitter; the path of a strategy has a target in some of the layers. See
+Every segment but the camera's has an apex on the camera's side and a target on the emitters' side. A path's vertex is
+the target of one segment. Where subpaths are joined, this segment depends on the strategy. So there is a layer of
+targets for every segment of a camera subpath, for every emitter sample drawn for its vertices, for every connection,
+and for every segment of a subpath from an emitter. The path of a strategy has targets in some of the layers. See
 docs/bidirectional_boundary.md.
 """
 
@@ -28,10 +28,12 @@ from jaxdr.transport.subpaths import Subpath
 
 
 class Layers(NamedTuple):
-    """Numbers of the first layers of each kind, and how many there are, for `inner` vertices from emitters; static.
+    """The numbers of layers, for `inner` vertices from emitters; static. The order of the layers is:
 
-    First those of camera subpaths' segments to x_2, x_3, ...; then of emitter samples for x_1, x_2, ... from the
-    camera; of connections as `joined_vertices` has them; of segments from x_1, x_2, ... back towards emitters.
+    1. segments of camera subpaths, to x_2, x_3, ...;
+    2. emitter samples for x_1, x_2, ... from the camera;
+    3. connections, in the order of `joined_vertices`;
+    4. segments from x_1, x_2, ... back towards emitters.
     """
 
     inner: int
@@ -57,11 +59,11 @@ class Layers(NamedTuple):
         return self.light + self.inner
 
     def used(self) -> Bool[np.ndarray, "L C"]:
-        """In which layers the strategies, in the order of `strategies`, have a target."""
+        """In which layers each strategy, in the order of `strategies`, has a target."""
         rows = []
 
         def of_path(camera: int, own: list[int], light: int):
-            """Up to x_1 + `camera` from the camera and x_1 + `light` from emitters, -1 for none; `own` layers."""
+            """Add a strategy with vertices up to 1 + `camera` from the camera, 1 + `light` from emitters (-1: none)."""
             row = np.zeros(self.count, bool)
             row[: max(camera, 0)] = True
             row[own] = True
@@ -85,7 +87,7 @@ def layers(drawn: Drawn) -> Layers:
 
 
 def target_segments(drawn: Drawn) -> Segments:
-    """The segments of all layers, [L, N]; detached, without weights. All are taken to be visible."""
+    """The segments of all layers, [L, N], detached. Weights are ones, and all segments count as visible."""
     of, camera, light = layers(drawn), drawn.camera, drawn.light
     targets: list[tuple[SurfacePoint, Array, Array]] = []
     apexes: list[SurfacePoint] = []
@@ -128,11 +130,11 @@ def target_segments(drawn: Drawn) -> Segments:
 
 
 def moved_contributions(packed: PackedScene, drawn: Drawn, moved: Float[Array, "L M 3"]) -> Float[Array, "C M 3"]:
-    """What M pairs of subpaths contribute by each strategy, visible or not, with their targets `moved`.
+    """Contributions of M pairs of subpaths by each strategy, visible or not, as a function of `moved`.
 
-    Over the densities that the paths were drawn with, and in the measure in which they were drawn: `moved` are offsets
-    in the planes of the targets' faces, where the targets are infinitely far away in planes across, at the distance
-    `packed.size`. Of a `drawn` that is detached, as a function of `moved`.
+    `moved` are offsets of the targets in the planes of their faces. For targets at infinity they are offsets in planes
+    perpendicular to the direction, at the distance `packed.size`. Contributions are over the densities with which the
+    paths were drawn, and in the same measure. `drawn` is detached.
     """
     of = layers(drawn)
     paths, inner, power = moved.shape[1], of.inner, 1
@@ -180,7 +182,7 @@ def _moved_sample(packed: PackedScene, sample: EmitterSample, moved) -> EmitterS
 
 
 def _onwards(packed: PackedScene, before: Subpath, after: Subpath, moved, adjoint: bool) -> Subpath:
-    """Subpaths' next vertices `moved`, behind vertices that may have moved; see `subpaths.extend`."""
+    """The next vertices of subpaths, themselves `moved`, after vertices that may have moved; see `subpaths.extend`."""
     hit = after.point.valid
     following, point = displaced(packed, after.point, moved), before.point
     away = _moved_direction(packed, -after.back, moved)
@@ -196,7 +198,7 @@ def _onwards(packed: PackedScene, before: Subpath, after: Subpath, moved, adjoin
 
 
 def _arrived(after: Subpath, following: SurfacePoint, towards, carried, before: Subpath | None = None) -> Subpath:
-    """`after` at the point `following`, reached in the direction `towards` with `carried` over its density."""
+    """`after` at the point `following`, reached in direction `towards`, with the throughput `carried` / density."""
     reached = (after.density > 0) & (after.throughput != 0).any(-1)
     if before is not None:
         reached = reached & before.point.valid
@@ -219,7 +221,7 @@ def _camera_subpaths(packed: PackedScene, camera: Subpath, moved) -> Subpath:
 
 
 def _first_lit(packed: PackedScene, start: EmitterSample, after: Subpath, moved) -> Subpath:
-    """What rays from emitter samples that have moved hit, itself `moved`; see `subpaths.light_start`."""
+    """First vertices from emitter samples that may have moved, themselves `moved`; see `subpaths.light_start`."""
     following, infinite = displaced(packed, after.point, moved), start.infinite
     offset = jnp.where(infinite[:, None], -start.direction, following.position - start.point.position)
     towards = normalize(offset)
@@ -231,7 +233,7 @@ def _first_lit(packed: PackedScene, start: EmitterSample, after: Subpath, moved)
 
 
 def _light_subpaths(packed: PackedScene, start: EmitterSample, drawn: Drawn, moved) -> Subpath:
-    """Subpaths from emitters as far as they go on, [I - 1, M]: all but their last vertices `moved`."""
+    """Subpaths from emitters without their last vertices, [I - 1, M], `moved`."""
     before = jax.tree.map(lambda a: a[:-1], drawn.light)
     if moved.shape[0] == 0:
         return before
@@ -251,7 +253,7 @@ def _light_subpaths(packed: PackedScene, start: EmitterSample, drawn: Drawn, mov
 def _last_vertices(
     packed: PackedScene, start: EmitterSample, chain: Subpath, drawn: Drawn, lasts: list[int], moved
 ) -> Subpath:
-    """Vertices x_1 + j for j in `lasts` in a row, themselves `moved`, behind what has moved in `start` and `chain`."""
+    """Vertices 1 + j for j in `lasts`, in a row, themselves `moved`, after moved vertices of `start` and `chain`."""
 
     def pick(tree, rows: list[int]):
         return jax.tree.map(lambda a: jnp.concatenate([a[r] for r in rows]), tree)

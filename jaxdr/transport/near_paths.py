@@ -1,4 +1,4 @@
-"""What the material form of first hits changes in the derivative of paths, see `near_field`."""
+"""The change of a path's derivative by the material form of first hits; see `near_field`."""
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +17,14 @@ from jaxdr.transport.transfer import transfer_to
 
 
 def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRecord) -> Float[Array, "N 3"]:
-    """Zero in value. Its derivative is that of the share s of first hits' light in material form.
+    """Replaces the fixed form by the material form for the share s of first hits' light; zero in value.
 
-    `record` is of first hits on fixed rays. Let f and f' be what they scatter in the fixed and in the material form;
-    both are equal in value. Let w be the importance of the material form. The term is s w f' - s f. To first order that
-    is f with its point moved by s times the difference of the forms, and f times the changes of s and w. The light that
-    arrives is the same in both forms.
+    `record` has first hits on fixed rays. Let f and f' be the light that they scatter in the fixed and in the material
+    form; both are equal in value. Let w be the importance of the material form. The term is s w f' - s f. To first
+    order this is f with its point moved by s times the difference of the forms, and f times the changes of s and w. The
+    light that arrives is the same in both forms.
     """
-    assert primary.near is not None and record.near is not None  # there where first hits have two forms
+    assert primary.near is not None and record.near is not None  # set if first hits have two forms
     assert record.direct is not None and record.scattered is not None
     still, near, light = stop_gradient(packed), primary.near, record.near
     point = stop_gradient(primary.first)

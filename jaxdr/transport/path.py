@@ -1,16 +1,16 @@
-"""Unidirectional path tracing: measurement contributions and the segments they came through.
+"""Unidirectional path tracing: measurement contributions and the path segments that carry them.
 
-A path starts at a first hit x_1 that the caller provides; every later vertex is a material point. With
-throughput T_1 = 1 the contribution of the vertices k = 1, 2, ... is the sum of
+A path starts at a first hit x_1 that the caller provides. Every later vertex is a material point. With throughput
+T_1 = 1 the contribution of the vertices k = 1, 2, ... is the sum of
 
     T_k f(x_k, y) G(x_k, y) J(y) L_e(y) w / p(y)                     y an emitter sample, p per area (light)
     T_(k+1) L_e(x_(k+1)) w,   T_(k+1) = T_k f G J / [p(ω) G]         ω a BSDF sample, p per solid angle (emission)
 
-f contains the cosine at x_k, G the one at the other end over the squared distance, J is the Jacobian from the reference
-surface, [.] is detached, and the weights w are those of the balance heuristic (Veach 1997). Contributions are
-differentiable functions of the scene (the interior term is their derivative); choices and densities are detached. What
-is infinitely far away has G = J = 1. Behind delta lobes the next vertex slides: mirrors and smooth glass continue a ray
-as it moves.
+f contains the cosine at x_k. G is the cosine at the other end over the squared distance. J is the Jacobian from the
+reference surface. [.] is detached. The weights w are those of the balance heuristic (Veach 1997). Contributions are
+differentiable functions of the scene; their derivative is the interior term. Choices and densities are detached. At
+infinity G = J = 1. Behind a delta lobe the next vertex slides, because the ray that mirrors and smooth glass continue
+moves.
 """
 
 from typing import NamedTuple
@@ -42,12 +42,12 @@ class Segments(NamedTuple):
     - `weight`: f / pdf (RGB) of all paths through the segment, without its own BSDF value at the apex and without its
       geometric term. It is the throughput to the apex times the radiance that arrives, over the density of the target
       (per area; at infinity per solid angle).
-    - `visible`: off where an emitter sample is occluded. Its weight is then that of an unoccluded one.
-    - `throughput`: to the apex; with emitter samples only.
-    - `unlit`: the weight without the radiance. It is there where the radiance of the environment depends on the
-      direction, or that of a surface on the point.
-    - `lobe`: of BSDF-sampled segments, the throughput over the density of `direction` (solid angle), whatever lies
-      there.
+    - `visible`: false where an emitter sample is occluded. Its weight is as if it were not occluded.
+    - `throughput`: to the apex; for emitter samples only.
+    - `unlit`: the weight without the radiance. None unless the environment's radiance depends on the direction, or a
+      surface's radiance on the point.
+    - `lobe`: of BSDF-sampled segments, the throughput over the density of `direction` (solid angle), also where the ray
+      hits nothing.
     """
 
     apex_face: Int[Array, "B N"]
@@ -64,7 +64,7 @@ class Segments(NamedTuple):
 
 
 class Vertices(NamedTuple):
-    """Path vertices as they move, differentiable, in scenes where some slide: behind `delta` lobes."""
+    """Differentiable path vertices, in scenes where vertices behind `delta` lobes slide."""
 
     position: Float[Array, "B N 3"]
     shading_normal: Float[Array, "B N 3"]
@@ -72,9 +72,9 @@ class Vertices(NamedTuple):
 
 
 class NearLight(NamedTuple):
-    """What the first hits of N paths scatter: by emitter sampling, and from behind the BSDF-sampled segment; detached.
+    """Light that the first hits of N paths scatter, and the shares that are taken in material form; detached.
 
-    With the shares of both that are taken in material form.
+    `light` comes from emitter sampling, `beyond` over the BSDF-sampled segment.
     """
 
     light: Float[Array, "N 3"]
@@ -86,9 +86,11 @@ class NearLight(NamedTuple):
 class PathRecord(NamedTuple):
     """Radiance towards the camera of N paths, and the segments behind the first hit.
 
-    `direct` are connections to emitter samples; they carry all direct light. `scattered` are BSDF-sampled segments;
-    they carry what is gathered at their far end and beyond. None where there are none. `near` says what first hits take
-    in material form, None where they have one form. `vertices` are the apexes of the segments, where some may slide.
+    - `direct`: connections to emitter samples, which carry all direct light; None if there are none.
+    - `scattered`: BSDF-sampled segments, which carry the light gathered at their far end and beyond; None if there are
+      none.
+    - `vertices`: the apexes of the segments; None if no vertex may slide.
+    - `near`: the light that first hits take in material form; None if they have one form.
     """
 
     radiance: Float[Array, "N 3"]
@@ -99,9 +101,9 @@ class PathRecord(NamedTuple):
 
 
 class PathSettings(NamedTuple):
-    """Static settings: `max_depth` in segments, MIS or emitter sampling alone, query implementation.
+    """Static settings: `max_depth` in segments, `mis` or emitter sampling alone, `rays` for the query implementation.
 
-    Without `records` the segments that paths came through are not kept.
+    Without `records` the segments of paths are not kept.
     """
 
     max_depth: int
@@ -111,16 +113,17 @@ class PathSettings(NamedTuple):
 
 
 class Lobe(NamedTuple):
-    """Directions that are given where `pdf` (solid angle) is positive, in place of BSDF samples; detached."""
+    """Directions that replace BSDF samples where `pdf` (solid angle) is positive; detached."""
 
     direction: Float[Array, "N 3"]
     pdf: Float[Array, " N"]
 
 
 class TwoForms(NamedTuple):
-    """Points that may move in two forms: footprints of a pixel there, of size zero at points of one form.
+    """Points that may move in two forms.
 
-    `apart` is where the material form is, relative to the points; None where nothing is differentiated.
+    `seen`: the pixel's footprints there, of size zero at points with one form. `apart`: the material form minus the
+    points; None if nothing is differentiated.
     """
 
     seen: Footprint
@@ -130,9 +133,10 @@ class TwoForms(NamedTuple):
 class Bounce(NamedTuple):
     """What one vertex of N paths adds.
 
-    `light` by emitter sampling, `emission` found by BSDF sampling; `light_share` and `beyond_share` are the shares of
-    the light sample and of everything behind the BSDF-sampled segment that are in material form, None without a
-    footprint. `scattered` is None where no direction was sampled; its weight is the BSDF value times geometric term.
+    - `light`: by emitter sampling. `emission`: found by BSDF sampling.
+    - `light_share`, `beyond_share`: shares in material form of the emitter sample's light, and of all light over the
+      BSDF-sampled segment; None without a footprint.
+    - `scattered`: None if no direction was sampled. Its weight is the BSDF value times geometric term.
     """
 
     light: Float[Array, "N 3"]
@@ -154,14 +158,14 @@ def trace_paths(
     near: NearField | None = None,
     pairs: bool = False,
 ) -> PathRecord:
-    """Paths that go on from first hits, by next-event estimation and BSDF sampling.
+    """Paths that go on from first hits, by emitter sampling and BSDF sampling.
 
-    `direction` is that of the rays that found the hits, `u` are the uniform numbers of the first bounce. Both are
-    combined by the balance heuristic (Veach 1997). With `settings.mis` off, only next-event estimation reaches
-    emitters. Delta lobes are an exception: only BSDF samples find their light. `near` is the other form of the first
-    hits. The radiance is that of the fixed form, see `near_field_term`.
+    `direction` is that of the rays that found the hits, `u` are the uniform numbers of the first bounce. The balance
+    heuristic (Veach 1997) combines both ways of sampling. Without `settings.mis` only emitter sampling finds emitters,
+    except over delta lobes, where only BSDF samples find them. `near` is the material form of the first hits. The
+    radiance is that of the fixed form; see `near_field_term`.
 
-    With `pairs`, which changes no value, narrow lobes have the derivatives of antithetic pairs: see `mirrored_pairs`.
+    With `pairs` narrow lobes have the derivatives of antithetic pairs; see `mirrored_pairs`. Values do not change.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
@@ -171,7 +175,7 @@ def trace_paths(
     parts = gather(packed, start, bounces, u, key, settings, near, pairs)
     light, emission = parts.light, parts.emission
     own = stop_gradient(light + emission)
-    # What every BSDF-sampled segment carries from its far end: the light that later bounces add, summed from the end.
+    # The light that each BSDF-sampled segment carries from its far end: the sum of what later bounces add.
     beyond = jnp.cumsum(own[::-1], axis=0)[::-1] - own
     near_light = None
     if near is not None:
@@ -202,7 +206,7 @@ def gather(
     near: NearField | None,
     pairs: bool = False,
 ) -> Bounce:
-    """All bounces of paths from their first vertex on, [B, N, ...]; `u` are the numbers of the first."""
+    """All bounces of paths from their first vertex on, [B, N, ...]; `u` are the numbers of the first bounce."""
     if bounces == 1:
         added = scatter(packed, start, u, settings, onwards=not ends_early(packed, settings))[1]
         return jax.tree.map(lambda x: x[None], added)
@@ -215,7 +219,7 @@ def gather(
         at, previous = state
         numbers = jnp.where(bounce == 0, u, uniform(jax.random.fold_in(key, bounce), u.shape, u.dtype))
         forms = None
-        if near is not None:  # first hits alone have two forms
+        if near is not None:  # only first hits have two forms
             sees = seen._replace(size2=jnp.where(bounce == 0, seen.size2, 0.0))
             forms = TwoForms(sees, near.point.position - start.point.position)
         goes_on = bounce < bounces - 1 if ends_early(packed, settings) else True
@@ -234,7 +238,7 @@ def gather(
 
 
 def ends_early(packed: PackedScene, settings: PathSettings) -> bool:
-    """Whether the last bounce needs no BSDF ray: emitters are not found by rays, and there is no delta lobe."""
+    """Whether the last bounce needs no BSDF ray: BSDF samples do not look for emitters, and there is no delta lobe."""
     return not (settings.mis or packed.has_delta_lobes)
 
 
@@ -248,11 +252,11 @@ def scatter(
     given: Lobe | None = None,
     previous: Previous | None = None,
 ) -> tuple[Vertex | None, Bounce]:
-    """(next vertex, what this vertex adds): light by emitter sampling, and BSDF sampling where it goes `onwards`.
+    """(next vertex, what this vertex adds): light by emitter sampling, and by BSDF sampling where paths go `onwards`.
 
-    With `forms`, the shares of the material form are found as well, and the path goes on from the mixture. `given`
-    takes the place of BSDF samples. With the `previous` vertices derivatives at narrow lobes are those of pairs, see
-    `mirrored_pairs`.
+    With `forms`, the shares of the material form are computed as well, and the path goes on from the mixture of both
+    forms. `given` replaces BSDF samples. With the `previous` vertices, derivatives at narrow lobes are those of pairs;
+    see `mirrored_pairs`.
     """
     scatterer = Scatterer(packed, at.point, at.wi)
     light, light_share, ends, direct = _connect(packed, at, scatterer, u[:, :2], settings, forms)
@@ -262,7 +266,7 @@ def scatter(
     target, direction = _next_point(packed, at, scatterer, sampled, settings)
     hit = target.valid
 
-    # T' = T f G J / [p G], in area measure; what is infinitely far away or behind a delta lobe has no G.
+    # T' = T f G J / [p G], in area measure. At infinity and behind a delta lobe there is no G.
     transfer = transfer_to(scatterer, target, ~hit, direction)
     value, geometry, in_angle = transfer.value, transfer.geometry, ~hit
     if sampled.delta is not None and sampled.chosen is not None:  # both or none are
@@ -278,7 +282,7 @@ def scatter(
     if forms is not None:
         beyond_share = jnp.where(in_angle, 0.0, forms.seen.share(stop_gradient(transfer.distance2)))
         if forms.apart is not None:
-            # The first hit as it moves for what is there; in value where it is.
+            # The direction back to the first hit, which moves in the mixture of both forms.
             moved = scale(forms.apart - stop_gradient(forms.apart), beyond_share)
             mixed = at.point.position + moved - target.position
             back = jnp.where(hit[:, None], normalize(jnp.where(hit[:, None], mixed, 1.0)), -direction)
@@ -297,10 +301,10 @@ def scatter(
 
 
 class _Sampled(NamedTuple):
-    """Detached unit `direction` and its `pdf` (solid angle, of a `delta` lobe its probability), where `active`.
+    """Detached unit `direction` and its `pdf` (solid angle, or the probability of a `delta` lobe), where `active`.
 
-    `own` is the BSDF's density, which emitter samples are weighted against, whatever directions were drawn from.
-    `delta` and `chosen`, where such a lobe was, are None in scenes without.
+    `own` is the BSDF's density, also for given directions; emitter samples are weighted against it. `chosen` tells
+    where a delta lobe was chosen. `delta` and `chosen` are None in scenes without delta lobes.
     """
 
     direction: Float[Array, "N 3"]
@@ -327,7 +331,7 @@ def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards, g
 
 
 def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: _Sampled, settings: PathSettings):
-    """(what sampled rays hit: material points, behind delta lobes sliding ones; the directions as they move)."""
+    """(hits of sampled rays: material points, or sliding points behind delta lobes; the differentiable directions)."""
     origin = scatterer.leave(sampled.direction)
     found = intersect(packed, origin, sampled.direction, sampled.active, settings.rays)
     target, direction = material_hit(packed, found), sampled.direction
@@ -363,13 +367,13 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     if settings.mis:
         per_angle = stop_gradient(transfer.distance2 / jnp.where(reachable, transfer.cosine, 1.0)) * sample.pdf
         weight = per_angle / (per_angle + scatterer.pdf(towards))
-        # What nothing else finds has the weight one.
+        # No other sampling finds lights without area, so their weight is one.
         light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
     light = jnp.where(visible[:, None], light, 0.0)
     ends = Ends(sample.point, sample.infinite, sample.direction, visible, point.valid, sample.light)
     if not settings.records:
         return light, share, ends, None
-    # Lights without area are points: no path segment passes near one, and their shadows are found otherwise.
+    # Lights without area carry no segments: `boundary.film.hard_shadows` finds their shadows.
     carries = reachable if delta is None else reachable & ~delta
     lit = point.valid & scatterer.spreads() if packed.has_delta_lobes else point.valid
     unlit = None
@@ -404,14 +408,14 @@ def _found_emission(
         other = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
         weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + other, 1.0)
     if sampled.chosen is not None:
-        weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find what a delta lobe sees
+        weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find light over a delta lobe
     return scale(found.throughput * emitted(packed, target, found.wi), stop_gradient(weight))
 
 
 def _found_ends(
     packed, target: SurfacePoint, transfer: Transfer, direction, sampled: _Sampled, ends: Ends, settings: PathSettings
 ) -> Ends:
-    """The emitters that BSDF samples find where emitter samples might have; `ends` are those of emitter samples."""
+    """The emitters that BSDF samples find and emitter samples could find; `ends` are those of emitter samples."""
     hit = target.valid
     glows = jnp.full_like(hit, packed.environment is not None)
     if packed.emitter_density is not None:
@@ -427,7 +431,7 @@ def _found_ends(
 
 
 def _record(at: Vertex, target: SurfacePoint, transfer: Transfer, sampled: _Sampled) -> Segments:
-    """The BSDF-sampled segments; delta lobes have no density: none may spread what they carry over directions."""
+    """The BSDF-sampled segments. Those of delta lobes have weight zero: kernels over directions need a density."""
     hit, spread = target.valid, sampled.active
     if sampled.chosen is not None:
         spread = spread & ~sampled.chosen

@@ -1,8 +1,8 @@
-"""The radiance wavefront: one loop that answers all requests for radiance that nobody differentiates.
+"""The radiance wavefront: one loop that answers all requests for detached radiance.
 
-A term of a derivative asks for the radiance that leaves surface points in given directions. All terms' requests of a
-chunk go through one loop over bounces. From bounce to bounce the paths that go on are gathered in front, and blocks of
-them are worked on as far as there are any: paths that have ended, and requests for nothing, cost nothing.
+A term of a derivative requests the radiance that leaves surface points in given directions. The requests of all terms
+of a chunk go through one loop over bounces. At every bounce the paths that go on are moved to the front, and only
+blocks with such paths are computed. So paths that have ended, and requests for nothing, cost nothing.
 """
 
 import os
@@ -25,24 +25,24 @@ from jaxdr.transport.near_field import Footprint
 from jaxdr.transport.path import Lobe, PathSettings, TwoForms, Vertex, ends_early, scatter
 from jaxdr.transport.sampler import path_numbers
 
-# Paths that go on together. On CPUs enough for all threads of the ray queries, few enough for what they need to stay in
-# caches; on GPUs see `sizes`.
+# Paths in a block. On CPUs there are enough for all threads of the ray queries, and few enough for the caches. For GPUs
+# see `sizes`.
 CPU_BLOCK = 8192 * max(2, os.cpu_count() or 1)
 GPU_BLOCK = 1 << 19
 
 
 class Requests(NamedTuple):
-    """Requests for radiance: what R material points send in the directions `wi`. All of it is detached.
+    """Requests for the radiance of R material points in the directions `wi`. All of it is detached.
 
     - `face` [R], `barycentric` [R, 3]: the points.
-    - `valid` [R]: whether there is a point. If not, the request is for what the environment sends from there.
+    - `valid` [R]: whether there is a point. If not, the request is for the environment's radiance.
     - `wi` [R, 3]: unit directions, world space.
     - `u` [R, 4]: uniform numbers of the first bounce.
     - `bounces` [R]: how often a path scatters at most.
-    - `stream` [R]: numbers of later bounces are functions of it. Paths of one stream share them.
+    - `stream` [R]: gives the random numbers of later bounces. Paths of one stream share them.
     - `emission` [R]: share of the point's own emission that counts.
-    - `seen`: footprints of a pixel, at points whose radiance has two forms; of size zero at others.
-    - `given`: directions that take the place of the first BSDF samples where their density is positive.
+    - `seen`: footprints of a pixel, of size zero at points whose radiance has one form; None if all have one form.
+    - `given`: directions that replace the first BSDF samples where their density is positive.
     """
 
     face: Int[Array, " R"]
@@ -60,7 +60,7 @@ class Requests(NamedTuple):
 class Answers(NamedTuple):
     """Answers to `Requests`, detached: RGB radiance `total` [R, 3].
 
-    `near` [R, 3] is the part of it that is taken in material form: zero without footprints.
+    `near` [R, 3] is the part of `total` that is taken in material form; zero without footprints.
     """
 
     total: Float[Array, "R 3"]
@@ -68,7 +68,7 @@ class Answers(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """Rows of paths at a vertex; `share` of what they bring that is in material form, `number` of their requests."""
+    """Paths at a vertex, in rows. `share`: the share of their light in material form. `number`: of their requests."""
 
     face: Int[Array, " N"]
     barycentric: Float[Array, "N 3"]
@@ -87,7 +87,7 @@ def request(
     stream: UInt32[Array, " R"],
     emission: Float[Array, " R"] | float = 1.0,
 ) -> Requests:
-    """Requests for the radiance of surface points, valid or not; at valid ones alone paths scatter."""
+    """Requests for the radiance of surface points. Paths scatter at valid points only."""
     count, dtype = wi.shape[:1], wi.dtype
     bounces = jnp.where(point.valid, jnp.asarray(bounces, jnp.int32), 0)
     emission = jnp.broadcast_to(jnp.asarray(emission, dtype), count)
@@ -95,7 +95,7 @@ def request(
 
 
 def joined(requests: Sequence[Requests]) -> Requests:
-    """Several lists as one."""
+    """Several lists of requests as one."""
     if len(requests) == 1:
         return requests[0]
     footprints, lobes = (any(getattr(r, name) is not None for r in requests) for name in ("seen", "given"))
@@ -109,14 +109,14 @@ def joined(requests: Sequence[Requests]) -> Requests:
 
 
 def split(answers: Answers, requests: Sequence[Requests]) -> list[Answers]:
-    """The answers to each of the lists that were joined."""
+    """The answers to each of the lists that `joined` has concatenated."""
     counts = [r.emission.shape[0] for r in requests]
     parts = (jax.lax.split(table, counts) for table in answers)
     return [Answers(*part) for part in zip(*parts, strict=True)]
 
 
 def radiance(packed: PackedScene, requests: Requests, key: PRNGKeyArray, settings: PathSettings) -> Answers:
-    """Answer requests: emission, next-event estimation and BSDF sampling as of `trace_paths`; detached."""
+    """Answer requests: emission, emitter sampling and BSDF sampling as in `trace_paths`; detached."""
     packed, requests = stop_gradient((packed, requests))
     point = material_point(packed, requests.face, requests.barycentric, requests.valid)
     total = scale(emitted(packed, point, requests.wi), requests.emission)
@@ -128,7 +128,7 @@ def radiance(packed: PackedScene, requests: Requests, key: PRNGKeyArray, setting
 
 
 def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettings, bounces: int) -> list[Array]:
-    """[what paths gather, and, with footprints, what of it is in material form]."""
+    """[the light that paths gather and, with footprints, the part of it in material form]."""
     count = requests.emission.shape[0]
     size = min(at_once(CPU_BLOCK, GPU_BLOCK), count)
     room = -(-count // size) * size
@@ -178,9 +178,9 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
         light, found, share = added.light, added.emission, paths.share
         values = [light + found]
         if forms is not None:
-            assert added.light_share is not None  # there with footprints
+            assert added.light_share is not None  # set with footprints
             light_share = jnp.where(first, added.light_share, paths.share)
-            beyond = added.beyond_share  # None where no path goes on
+            beyond = added.beyond_share  # None if no path goes on
             share = light_share if beyond is None else jnp.where(first, beyond, paths.share)
             values.append(scale(light, light_share) + scale(found, share))
         if after is None:
@@ -205,6 +205,6 @@ def arriving_radiance(
     key: PRNGKeyArray,
     settings: PathSettings,
 ) -> Float[Array, "N 3"]:
-    """Radiance that rays of `direction` find, `first` being what they hit: that of `trace_paths`, detached."""
+    """Detached radiance along rays of `direction` that hit `first`: that of `trace_paths`."""
     stream = jnp.arange(u.shape[0], dtype=jnp.uint32)
     return radiance(packed, request(first, -direction, u, settings.max_depth - 1, stream), key, settings).total

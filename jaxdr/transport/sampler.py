@@ -34,8 +34,8 @@ def lattice(
 ) -> Float[Array, "pixels n d"]:
     """Points of a rank-1 lattice, shifted at random for every pixel (Cranley-Patterson rotation).
 
-    Each point is uniform on the unit cube, so estimates are unbiased; the points of one pixel fill the cube evenly, so
-    they are more accurate than independent ones. `index` numbers a pixel's samples across chunks.
+    Each point is uniform on the unit cube, so estimates are unbiased. The points of a pixel fill the cube evenly, so
+    estimates have less noise than with independent points. `index` numbers a pixel's samples across chunks.
     """
     shift = jax.random.bits(key, (pixels, 1, dimensions), jnp.uint32)
     steps = jnp.asarray(_generators(dimensions), jnp.uint32)
@@ -43,9 +43,9 @@ def lattice(
 
 
 def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
-    """Four uniform numbers for every path at a bounce, [n, 4]: functions of the path's number, wherever its row is.
+    """Four uniform numbers for every path at a bounce, [n, 4], which do not depend on the path's row.
 
-    The hash of number, bounce and two words from the key.
+    They are a hash of the path's number, the bounce and two words from the key.
     """
     words = jax.random.bits(key, (2,), jnp.uint32)
     bounce = jnp.asarray(bounce).astype(jnp.uint32) ^ jnp.zeros_like(number, jnp.uint32)
@@ -54,14 +54,14 @@ def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Ar
 
 
 def seed_of(key: PRNGKeyArray) -> Int[Array, ""]:
-    """A seed below 2^30 for the queries, which have generators of their own."""
+    """A seed below 2^30 for the queries, which have their own random generators."""
     return (jax.random.bits(key, (), jnp.uint32) >> 2).astype(jnp.int32)
 
 
 def sample_cdf(
     cdf: Float[Array, " K"], target: Float[Array, " n"]
 ) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """(entries of cumulative sums that numbers in [0, their total) fall into, shares of the way through, masses)."""
+    """(entries of cumulative sums into which numbers in [0, total) fall, fractions of these entries, their masses)."""
     entry = jnp.clip(jnp.searchsorted(cdf, target, side="right"), 0, cdf.shape[0] - 1)
     before = jnp.where(entry > 0, cdf[entry - 1], 0.0)
     mass = cdf[entry] - before

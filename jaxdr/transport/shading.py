@@ -16,13 +16,13 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
 
-HORIZON = 1e-6  # some 8 float32 roundings of the largest coordinate
+HORIZON = 1e-6  # about 8 float32 roundings of the largest coordinate
 
 
 class SampledSide(NamedTuple):
-    """Bounds of sampled directions on one side of a surface, in its frame: they are within all of these.
+    """Bounds of sampled directions on one side of a surface, in its frame. Directions are within all bounds.
 
-    About in proportion to how far they are within the `first` is the density, near it at least.
+    Near the bound `first` the density is about in proportion to the distance from it.
     """
 
     first: Rim
@@ -31,7 +31,7 @@ class SampledSide(NamedTuple):
 
 
 class _Sampler(NamedTuple):
-    """The BSDFs with their frame and the direction back, local to it."""
+    """The BSDFs, their frame, and the direction `wi` in this frame."""
 
     groups: Sequence[tuple[BSDF, Bool[Array, " N"]]]
     frame: Frame
@@ -44,7 +44,7 @@ def _either(condition: Bool[Array, " N"], one: Rim, two: Rim) -> Rim:
 
 
 class Materials(NamedTuple):
-    """What is looked up at N points: whether they are two-sided, and (BSDF, which points have it) of every group."""
+    """The materials of N points: whether they are two-sided, and (BSDF, which points have it) for every group."""
 
     two_sided: Bool[Array, " N"]
     groups: Sequence[tuple[BSDF, Bool[Array, " N"]]]
@@ -53,11 +53,11 @@ class Materials(NamedTuple):
 class Scatterer:
     """The BSDFs at N surface points for the directions `wi` towards the previous vertex (world space).
 
-    Two-sided surfaces are turned to the side of `wi`. The geometric normal decides which side that is. Where an
-    interpolated normal faces away from a visible surface, `wi` is mirrored into the hemisphere of that normal.
-    Otherwise a black fringe would border silhouettes, and would move over the faces without any edge.
+    Two-sided surfaces are turned to the side of `wi`, by the geometric normal. If an interpolated normal faces away
+    from a visible surface, `wi` is mirrored into the hemisphere of that normal. Otherwise a black fringe would border
+    silhouettes, and would move over the faces without any edge.
 
-    `materials`: those at the points, where they are at hand.
+    `materials`: those of the points, if known.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Scatterer:
 
     @cached_property
     def _still(self) -> "_Sampler":
-        """What samples are drawn with, detached: neither what is sampled nor how densely is differentiated."""
+        """Detached BSDFs for sampling: neither samples nor densities are differentiated."""
         return _Sampler(*stop_gradient((self.groups, self.frame, self.wi)))
 
     def seen_from(self, wi: Float[Array, "N 3"]) -> "Scatterer":
@@ -91,7 +91,7 @@ class Scatterer:
         return Scatterer(self._packed, self.point, wi, self._materials)
 
     def rows(self, pick: Callable[[Array], Array], wi: Float[Array, "M 3"]) -> "Scatterer":
-        """M of the points, of which `pick` takes every array's rows, for directions `wi`: nothing is looked up anew."""
+        """M of the points, for directions `wi`. `pick` takes rows of arrays, so no material is looked up again."""
         return Scatterer(self._packed, jax.tree.map(pick, self.point), wi, jax.tree.map(pick, self._materials))
 
     def _combine(self, values) -> Array:
@@ -133,9 +133,9 @@ class Scatterer:
         return local._replace(wo=self.frame.to_world(local.wo))
 
     def delta_reverses(self, onwards: "Scatterer", wo: Float[Array, "N 3"]) -> Bool[Array, " N"]:
-        """Whether delta lobes from `wi` to `wo` are also lobes from `wo` to `wi`; `onwards` is this, seen from `wo`.
+        """Whether delta lobes from `wi` to `wo` are also lobes from `wo` to `wi`; `onwards`: this, seen from `wo`.
 
-        They are not where an interpolated normal faces away from either direction.
+        They are not if an interpolated normal faces away from either direction.
         """
         local = self.frame.to_local(wo)
         found = [bsdf.delta_reverses(self.wi, local) for bsdf, _ in self.groups]
@@ -145,14 +145,14 @@ class Scatterer:
         return reverses & ~self._mirrored & ~onwards._mirrored
 
     def sampled_pdf(self, wo: Float[Array, "N 3"], u: Float[Array, "N 2"]) -> Float[Array, " N"]:
-        """`pdf` of the directions that `sample` drew with `u`; zero where `u` chooses a delta lobe instead."""
+        """`pdf` of the directions that `sample` drew from `u`; zero where `u` chooses a delta lobe instead."""
         pdf = self.pdf(wo)
         if not any(bsdf.delta for bsdf, _ in self.groups):
             return pdf
         return jnp.where(self.sample_delta(u).probability > 0, 0.0, pdf)
 
     def spreads(self) -> Bool[Array, " N"]:
-        """Whether BSDFs scatter any light into more than single directions."""
+        """Whether BSDFs have other lobes than delta lobes."""
         one = jnp.ones(self.wi.shape[:1], self.wi.dtype)
         return self._combine([one * (not only_delta(bsdf)) for bsdf, _ in self.groups]) > 0
 
@@ -168,8 +168,9 @@ class Scatterer:
     def above_horizon(self, position: Float[Array, "N 3"]) -> Bool[Array, " N"]:
         """Whether positions are above the tangent planes by more than rounding.
 
-        Edges of the surface itself are not. Their cosine is rounding error. Times the speed at which a near edge moves
-        across the view, it would be noise. Where light passes through the surface, below is as good as above.
+        Edges of the surface itself are not. Their cosine is a rounding error, which would be noise after multiplication
+        with the fast motion of a near edge across the view. Where light passes through the surface, positions below
+        count as well.
         """
         height = self.cosine(position - stop_gradient(self.point.position)) * jnp.sign(z_of(self.wi))
         through = self.spreads_through()
@@ -178,14 +179,14 @@ class Scatterer:
         return height > HORIZON * self.point.scale
 
     def spreads_through(self) -> Bool[Array, " N"] | None:
-        """Whether BSDFs scatter light to both sides into more than single directions; None where none does."""
+        """Whether BSDFs scatter light to both sides, apart from delta lobes; None if no BSDF of the scene does."""
         members = [member for bsdf, member in self.groups if spreads_through(bsdf)]
         return reduce(or_, members) if members else None
 
     def sampled_side(self, side: Float[Array, " N"]) -> SampledSide:
-        """Where directions are sampled on the side of the surface that is above (1) or below (-1) the normal.
+        """Bounds of sampled directions on the side of the normal (1) or the other side (-1) of the surface.
 
-        In scenes where light goes through some surface.
+        For scenes where light goes through some surface.
         """
         zero = jnp.zeros_like(side)
         horizon = Rim(from_components(zero, zero, side), zero)
@@ -207,7 +208,7 @@ class Scatterer:
         return leave(self.point, towards)
 
     def leave_scattering(self, towards: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
-        """The same on the side that scatters, whatever the direction; where both do, on that of `towards`."""
+        """Origins of rays on the side that scatters; if both sides scatter, on the side of `towards`."""
         through = self.spreads_through()
         if through is None:
             return self.leave(self.normal)

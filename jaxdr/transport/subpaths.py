@@ -1,13 +1,13 @@
 """Subpaths of bidirectional path tracing (Veach 1997, chapter 10), from the camera and from emitters.
 
-A subpath is x_0, x_1, ...: x_0 is on the lens or on an emitter, and not kept. A path of k segments is found by k + 1
-strategies: the one of s vertices from an emitter and t = k + 1 - s from the camera joins the last ones of two
-subpaths. Its weight needs the densities of all the others; what they are relative to its own is summed vertex by
-vertex, `Subpath.shorter`, so that a weight costs as much as the path is long only once (van Antwerpen 2011, Recursive
-MIS computation for streaming BDPT; Georgiev 2012).
+A subpath is x_0, x_1, ...; x_0 is on the lens or on an emitter, and is not kept. There are k + 1 strategies for a path
+of k segments. The strategy with s vertices from an emitter and t = k + 1 - s from the camera joins the last vertices of
+two subpaths. Its weight needs the densities of all other strategies relative to its own. Their sum is updated vertex by
+vertex (`Subpath.shorter`), so that a weight does not need a loop over the path (van Antwerpen 2011, Recursive MIS
+computation for streaming BDPT; Georgiev 2012).
 
-BSDFs are always evaluated for radiance, `wi` towards the camera, whichever end a subpath starts from: shading normals
-and squared ratios of indices then are right without correction terms (Veach 1997, 5.2 and 5.3).
+BSDFs are always evaluated for radiance, with `wi` towards the camera, also on subpaths from emitters. So shading
+normals and squared ratios of indices are right without correction terms (Veach 1997, 5.2 and 5.3).
 """
 
 from typing import NamedTuple
@@ -28,8 +28,8 @@ from jaxdr.transport.light_rays import light_rays
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 
-# Sums of relative densities are kept below this, so that no product of them overflows float32. A strategy that others
-# exceed that much has the weight zero anyway.
+# Upper bound of sums of relative densities, so that no product of two overflows float32. A strategy with larger sums
+# has the weight zero anyway.
 LARGEST = 1e18
 
 
@@ -38,9 +38,9 @@ class Subpath(NamedTuple):
 
     - `back`: unit direction to the previous vertex.
     - `throughput`: contribution of the subpath over its density, without the BSDF at the vertex. For a subpath from an
-      emitter, it times the BSDF f_s |cos| for light from `back` is the radiance that the vertex sends on, per subpath
+      emitter, throughput times f_s |cos| for light from `back` is the radiance that the vertex sends on, per subpath
       and area.
-    - `density`: of the vertex from the one before it (per area; per solid angle of a direction that met nothing);
+    - `density`: with which the vertex was sampled from the previous one (per area, or per solid angle on a miss);
       detached.
     - `shorter`: detached. A sum over the strategies that end a subpath of this kind before this vertex: their densities
       over that of the strategy that ends it here, to the power of the heuristic. The sum is divided by the density (to
@@ -68,10 +68,11 @@ def relative_densities(
     shorter: Float[Array, " N"],
     power: int,
 ) -> Float[Array, " N"]:
-    """Sum over all strategies that end a subpath before a vertex, relative to the one that ends there; detached.
+    """Summed densities of all strategies that end a subpath before a vertex, over that of ending it there; detached.
 
-    `ratio` is the density of the vertex as sampled from the other end over that from this one; of its previous vertex
-    from here, `reverse` (solid angle). All ratios are taken to `power`: 1 is the balance, 2 the power heuristic.
+    `ratio` is the density of the vertex as sampled from the path's other end over that from this end. `reverse` is the
+    density with which this vertex samples the previous one (solid angle). All ratios are taken to `power`: 1 is the
+    balance heuristic, 2 the power heuristic.
     """
     next_shorter = 1.0 if joined is None else jnp.where(joined, 1.0, 0.0)
     sum_before = jnp.minimum(next_shorter + jnp.minimum(reverse**power, LARGEST) * shorter, LARGEST)
@@ -80,15 +81,15 @@ def relative_densities(
 
 
 def quotient(density, other) -> Float[Array, "*n"]:
-    """density / other, zero where there is no `other`: no path has such a vertex."""
+    """density / other, zero where `other` is zero: no path has such a vertex."""
     return safe_divide(density, other, otherwise=0.0)
 
 
 def camera_start(packed: PackedScene, primary: PrimarySamples) -> Subpath:
     """First hits as x_1 of camera subpaths.
 
-    Their density is per area of the surface, from film points evenly over the rendered window: for every sample of a
-    pixel there are as many subpaths from emitters as pixels.
+    Their density is per area of the surface, for film points that are uniform over the whole window: a subpath from an
+    emitter may land in any pixel, and there are as many of these subpaths as pixels.
     """
     first, view = primary.first, primary.view
     _, _, width, height = view.film.window
@@ -101,7 +102,7 @@ def camera_start(packed: PackedScene, primary: PrimarySamples) -> Subpath:
 
 
 def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2"], power: int, rays: str) -> Subpath:
-    """What rays from emitter samples hit, as x_1 of subpaths from emitters."""
+    """Hits of rays from emitter samples, as x_1 of subpaths from emitters."""
     ray = light_rays(packed, sample, u)
     emits = (ray.pdf > 0) & (sample.pdf > 0)
     point = material_hit(packed, intersect(packed, ray.start, ray.direction, emits, rays))
@@ -121,7 +122,7 @@ def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2
     radiance = radiance_towards(packed, sample, -away)
     throughput = radiance * safe_divide(leaving / distance2 * change, whole, carries)[:, None]
     throughput = jnp.where(carries[:, None], throughput, 0.0)
-    # Of the strategies that end before x_1 only one is left: the camera subpath that finds the emitter by itself.
+    # Only one strategy ends before x_1: a camera subpath that hits the emitter.
     found = jnp.where(has_area | infinite, 1.0, 0.0)
     if sample.is_delta is not None:
         found = jnp.where(sample.is_delta, 0.0, found)
@@ -154,7 +155,7 @@ def _step(packed: PackedScene, vertex: Subpath, u, adjoint: bool, power: int, ra
         chosen = lobe.probability > 0
         onwards = jnp.where(chosen[:, None], stop_gradient(lobe.wo), onwards)
         forward = jnp.where(chosen, stop_gradient(lobe.probability), forward)
-    onwards = jnp.where((forward > 0)[:, None], onwards, vertex.back)  # no zero vectors where sampling fails
+    onwards = jnp.where((forward > 0)[:, None], onwards, vertex.back)  # if sampling fails, avoid zero vectors
     origin = scatterer.leave(onwards)
     following = material_hit(packed, intersect(packed, origin, onwards, vertex.point.valid & (forward > 0), rays))
     return extend(vertex, scatterer, following, Onwards(onwards, forward, lobe), adjoint, power)
@@ -163,7 +164,7 @@ def _step(packed: PackedScene, vertex: Subpath, u, adjoint: bool, power: int, ra
 class Onwards(NamedTuple):
     """Detached directions, drawn with density `forward` (solid angle), or in a delta lobe.
 
-    There `lobe` has a probability, which then is `forward`; None in scenes without such lobes.
+    In a delta lobe `forward` is the probability of `lobe`. `lobe` is None in scenes without delta lobes.
     """
 
     direction: Float[Array, "N 3"]
@@ -174,9 +175,9 @@ class Onwards(NamedTuple):
 def extend(
     vertex: Subpath, scatterer: Scatterer, following: SurfacePoint, onwards: Onwards, adjoint: bool, power: int
 ) -> Subpath:
-    """Subpaths with one more vertex, or what they meet at infinity where `following` is not valid.
+    """Subpaths with one more vertex, `following`, or with the environment where `following` is not valid.
 
-    The vertex was found `onwards` by `scatterer`, that of the last vertex seen from `back`.
+    `scatterer`, the BSDF at the last vertex seen from `back`, has sampled the directions `onwards`.
     """
     direction, forward, lobe = onwards
     point, hit = vertex.point, following.valid
@@ -201,7 +202,7 @@ def extend(
         if adjoint:
             weight *= stop_gradient(jnp.where(reverses, quotient(leaving, arriving), 0.0))[:, None]
         factor = jnp.where(chosen[:, None], weight, factor)
-        # Both ways a lobe has one probability; what else delta distributions have cancels between strategies.
+        # A delta lobe has the same probability both ways. Other factors of delta distributions cancel in the weights.
         reverse = jnp.where(chosen, jnp.where(reverses, forward, 0.0), reverse)
         joined, before = ~chosen, vertex.joined & ~chosen
     throughput = jnp.where(carries[:, None], vertex.throughput * factor, 0.0)

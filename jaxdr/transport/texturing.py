@@ -1,4 +1,4 @@
-"""BSDFs at surface points: each point gets its shape's, and the values of its textures."""
+"""BSDFs at surface points: each point gets its shape's BSDF, with the values of its textures."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -12,14 +12,14 @@ from jaxdr.transport.interaction import SurfacePoint
 
 
 def bsdfs_at(packed: PackedScene, point: SurfacePoint, shape: Int[Array, " N"]) -> list[tuple[BSDF, Bool[Array, " N"]]]:
-    """For each kind of BSDF its fields at points of the shapes `shape`, one row each, and which points have it."""
+    """(BSDF with a row for each point, which points have it) for each group of BSDFs; `shape`: of the points."""
     at = texture_point(packed, point) if packed.textured else None
     return [(group.at(shape, at), group.member[shape]) for group in packed.bsdfs]
 
 
 def texture_point(packed: PackedScene, point: SurfacePoint) -> TexturePoint:
-    """Where textures are looked up. It moves over the face where the point does."""
-    assert point.on_face is not None  # there wherever the scene has textures
+    """Where textures are looked up. If the point slides over its face, this does as well."""
+    assert point.on_face is not None  # set if the scene has textures
     found = packed.texture_point(point.face, point.on_face)
     return found._replace(axes=_uv_axes(packed, point)) if packed.uses_slopes else found
 
@@ -44,9 +44,9 @@ def _sides(packed: PackedScene, point: SurfacePoint):
 
 
 def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
-    """Two tangents to the shading normal: the first where u increases, the second completes a right-handed frame.
+    """Two tangents, which complete the shading normal to a right-handed frame; the first points to increasing u.
 
-    Any two where the UVs of a face tell no direction.
+    If the UVs of a face define no direction, the tangents are arbitrary.
     """
     normal = point.shading_normal
     triangle, (u1, v1), (u2, v2) = _sides(packed, point)
@@ -59,7 +59,7 @@ def tangents_along_u(packed: PackedScene, point: SurfacePoint) -> tuple[Float[Ar
 
 
 def texture_difference(packed: PackedScene, one: SurfacePoint, two: SurfacePoint) -> Float[Array, " N"]:
-    """Sum over all textured fields of how much they differ between points of the same shapes, mean over channels."""
+    """Sum of the differences of all textured fields between points of the same shapes; mean over channels."""
     shape, total = packed.face_shape[one.face], jnp.zeros_like(one.area)
     if not packed.textured:
         return total

@@ -1,4 +1,4 @@
-"""What light does between two vertices of a path."""
+"""Transfer of light between two vertices of a path: BSDF, geometric term, visibility."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from jaxdr.transport.shading import Scatterer
 
 
 class Vertex(NamedTuple):
-    """Where N paths are: at a point, the unit direction `wi` back along the path, and the throughput (RGB)."""
+    """A vertex of N paths: the point, the unit direction `wi` back along the path, and the throughput (RGB)."""
 
     point: SurfacePoint
     wi: Float[Array, "N 3"]
@@ -22,9 +22,10 @@ class Vertex(NamedTuple):
 
 
 class Transfer(NamedTuple):
-    """From a vertex towards a target: `value` = f_s |cos| G J (RGB; G counts the target's cosine, 1 at infinity).
+    """From a vertex towards a target: `value` = f_s |cos| G J (RGB).
 
-    `towards` unit, `cosine` at the target (signed), `geometry` = G J; all of them differentiable.
+    G is |cosine at the target| over the squared distance, 1 at infinity. `towards` is a unit direction, `cosine` the
+    signed cosine at the target, `geometry` = G J. All are differentiable.
     """
 
     value: Float[Array, "N 3"]
@@ -41,7 +42,7 @@ def transfer_to(
     direction: Float[Array, "N 3"],
     delta: Bool[Array, " N"] | None = None,
 ) -> Transfer:
-    """Transfer towards points, or in `direction` where `infinite`; `delta` ones have no area, and so no cosine."""
+    """Transfer towards points, or in `direction` where `infinite`. `delta` points have no area: their cosine is 1."""
     offset = target.position - scatterer.point.position
     towards = jnp.where(infinite[:, None], direction, normalize(offset))
     distance2 = jnp.where(infinite, 1.0, jnp.maximum(dot(offset, offset), 1e-30))

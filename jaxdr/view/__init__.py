@@ -1,1 +1,1 @@
-"""Results as one web page that needs no network: `jaxdr view` (docs/view.md)."""
+"""`jaxdr view`: results as one web page that needs no network (docs/view.md)."""

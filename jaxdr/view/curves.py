@@ -9,11 +9,11 @@ WIDTH, HEIGHT = 340.0, 210.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 12.0, 24.0, 36.0
 COLORS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22")
 MOST = 800  # points of a curve
-DECADES = 10.0  # a column of positive numbers gets a logarithmic axis where they differ by more than this factor
+DECADES = 10.0  # positive numbers get a logarithmic axis if they differ by more than this factor
 
 
 class _Axis:
-    """Values to places between `start` and `end`, in pixels."""
+    """Maps values to positions between `start` and `end`, in pixels."""
 
     def __init__(self, values: list[float], start: float, end: float, logarithmic: bool):
         self.logarithmic = logarithmic and min(values) > 0
@@ -44,7 +44,7 @@ class _Axis:
 
 
 def svg(diagram: Diagram) -> str:
-    """The diagram; with a legend where it has several curves. Its y axis is logarithmic where values differ much."""
+    """The diagram, with a legend if it has several curves. Its y axis is logarithmic if values differ much."""
     xs = [x for curve in diagram.curves for x in curve.x]
     ys = [y for curve in diagram.curves for y in curve.y]
     bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT

@@ -1,4 +1,4 @@
-"""What a folder of results holds: its kind, pictures and meshes by name and step, and the paths of its tables."""
+"""The contents of a folder of results: its kind, pictures and meshes by name and step, and paths of its tables."""
 
 import json
 import re
@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".exr", ".hdr", ".pfm")
-MESHES = (".glb", ".ply", ".obj", ".stl")  # the first of a name that is there is shown
+MESHES = (".glb", ".ply", ".obj", ".stl")  # of files with the same name the first kind is shown
 MARKERS = ("config.json", "chart.json")
 
 
 class Item(NamedTuple):
-    """A file of a run; `step` is the optimiser's, None for files that are of no step."""
+    """A file of a run. `step` is that of the optimiser; None for files that belong to no step."""
 
     name: str
     step: int | None
@@ -20,7 +20,7 @@ class Item(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Everything a page is made of; paths of files that the folder does not have are None."""
+    """Everything that a page shows. Paths of files that the folder does not have are None."""
 
     path: Path
     kind: str
@@ -35,7 +35,7 @@ class Results(NamedTuple):
 
 
 def read_folder(path: Path) -> Results:
-    """What is in the folder of a run or of a chart. Raises ValueError when it is neither, or has nothing to show."""
+    """The contents of the folder of a run or of a chart. Raises ValueError if it is neither, or has nothing to show."""
     if not path.exists():
         raise ValueError(f"{path}: there is no such folder")
     if not path.is_dir():
@@ -65,14 +65,14 @@ def read_folder(path: Path) -> Results:
 
 
 def spread(items: Sequence[Item], most: int) -> list[Item]:
-    """At most so many of them, evenly spread, with the first and the last."""
+    """At most `most` of the items, evenly spread, with the first and the last."""
     if len(items) <= most:
         return list(items)
     return [items[round(i * (len(items) - 1) / (most - 1))] for i in range(most)]
 
 
 def by_name(items: Iterable[Item]) -> dict[str, list[Item]]:
-    """Items of steps, by name and in the order of their steps."""
+    """Items that belong to a step, by name, in the order of their steps."""
     groups: dict[str, list[Item]] = {}
     for item in sorted((item for item in items if item.step is not None), key=lambda item: item.step or 0):
         groups.setdefault(item.name, []).append(item)
@@ -98,7 +98,7 @@ def _existing(path: Path, *names: str) -> Path | None:
 
 
 def _items(folder: Path, suffixes: tuple[str, ...]) -> list[Item]:
-    """Files `NNNNN.ext` and `NNNNN.NAME.ext` are of step NNNNN."""
+    """Files with one of the suffixes. Pictures and meshes `NNNNN.ext` and `NNNNN.NAME.ext` belong to step NNNNN."""
     found = []
     for path in sorted(folder.iterdir(), key=_natural) if folder.is_dir() else []:
         if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file():
@@ -109,12 +109,12 @@ def _items(folder: Path, suffixes: tuple[str, ...]) -> list[Item]:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Numbers in names in their own order: r_2 before r_10."""
+    """A sort key that puts numbers in names in order: r_2 before r_10."""
     return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", path.name)]
 
 
 def _one_of_each(items: Sequence[Item]) -> list[Item]:
-    """Of files that differ by the extension only, the one that needs no conversion."""
+    """The items without duplicates. Of files that differ by the extension only, the first kind in `MESHES` stays."""
     best: dict[Path, Item] = {}
     for item in sorted(items, key=lambda item: MESHES.index(item.path.suffix.lower())):
         best.setdefault(item.path.with_suffix(""), item)

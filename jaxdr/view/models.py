@@ -1,4 +1,4 @@
-"""Meshes as GLB bytes, for the viewer of a page."""
+"""Meshes as the bytes of GLB files, for the viewer in a page."""
 
 import json
 import struct
@@ -16,7 +16,7 @@ PLAIN = {
 
 
 def glb_bytes(path: Path) -> bytes:
-    """The mesh of a file as GLB; grey where it has no material. Raises ValueError for a file that can't be read."""
+    """The mesh of a file as GLB, grey if it has no material. Raises ValueError for a file that can't be read."""
     data = path.read_bytes() if path.suffix.lower() == ".glb" else _converted(path)
     try:
         return _with_material(data)
@@ -29,7 +29,7 @@ def _converted(path: Path) -> bytes:
 
     try:
         scene = trimesh.load_scene(path, process=False)
-    except Exception as problem:  # the readers of trimesh raise whatever comes
+    except Exception as problem:  # the readers of trimesh raise many kinds
         raise ValueError(f"{path}: is not a readable {path.suffix} file ({problem})") from None
     if not any(is_triangles(geometry) for geometry in scene.geometry.values()):
         raise ValueError(f"{path}: has no triangles")
@@ -39,7 +39,7 @@ def _converted(path: Path) -> bytes:
 
 
 def _with_material(data: bytes) -> bytes:
-    """The same GLB; where it has no materials, all primitives get a grey one."""
+    """The same GLB. If it has no materials, all primitives get a grey one."""
     magic, version, length = struct.unpack_from("<4sII", data)
     size, kind = struct.unpack_from("<II", data, 12)
     if (magic, version, kind) != (MAGIC, VERSION, JSON) or length > len(data):

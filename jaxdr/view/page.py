@@ -1,4 +1,4 @@
-"""The page of a folder of results: pictures, meshes, curves and tables in one HTML file that needs no other."""
+"""The page of a folder of results: pictures, meshes, curves and tables in one HTML file that needs no other file."""
 
 import base64
 import html
@@ -17,7 +17,7 @@ from jaxdr.view.tables import chart_diagrams, metrics_diagrams, summary_rows
 
 HERE = Path(__file__).parent
 GENERATOR = '<meta name="generator" content="jaxdr view">'
-# The browser itself refuses whatever is not in the page.
+# With this policy the browser loads nothing that is not in the page.
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src data: blob:; worker-src blob:"
@@ -35,7 +35,7 @@ TITLES = {
 
 
 def page(results: Results) -> str:
-    """The page. Raises ValueError for a mesh, a picture or a table that can't be read."""
+    """The page as HTML. Raises ValueError for a mesh, a picture or a table that can't be read."""
     title = html.escape(f"{results.path.resolve().name}: {TITLES[results.kind]}")
     state = "" if results.finished else " The run is not finished."
     head = [
@@ -55,9 +55,9 @@ def page(results: Results) -> str:
 
 
 def _meshes(results: Results) -> list[str]:
-    """Of every mesh its target, its first and its last state."""
+    """The viewers of meshes: targets, first and last states, and results."""
     shown = [("", item) for item in results.meshes if item.step is None]
-    # The target before, the result behind.
+    # Targets come first, results last.
     before = [(name, item) for name, item in shown if item.name == "target"]
     behind = [(name, item) for name, item in shown if item.name != "target"]
     states = []
@@ -83,7 +83,7 @@ def _viewer(label: str, item: Item) -> str:
 
 
 def _state(item: Item, items: Sequence[Item], finished: bool) -> str:
-    """What a step of a run is called."""
+    """The caption of a step of a run."""
     name = f"{item.name}, " if item.name else ""
     if item.step == 0:
         return f"{name}start"
@@ -121,7 +121,7 @@ def _figures(size: str, pictures: Sequence[tuple[str, Item]]) -> str:
 
 
 def _picture(path: Path) -> str:
-    """The file as it is where a browser can show it; linear values so that their 99th percentile is white."""
+    """The file itself if a browser can show it. Linear values are scaled so that their 99th percentile is white."""
     if path.suffix.lower() in MIME:
         return _data(MIME[path.suffix.lower()], path.read_bytes())
     values = np.nan_to_num(np.asarray(load_image(path), float)[..., :3])

@@ -1,4 +1,4 @@
-"""Tables of a run as curves: the columns of `metrics.csv`, the rows of a chart, the numbers of a summary."""
+"""Tables of a run for its page: columns of `metrics.csv` and rows of a chart as curves, numbers of a summary."""
 
 import csv
 import json
@@ -28,7 +28,7 @@ class Diagram(NamedTuple):
 
 
 def metrics_diagrams(path: Path) -> list[Diagram]:
-    """A diagram for each column of numbers that change, over the steps."""
+    """A diagram over the steps for each column whose numbers change."""
     rows = _rows(path)
     if not rows:
         return []
@@ -43,7 +43,7 @@ def metrics_diagrams(path: Path) -> list[Diagram]:
 
 
 def chart_diagrams(path: Path) -> list[Diagram]:
-    """Error against seconds of each scene of a chart, a curve for each estimator."""
+    """A diagram of error against seconds for each scene of a chart, with a curve for each estimator."""
     scenes: dict[str, dict[str, list]] = {}
     for row in _rows(path):
         point = (_number(row.get("seconds")), _number(row.get("rmse")))
@@ -58,7 +58,10 @@ def chart_diagrams(path: Path) -> list[Diagram]:
 
 
 def summary_rows(path: Path) -> list[tuple[str, str]]:
-    """Names and values of a summary; long lists and what is nested deeper than one level is left out."""
+    """(name, value) of the numbers and texts of a summary. Long lists and deeper nesting are left out.
+
+    Raises ValueError for a damaged file.
+    """
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as problem:
@@ -86,7 +89,7 @@ def _rows(path: Path) -> list[dict[str, str | None]]:
 
 
 def _number(text: str | None) -> float | None:
-    """A finite number, or None: cells may be empty, and the last line of a running optimisation incomplete."""
+    """A finite number, or None. Cells may be empty, and the last line of a running optimisation may be incomplete."""
     try:
         value = float(text or "")
     except ValueError:

@@ -1,4 +1,4 @@
-"""The page of a folder, written where it overwrites no file but an earlier page."""
+"""Writes the page of a folder. It overwrites no file but an earlier page."""
 
 from pathlib import Path
 
@@ -13,8 +13,8 @@ SUFFIXES = (".html", ".htm")
 def write_page(folder: Path, output: Path | None = None) -> Path:
     """Write the page of a folder of results, by default as `view.html` in it. Returns its path.
 
-    An earlier page is replaced. Raises ValueError for a folder that is no run or has nothing to show, for files in it
-    that can't be read, and for an output that is another file.
+    An earlier page is replaced. Raises ValueError for a folder without a run or with nothing to show, for files in it
+    that can't be read, and for an output that can't be written or is another file.
     """
     results = read_folder(folder)
     path = folder / NAME if output is None else output

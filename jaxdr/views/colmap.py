@@ -10,12 +10,12 @@ from jaxdr.views.pictures import find_mask, find_picture
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE")
-# x to the right, y down, z forward becomes x to the left, y up, z forward.
+# From a frame with x to the right, y down, z forward to one with x to the left, y up, z forward.
 FROM_COLMAP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def find_model(folder: Path) -> Path | None:
-    """Where the model of a folder is; None without one."""
+    """The folder of the COLMAP model in a folder of photographs; None if there is none."""
     for place in PLACES:
         if any((folder / place / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
             return folder / place
@@ -23,15 +23,15 @@ def find_model(folder: Path) -> Path | None:
 
 
 def colmap_frames(folder: Path) -> list[Frame]:
-    """All registered images of a model, by name; those called `test_*` are held out.
+    """All registered images of a model, sorted by name. Those called `test_*` are held out.
 
-    Raises ValueError that names the file, and ImportError without pycolmap.
+    Raises ValueError, with the name of the file, and ImportError if pycolmap is missing.
     """
     pycolmap = require_pycolmap()
     model = find_model(folder)
     if model is None:
         raise ValueError(f"{folder}: has no COLMAP model; expected cameras, images and points3D in sparse/0")
-    pycolmap.logging.minloglevel = 3  # what is wrong is said once, by us
+    pycolmap.logging.minloglevel = 3  # our own error says what is wrong
     try:
         found = pycolmap.Reconstruction(str(model))
     except (ValueError, IndexError, RuntimeError) as problem:
@@ -62,7 +62,7 @@ def _frame(folder: Path, model: Path, image: Any, camera: Any) -> Frame:
 
 
 def require_pycolmap() -> Any:
-    """The package. Raises ImportError that says how to install it."""
+    """The package pycolmap. Raises ImportError, which says how to install it."""
     try:
         import pycolmap
     except ImportError as missing:

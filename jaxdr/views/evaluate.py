@@ -54,21 +54,21 @@ def evaluate_views(
 ) -> Evaluation:
     """Scores of a scene, rendered from the cameras of photographs: PSNR, SSIM, and overlap of masks.
 
-    - `views`: `Views`, of which the held-out ones are taken, or a list, of which all are.
+    - `views`: `Views`, of which the held-out ones are taken, or a list, of which all are taken.
     - `spp`: samples per pixel.
-    - `match_channels`: first multiply the renderings by one factor a colour channel, the same in all views. Use it for
-      another sky, whose brightness nothing tells.
+    - `match_channels`: first multiply the renderings by one factor for each colour channel, the same in all views. Use
+      it if the photographs were taken under another sky, whose brightness is unknown.
     - `integrator`: default as in `render`.
 
     Put the sky into the scene (`environment`). `to_dict()` of the result has mean and worst of every figure. Raises
-    ValueError without any view, and ImportError without scikit-image.
+    ValueError if there is no view, and ImportError if scikit-image is missing.
     """
     chosen = views.held_out if isinstance(views, Views) else tuple(views)
     require_skimage()
     if not chosen:
         raise ValueError("evaluate_views: there is no view to judge by; hold some out (load_views, holdout=...)")
     pictures = each_rendered(scene, chosen, spp, seed, integrator)
-    if match_channels:  # the factors are of all pictures
+    if match_channels:  # the factors depend on all pictures
         return score_pictures(list(pictures), chosen, match_channels=True)
     return Evaluation(tuple(score_picture(picture, view) for picture, view in zip(pictures, chosen, strict=True)))
 
@@ -76,9 +76,9 @@ def evaluate_views(
 def score_pictures(
     pictures: Sequence[Float[np.ndarray, "H W 4"]], views: Sequence[View], *, match_channels: bool = False
 ) -> Evaluation:
-    """Scores of pictures (linear RGB multiplied by alpha, and alpha), one a photograph; see `evaluate_views`.
+    """Scores of pictures (linear RGB multiplied by alpha, and alpha), one for each photograph; see `evaluate_views`.
 
-    Raises ValueError for another number or size of pictures.
+    Raises ValueError unless there is a picture of the right size for every photograph.
     """
     if len(pictures) != len(views) or not views:
         raise ValueError(f"score_pictures: {len(pictures)} pictures for {len(views)} photographs; give one each")
@@ -98,7 +98,7 @@ def _check_shape(picture: Float[np.ndarray, "H W 4"], view: View) -> None:
 
 
 def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
-    """The factors that bring the pictures nearest to the photographs (least squares), where these are not clipped."""
+    """The factors that bring the pictures closest to the photographs (least squares), where those are not clipped."""
     above, below = np.zeros(3), np.zeros(3)
     for picture, view in zip(pictures, views, strict=True):
         image, alpha = view.picture.read()
@@ -111,14 +111,14 @@ def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
 
 
 def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[np.ndarray, "3"] = UNSCALED) -> Score:
-    """The score of one picture, multiplied by `scale`; see `score_pictures`."""
+    """The score of one picture whose colours are multiplied by `scale`; see `score_pictures`."""
     structural_similarity = require_skimage()
     _check_shape(picture, view)
     image, alpha = view.picture.read()
     both = picture[..., :3] * scale, over_black(image, alpha)
     rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
     error = float(((rendered - photograph) ** 2).mean())
-    psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB: the same to the last bit
+    psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB, which equal pictures have
     size = min(11, view.height, view.width)
     ssim: Any = structural_similarity(
         rendered,
@@ -138,7 +138,7 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
 
 
 def require_skimage():
-    """scikit-image's SSIM. Raises ImportError that says how to install it."""
+    """scikit-image's function for SSIM. Raises ImportError, which says how to install the package."""
     try:
         from skimage.metrics import structural_similarity
     except ImportError as missing:

@@ -1,4 +1,4 @@
-"""What a reader finds out about a photograph before its picture is read."""
+"""A photograph as a folder describes it: what is known before its picture is read."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-# Pixels may be oblong by this share of their size: less than a tenth of a pixel at the border of a large picture.
+# Focal lengths along x and y may differ by this share: less than a tenth of a pixel at the border of a large picture.
 SQUARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A photograph as a folder describes it. `size` (width, height), `centre` and None in them: as the picture says.
+    """A photograph as a folder describes it.
 
-    `focal`: along x and y, in pixels; without it `angle`: horizontal field of view, in radians. `source`: file and
-    entry, for messages.
+    - `source`: file and entry, for messages.
+    - `focal`: focal lengths along x and y, in pixels. If it is None, `angle` is the horizontal field of view (radians).
+    - `centre` (x, y): principal point in pixels; `size` (width, height). None stands for what the picture says.
     """
 
     path: Path
@@ -31,7 +32,7 @@ class Frame:
     def lens(self, width: int, height: int) -> tuple[float, tuple[float, float]]:
         """(focal length, principal point), in pixels of a picture of this size.
 
-        Raises ValueError that names the source where the size is not that of the camera, or the lens is impossible.
+        Raises ValueError, with the source, if the camera has another size, or if the lens is impossible.
         """
         for name, told, found in zip(("width", "height"), self.size, (width, height), strict=True):
             if told is not None and told != found:
@@ -58,7 +59,7 @@ class Frame:
 
 
 def checked_pose(matrix, source: str) -> Float[np.ndarray, "4 4"]:
-    """A camera-to-world matrix without scale. Raises ValueError that names the source for anything else."""
+    """A camera-to-world matrix without scale, from [3, 4] or [4, 4]. Raises ValueError, with the source, otherwise."""
     try:
         pose = np.asarray(matrix, float)
     except (TypeError, ValueError):

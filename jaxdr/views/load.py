@@ -1,4 +1,4 @@
-"""Folders of photographs with known cameras."""
+"""Loads folders of photographs with known cameras."""
 
 import dataclasses
 import os
@@ -15,8 +15,8 @@ from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
 from jaxdr.views.transforms import is_transforms, transforms_frames
 
-EVERY = 8  # where nothing says which pictures are held out
-KEEP = 1.0  # GiB of pictures
+EVERY = 8  # if nothing says which pictures are held out, the first of so many is
+KEEP = 1.0  # GiB of pictures that are kept in memory
 
 
 def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP) -> Views:
@@ -25,23 +25,23 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: f
     These layouts are known:
 
     - NeRF synthetic scenes: `transforms_train.json` and `transforms_test.json`.
-    - instant-ngp: `transforms.json`, with intrinsics of all frames or of each.
+    - instant-ngp: `transforms.json`, with intrinsics for all frames or for each.
     - COLMAP: a model, text or binary, in `sparse/0`, `sparse` or the folder itself; pictures in `images`.
 
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
     under the names of the pictures, or `mask_path` names them. Without masks, alpha says where the object is.
 
     Some photographs are held out: frames of `transforms_test.json`, pictures of a COLMAP model called `test_*`, and
-    names that match the pattern `holdout` ("*_7", "test/*"). Where there are none and there are at least eight
+    names that match the pattern `holdout` ("*_7", "test/*"). If that holds out none, and there are at least eight
     pictures, the first of every eight is held out.
 
     All pictures have one size. Their headers are read now. Their pixels are read when `View.image` or `View.alpha` is
-    asked for. As many as fit into `keep` GiB are kept; others are read again each time.
+    first used. As many as fit into `keep` GiB are kept; others are read again each time.
 
-    Raises ValueError that names file, fault and remedy: for a folder of another kind, missing pictures, damaged
-    headers, masks without pictures or pictures without masks, sizes that differ, lenses that are no pinhole, and
-    cameras that look away from each other. Raises ImportError for a COLMAP model without pycolmap. `View.image` and
-    `View.alpha` raise ValueError where pixels are damaged or not finite, or a mask is empty.
+    Raises ValueError, with file, fault and remedy, for a folder of another kind, missing pictures, damaged headers,
+    masks without pictures, pictures without masks, sizes that differ, lenses other than pinholes, and cameras that look
+    away from each other. Raises ImportError for a COLMAP model if pycolmap is missing. `View.image` and `View.alpha`
+    raise ValueError if pixels are damaged or not finite, or if a mask is empty.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -63,7 +63,7 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: f
 
 
 def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> list[Frame]:
-    """The frames with those marked that are held out."""
+    """The frames, with `held_out` set."""
 
     chosen = [frame.held_out for frame in frames]
     if holdout is not None:
@@ -79,13 +79,13 @@ def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> lis
 
 
 def _matches(path: Path, folder: Path, pattern: str) -> bool:
-    """Whether a pattern is that of a picture's name, with or without suffix, or of its path in the folder."""
+    """Whether a pattern matches the name of a picture, with or without suffix, or its path in the folder."""
     relative = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else ""
     return any(fnmatch(name, pattern) for name in (path.name, path.stem, relative))
 
 
 def _names(folder: Path, frames: Sequence[Frame]) -> list[str]:
-    """Names of files without suffix; where held out or fitted pictures share one, with their folders before it."""
+    """Names of files without suffix. If two fitted or two held-out pictures share one, names contain the folders."""
     stems = [(frame.held_out, frame.path.stem) for frame in frames]
     if len(set(stems)) == len(stems):
         return [stem for _, stem in stems]
@@ -114,9 +114,12 @@ def _views(frames: Sequence[Frame], names: Sequence[str], kept: Kept) -> list[Vi
 
 
 def _without_idle_alpha(views: Sequence[View]) -> tuple[View, ...]:
-    """Without alpha, where it says that the object fills every picture: then it is only a channel of the format."""
+    """The views. They lose their alpha if the object fills every picture: then alpha is only a channel of the format.
+
+    Raises ValueError if only some of the pictures have a mask or alpha.
+    """
     masked = [view.masked for view in views]
-    if all(masked) and all(read_ahead(_is_opaque, views)):  # most often the first one says no
+    if all(masked) and all(read_ahead(_is_opaque, views)):  # most often the first picture ends this
         return tuple(dataclasses.replace(view, picture=view.picture.without_alpha(), backdrop=True) for view in views)
     for view in views:
         if not view.masked and any(masked):
@@ -131,7 +134,7 @@ def _is_opaque(view: View) -> bool:
 
 
 def _check_directions(folder: Path, frames: Sequence[Frame]) -> None:
-    """Raise ValueError where most cameras have the point that they should look at behind them."""
+    """Raises ValueError if the point nearest to all camera axes is behind most of the cameras."""
     poses = np.stack([frame.to_world for frame in frames])
     if len(frames) < 2:
         return

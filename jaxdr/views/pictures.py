@@ -1,4 +1,4 @@
-"""The pictures of a folder of photographs: files found, their headers checked, colours and masks read when needed."""
+"""The pictures of a folder of photographs. Headers are checked at once; colours and masks are read when needed."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Colors = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
 
 
 class CannotRead(ValueError):
-    """A picture can't be read; the message names the file, says why, and what to do."""
+    """A picture can't be read. The message names the file, the reason and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Pixels:
         return self.alpha is not None
 
     def without_alpha(self) -> "Pixels":
-        """The same picture, whose alpha says nothing."""
+        """The same picture without alpha."""
         return Pixels(self.image)
 
     def read(self) -> Colors:
@@ -52,8 +52,8 @@ class Pixels:
 class PictureFile:
     """A picture in a file, with a mask in another file or none.
 
-    `width`, `height`, and whether it is `masked` are known from the headers. Pixels are read when they are asked for,
-    and `kept` as far as there is room.
+    `width`, `height`, and whether it is `masked`, are known from the headers. Pixels are read when they are needed.
+    `kept` keeps them in memory as far as there is room.
     """
 
     path: Path
@@ -65,18 +65,18 @@ class PictureFile:
 
     @classmethod
     def of(cls, path: Path, mask: Path | None, kept: Kept) -> "PictureFile":
-        """From the headers. Raises ValueError that names the file as `read_picture` does, for what they tell."""
+        """A picture from its headers. Raises ValueError, with the file, for headers that are damaged or don't agree."""
         width, height, channels = image_size(path)
         if mask is not None and (size := image_size(mask)[:2]) != (width, height):
             raise ValueError(_another_size(mask, size, path, (width, height)))
         return cls(path, mask, width, height, mask is not None or channels == 4, kept)
 
     def without_alpha(self) -> "PictureFile":
-        """The same picture, whose alpha says nothing."""
+        """The same picture without alpha."""
         return dataclasses.replace(self, masked=False)
 
     def read(self) -> Colors:
-        """(linear RGB, alpha or None), not to be written to. Raises `CannotRead` that names the file."""
+        """(linear RGB, alpha or None), which must not be written to. Raises `CannotRead`, with the file."""
         image, alpha = self.kept.get((self.path, self.mask), self._read)
         return image, alpha if self.masked else None
 
@@ -91,12 +91,12 @@ class PictureFile:
             raise CannotRead(f"{self.path}: is another picture than its header said; was it changed meanwhile?")
         for pixels in (image, alpha):
             if pixels is not None:
-                pixels.flags.writeable = False  # others may get the very same array
+                pixels.flags.writeable = False  # other callers may get the same array
         return image, alpha
 
 
 def find_picture(base: Path, name: str, said_by: Path) -> Path:
-    """The file of a picture, whose name may lack its suffix. Raises ValueError that names who asked for it."""
+    """The file of a picture whose name may lack its suffix. Raises ValueError, with the file that names the picture."""
     path = base / name
     if path.suffix.lower() in READERS:
         candidates = [path]
@@ -110,9 +110,9 @@ def find_picture(base: Path, name: str, said_by: Path) -> Path:
 
 
 def find_mask(folder: Path, name: str) -> Path | None:
-    """The mask of a picture: `masks/NAME.png`, or `masks/NAME.jpg.png` as COLMAP has them; None without the folder.
+    """The mask of a picture: `masks/NAME.png`, or `masks/NAME.jpg.png` as in COLMAP; None without a folder of masks.
 
-    Raises ValueError where there are masks and none for this picture.
+    Raises ValueError if there are masks, but none for this picture.
     """
     masks = folder / "masks"
     if not masks.is_dir():
@@ -125,7 +125,7 @@ def find_mask(folder: Path, name: str) -> Path | None:
 
 
 def check_masks_have_pictures(folder: Path, used: set[Path]) -> None:
-    """Raise ValueError for masks that belong to no picture."""
+    """Raises ValueError for masks that belong to no picture."""
     masks = folder / "masks"
     if masks.is_dir() and (left := sorted(set(masks.rglob("*.png")) - used)):
         more = f" and {len(left) - 1} more" if len(left) > 1 else ""
@@ -133,10 +133,10 @@ def check_masks_have_pictures(folder: Path, used: set[Path]) -> None:
 
 
 def read_picture(path: Path, mask: Path | None) -> Colors:
-    """Linear RGB, not multiplied by alpha, and alpha from the mask, else from the file, else None.
+    """(linear RGB, not multiplied by alpha; alpha from the mask, or from the file, or None).
 
-    EXR files hold colours multiplied by alpha, the others do not. Raises ValueError that names the file for one that
-    can't be read, a mask of another size, and a mask or alpha without any object.
+    EXR files hold colours multiplied by alpha; other files do not. Raises ValueError, with the file, for a file that
+    can't be read, a mask of another size, and a mask or alpha that is empty.
     """
     pixels = load_image(path)
     if not np.isfinite(pixels).all():
@@ -150,7 +150,7 @@ def read_picture(path: Path, mask: Path | None) -> Colors:
     source = path
     if mask is not None:
         source, values = mask, load_image(mask, raw=True)
-        # The last channel of grey and alpha, or of RGB and alpha, is what a mask with alpha says.
+        # The alpha of a mask that has one counts, not its colour.
         alpha = values[..., -1] if values.shape[2] == 4 else values[..., 0]
         if alpha.shape != color.shape[:2]:
             raise ValueError(_another_size(mask, alpha.shape[::-1], path, color.shape[1::-1]))

@@ -1,4 +1,4 @@
-"""Reading many pictures in little memory: as many as fit are kept, others are read ahead by a few threads."""
+"""Reads many pictures in little memory. As many as fit are kept; others are read ahead by a few threads."""
 
 import os
 import threading
@@ -10,17 +10,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 THREADS = min(4, os.cpu_count() or 1)
-AHEAD = 4  # pictures that are read, or being read, before they are asked for
+AHEAD = 4  # most pictures that are read before they are needed
 
 T = TypeVar("T")
 S = TypeVar("S")
 
 
 class Kept:
-    """Arrays, or tuples of them, by key: as many as fit into `limit` bytes, for several threads.
+    """A cache of arrays, or of tuples of arrays, by key: as many as fit into `limit` bytes. Threads may share it.
 
-    The first ones stay. Pictures are asked for in rounds over all of them: what was used last is needed last again, so
-    to let the oldest go would keep nothing that is of use.
+    The first ones stay. Pictures are used in rounds over all of them, so the least recently used picture is needed
+    next. A cache that drops it would never have the right one.
     """
 
     def __init__(self, limit: int):
@@ -44,13 +44,13 @@ class Kept:
         return value
 
     def clear(self) -> None:
-        """Keep nothing any more of what is here."""
+        """Forget all values."""
         with self._lock:
             self._values, self.bytes = {}, 0
 
 
 def read_ahead(make: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
-    """`make` of every item, in order, by a few threads, never more than a few of them before they are asked for."""
+    """`make` of every item, in order. A few threads make them, and only a few before they are needed."""
     waiting: deque = deque()
     pool = ThreadPoolExecutor(THREADS, "jaxdr read")
     try:

@@ -1,4 +1,4 @@
-"""What a photograph with a known camera is, and a set of them."""
+"""A photograph with a known camera, and a set of such photographs."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +16,11 @@ class View:
     """One photograph and its pinhole camera.
 
     - `name`: the name of its file without suffix; `path`: the file.
-    - `picture`: what has its pixels, in a file or in memory; `image` and `alpha` read it.
-    - `to_world`: camera to world; the columns are left, up, forward, position, as `jaxdr.look_at` has them.
+    - `picture`: its pixels, in a file or in memory; `image` and `alpha` read them.
+    - `to_world`: camera to world; the columns are left, up, forward, position, as in `jaxdr.look_at`.
     - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
-    - `held_out`: kept for judging, never used in fitting.
-    - `backdrop`: whether the picture shows what is behind the object; one cut out by its own alpha does not.
+    - `held_out`: kept for evaluation, never used in fitting.
+    - `backdrop`: whether the picture shows what is behind the object. A picture that its own alpha cuts out does not.
     """
 
     name: str
@@ -34,17 +34,17 @@ class View:
 
     @property
     def image(self) -> Float[np.ndarray, "H W 3"]:
-        """Linear RGB, not multiplied by alpha. Raises ValueError that names a file that can't be read."""
+        """Linear RGB, not multiplied by alpha. Raises ValueError, with the file, if it can't be read."""
         return self.picture.read()[0]
 
     @property
     def alpha(self) -> Float[np.ndarray, "H W"] | None:
-        """Share of each pixel that the object covers, in [0, 1]; None where nothing says. Raises as `image` does."""
+        """Share of each pixel that the object covers, in [0, 1]; None if unknown. Raises ValueError as `image` does."""
         return self.picture.read()[1] if self.masked else None
 
     @property
     def masked(self) -> bool:
-        """Whether there is alpha; nothing is read for that."""
+        """Whether there is alpha. Nothing is read for that."""
         return self.picture.masked
 
     @property
@@ -64,18 +64,18 @@ class View:
 
     @property
     def principal_point(self) -> tuple[float, float]:
-        """Where the axis is, as `jaxdr.Perspective` takes it: shares of width and height to the left and up."""
+        """Principal point as `jaxdr.Perspective` takes it: offset to the left and up, in shares of width and height."""
         return 0.5 - self.centre[0] / self.width, 0.5 - self.centre[1] / self.height
 
     @property
     def camera(self) -> Perspective:
-        """The camera, with a box filter: a pixel of a photograph collects the light of its own square."""
+        """The camera, with a box filter: a pixel of a photograph collects the light of its own square only."""
         film = Film(self.width, self.height, Box())
         return Perspective(self.to_world, self.fov, film, principal_point=self.principal_point)
 
     @property
     def over_black(self) -> Float[np.ndarray, "H W 3"]:
-        """Linear RGB with black where the object is not."""
+        """Linear RGB of the object over black."""
         return over_black(*self.picture.read())
 
     def with_picture(self, image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> "View":
@@ -85,35 +85,37 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Photographs of one object, all of one size. `fitted` are those to learn from, `held_out` those to judge by."""
+    """Photographs of one object, all of one size. `fitted` are those to fit, `held_out` those for evaluation."""
 
     folder: Path
     views: tuple[View, ...]
 
     @property
     def fitted(self) -> tuple[View, ...]:
-        """Those to learn from."""
+        """The photographs to fit."""
         return tuple(view for view in self.views if not view.held_out)
 
     @property
     def held_out(self) -> tuple[View, ...]:
-        """Those to judge by."""
+        """The photographs for evaluation."""
         return tuple(view for view in self.views if view.held_out)
 
     @property
     def masked(self) -> bool:
-        """Whether every photograph says where the object is."""
+        """Whether every photograph has alpha."""
         return all(view.masked for view in self.views)
 
 
 def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:
-    """Colours multiplied by alpha, where there is one."""
+    """Colours multiplied by alpha, if there is one."""
     return image if alpha is None else image * alpha[..., None]
 
 
 def common_point(poses: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "3"]:
-    """The point nearest to the axes of all cameras (least squares); that of one camera, or of parallel ones, lies at
-    the shortest distance from the cameras' mean."""
+    """The point nearest to the axes of all cameras (least squares).
+
+    For one camera, or for parallel axes, many points are nearest. It is the one closest to the mean of the cameras.
+    """
     forward, origin = poses[:, :3, 2], poses[:, :3, 3]
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
     mean = origin.mean(0)

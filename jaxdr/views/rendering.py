@@ -1,4 +1,4 @@
-"""Renderings of a scene as a photograph with alpha has it: the object without what is behind, and its coverage."""
+"""Renderings of a scene like photographs with alpha: the object without what is behind it, and its coverage."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ from jaxdr.views.record import View
 
 
 class Pinhole(NamedTuple):
-    """What differs between cameras of one program: pose, field of view in degrees, principal point."""
+    """The parameters of a camera that a compiled program takes: pose, field of view (degrees), principal point."""
 
     to_world: Float[Array | np.ndarray, "4 4"]
     fov: Float[Array | np.ndarray, ""]
@@ -35,12 +35,12 @@ class Pinhole(NamedTuple):
         return cls(*(jnp.asarray(x, float) for x in (view.to_world, view.fov, view.principal_point)))
 
     def camera(self, film: Film) -> Perspective:
-        """The camera with a film."""
+        """The camera with this film."""
         return Perspective(self.to_world, self.fov, film, principal_point=self.principal_point)
 
 
 class Layers(NamedTuple):
-    """A picture in parts: `full` [H, W, 3] with what is behind, `alpha` [H, W], `behind` [H, W, 3] the sky alone."""
+    """A picture in parts: `full` shows everything, `alpha` is the object's coverage, `behind` is the sky alone."""
 
     full: Float[Array, "H W 3"]
     alpha: Float[Array, "H W"]
@@ -48,17 +48,17 @@ class Layers(NamedTuple):
 
     @property
     def over_black(self) -> Float[Array, "H W 3"]:
-        """The object over black: the full picture without the share of the sky.
+        """The object over black: the full picture minus the sky where the object does not cover it.
 
-        Exact where the sky is the same all over a pixel that the object covers in part, and in all other pixels.
+        It is exact, except in pixels that the object covers in part and within which the sky varies.
         """
         return self.full - (1.0 - self.alpha)[..., None] * self.behind
 
 
 def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integrator: Integrator) -> Layers:
-    """The parts of the picture of a scene; differentiable like `render`.
+    """The parts of the picture of a scene, differentiable like `render`.
 
-    Image and alpha share their film points, so what is behind cancels between them sample by sample.
+    Image and alpha share their film points. So what is behind cancels between them in every sample.
     """
     seen = Scene(scene.shapes, camera, scene.environment, scene.lights)
     full = render(seen, key, spp=spp, integrator=integrator)
@@ -79,9 +79,9 @@ def render_views(
 ) -> list[Float[np.ndarray, "H W 4"]]:
     """Pictures [H, W, 4] of a scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
 
-    What is behind the object is left out; but photographs without alpha show it, so their pictures do. `spp`: samples
-    per pixel. `integrator`: default as in `render`. All views of one size share a program. Raises ValueError for spp <
-    1.
+    What is behind the object is left out, except in pictures of photographs without alpha. `spp`: samples per pixel.
+    `integrator`: default as in `render`. Views of the same size share a compiled program. Raises ValueError for
+    spp < 1.
     """
     return list(each_rendered(scene, views, spp, seed, integrator))
 
@@ -89,7 +89,7 @@ def render_views(
 def each_rendered(
     scene: Scene, views: Iterable[View], spp: int, seed: int, integrator: Integrator | None
 ) -> Iterator[Float[np.ndarray, "H W 4"]]:
-    """The pictures of `render_views` one by one: none is held here."""
+    """The pictures of `render_views` one by one, so that they need not all be in memory."""
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render_views: spp must be a positive whole number of samples per pixel, got {spp}")
     integrator = integrator or _without_boundary(default_integrator(scene))
@@ -101,7 +101,7 @@ def each_rendered(
 
 
 def picture(parts: Layers, behind: bool = False) -> Float[np.ndarray, "H W 4"]:
-    """The object over black, or with what is `behind`, and alpha, on the host."""
+    """Colours and alpha on the host. The object is over black, or with `behind` over what is behind it."""
     alpha = np.asarray(parts.alpha)
     if behind:
         color = np.asarray(parts.full)

@@ -1,4 +1,4 @@
-"""`transforms*.json`: NeRF synthetic scenes and instant-ngp."""
+"""Reads `transforms*.json` of NeRF synthetic scenes and of instant-ngp."""
 
 import json
 from pathlib import Path
@@ -10,18 +10,18 @@ from jaxdr.views.pictures import find_mask, find_picture
 
 TRAIN, TEST, ALL = "transforms_train.json", "transforms_test.json", "transforms.json"
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")  # the same without distortion
-# x to the right, y up, z backward becomes x to the left, y up, z forward.
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")  # all are pinholes without distortion
+# From a frame with x to the right, y up, z backward to one with x to the left, y up, z forward.
 FROM_OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])
 
 
 def is_transforms(folder: Path) -> bool:
-    """Whether a folder has the layout."""
+    """Whether a folder has such files."""
     return any((folder / name).is_file() for name in (TRAIN, ALL))
 
 
 def transforms_frames(folder: Path) -> list[Frame]:
-    """All frames of a folder: those of `transforms_test.json` are held out. Raises ValueError that names the file."""
+    """All frames of a folder. Those of `transforms_test.json` are held out. Raises ValueError, with the file."""
     if not (folder / TRAIN).is_file():
         return _frames(folder, folder / ALL, False)
     test = _frames(folder, folder / TEST, True) if (folder / TEST).is_file() else []
@@ -64,7 +64,7 @@ def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_ou
 
 
 def _check_lens(values: dict, source: str) -> None:
-    """Raise ValueError for lenses that are no pinhole."""
+    """Raises ValueError for lenses other than pinholes."""
     bent = [name for name in DISTORTION if values.get(name)]
     if bent:
         raise ValueError(

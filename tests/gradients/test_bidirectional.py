@@ -14,7 +14,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
 from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import uniform
 from tests.gradients import floor_point as point
 from tests.references.polygon_shadow import irradiance, irradiance_derivatives, silhouette
@@ -131,7 +131,7 @@ def by_strategy(of, along, key, boundary, count, depth):
         packed = pack(of.replace({name: at[name] + step * d for name, d in along.items()}))
         film, keys = packed.camera.film, jax.random.split(key, 4)
         pixels = film.width * film.height
-        primary = primary_samples(packed, jnp.arange(count), keys[0], "auto", "material")
+        primary = primary_samples(packed, jnp.arange(count), keys[0], "auto", Form.MATERIAL)
         u = uniform(keys[1], (pixels * count, 4))
         found = strategies(packed, primary, u, keys[2], BidirectionalSettings(depth, 1, "auto"))
         weight = jnp.where((found.value != 0).any(-1), 1.0, 0.0)

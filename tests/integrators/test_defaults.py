@@ -76,7 +76,7 @@ def test_what_is_chosen(name):
 def test_a_mesh_of_many_faces(monkeypatch):
     monkeypatch.setattr(known_failures, "FINE", 12)
     assert default_integrator(scene()).boundary == jd.LineSampling()
-    assert "as box has" in default_reason(scene())
+    assert "such as box" in default_reason(scene())
 
 
 def test_the_depth_is_kept():

@@ -84,7 +84,7 @@ def test_fine_meshes(monkeypatch):
     assert known_failure(jd.KernelDensity(), traits(scene())) is None
     monkeypatch.setattr(known_failures, "FINE", 12)
     for boundary in (jd.KernelDensity(), jd.GuidedEdges()):
-        assert "as box has" in (known_failure(boundary, traits(scene())) or "")
+        assert "such as box" in (known_failure(boundary, traits(scene())) or "")
     assert known_failure(RIGHT, traits(scene())) is None
 
 

@@ -67,7 +67,7 @@ def test_edges(names, film, still):
     assert (found.edges, found.film_edges, found.still_edges) == (28, film, still)
     text = "\n".join(found.lines())
     assert ("no boundary terms" in text) == (film == 0)
-    assert (f"{still} of what stands still" in text) == (film > 0 and still > 0)
+    assert (f"{still} edges of what stands still" in text) == (film > 0 and still > 0)
 
 
 def test_estimators_by_nature():

@@ -16,7 +16,7 @@ from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
 from jaxdr.transport.connections import Ends, found_emission, with_camera, with_each_other, with_emitters
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.interaction import material_point
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.subpaths import Onwards, camera_start, extend, light_start, trace_on
@@ -49,7 +49,7 @@ def strategy_images(scene, key, count, depth):
     packed, film = pack(scene), scene.camera.film
     width, height = film.width, film.height
     keys = jax.random.split(key, 3)
-    primary = primary_samples(packed, jnp.arange(count), keys[0], "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(count), keys[0], "auto", Form.FIXED)
     u = uniform(keys[1], (width * height * count, 4))
     found = strategies(packed, primary, u, keys[2], BidirectionalSettings(depth, 1, "auto"))
     seen = found.film_points.shape[0]
@@ -208,7 +208,7 @@ def test_weights_add_up_to_one(kind, power):
 def _weights(scene, power):
     """Weights of the strategies, [5, N], for N paths, and which of these all strategies can find."""
     packed, keys = pack(scene), jax.random.split(jax.random.key(4), 4)
-    primary = primary_samples(packed, jnp.arange(1024), keys[0], "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(1024), keys[0], "auto", Form.FIXED)
     paths = primary.u.shape[0]
     u = jnp.asarray(uniform(keys[1], (paths, 4), float))
     sample = sample_emitter(packed, u[:, :2])
@@ -393,12 +393,12 @@ def test_settings_are_checked(settings, message):
     ("name", "scene", "message"),
     [
         ("floor.vertices", floor_scene(film_filter=jd.Box()), "differentiates the pixel filter .* use Gaussian"),
-        ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
-        ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "do not move with mirrors"),
+        ("ball.vertices", floor_scene(extra=ball(jd.Dielectric())), "has no derivative by what moves"),
+        ("ball.bsdf.eta", floor_scene(extra=ball(jd.Dielectric())), "has no derivative by what moves"),
         (
             "point.position",
             floor_scene(jd.PointLight([0, 0, 1]), extra=ball(jd.Conductor())),
-            "do not move with mirrors",
+            "has no derivative by what moves",
         ),
     ],
 )

@@ -17,7 +17,7 @@ from jaxdr.transport import mirrored_pairs
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.mirrored_pairs import Ends
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 WALL_AT, WALL_NORMAL = np.array([0.1, -0.6, 0.7]), np.array([0.0, 0.8, -0.6])
 LAMP_AT, LAMP_SIDE, LAMP_NORMAL = np.array([-0.1, 0.6, 0.4]), 0.2, np.array([0.0, 0.0, -1.0])
@@ -68,7 +68,7 @@ def estimate(of: jd.Scene, key, pairs: bool):
 
     def radiance(amounts):
         packed = pack(moved(of, amounts))
-        primary = primary_samples(packed, jnp.arange(SPP), film, settings.rays, "fixed")
+        primary = primary_samples(packed, jnp.arange(SPP), film, settings.rays, Form.FIXED)
         record = trace_paths(
             packed, primary.first, primary.direction, primary.u, path, settings, primary.near, pairs=pairs
         )

@@ -12,7 +12,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.near_paths import near_field_term
 from jaxdr.transport.path import PathSettings, trace_paths, transfer_to
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.shading import Scatterer
 
 KEY = jax.random.key(7)
@@ -67,7 +67,7 @@ def test_it_is_the_difference_of_two_forms(name):
 
         def traced(x):
             packed = pack(of.replace({name: x}))
-            primary = primary_samples(packed, jnp.arange(8), KEY, "auto", "near")
+            primary = primary_samples(packed, jnp.arange(8), KEY, "auto", Form.NEAR)
             arguments = primary.first, primary.direction, primary.u, jax.random.fold_in(KEY, 1), SETTINGS
             return packed, primary, trace_paths(packed, *arguments, primary.near)
 

@@ -13,7 +13,7 @@ from jaxdr.scene.packed import pack
 from jaxdr.transport import radiance
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe, PathSettings, trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 KEY = jax.random.key(50)
 
@@ -39,7 +39,7 @@ def both(key, depth, mis=True, samples=4):
 @partial(jax.jit, static_argnames=("depth", "mis", "samples"))
 def traced(scene, key, depth, mis, samples):
     packed, settings = pack(scene), PathSettings(depth, mis, "auto")
-    primary = primary_samples(packed, jnp.arange(samples), key, "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(samples), key, "auto", Form.FIXED)
     arguments = packed, primary.first, primary.direction, primary.u, jax.random.fold_in(key, 1), settings
     return radiance.arriving_radiance(*arguments), trace_paths(*arguments).radiance
 
@@ -73,7 +73,7 @@ def test_blocks_do_not_matter(monkeypatch):
 def test_remaining_bounces_and_streams():
     """Every path scatters as often as it may; those of one stream see the same random numbers throughout."""
     packed, settings = pack(scene()), PathSettings(5, True, "auto")
-    primary = primary_samples(packed, jnp.arange(2), KEY, "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(2), KEY, "auto", Form.FIXED)
     count = len(primary.direction)
 
     def gathered(bounces, copies=1, stream=None):
@@ -100,7 +100,7 @@ def test_remaining_bounces_and_streams():
 def test_derivatives_do_not_pass():
     """It is of values alone: derivatives through it are zero, in both modes, not an error."""
     packed, settings = pack(scene()), PathSettings(4, True, "auto")
-    primary = primary_samples(packed, jnp.arange(1), KEY, "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(1), KEY, "auto", Form.FIXED)
 
     def total(brightness):
         dimmed = primary.first._replace(position=brightness * primary.first.position)
@@ -121,7 +121,7 @@ def matt_scene() -> jd.Scene:
 def lobes(of, key):
     """Means over pixels: from BSDF samples, and from directions that are uniform over the sphere."""
     packed, settings = pack(of), PathSettings(4, True, "auto")
-    primary = primary_samples(packed, jnp.arange(64), key, "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(64), key, "auto", Form.FIXED)
     stream = jnp.arange(len(primary.u), dtype=jnp.uint32)
     direction = jax.random.normal(jax.random.fold_in(key, 2), primary.direction.shape)
     direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
@@ -148,7 +148,7 @@ def shares(of, key, depth):
     film = jd.Film(24, 16, jd.Gaussian(2.0))
     of = jd.Scene(of.shapes, jd.Perspective(of.camera.to_world, 40.0, film), environment=of.environment)
     packed, settings = pack(of), PathSettings(depth, True, "auto")
-    primary = primary_samples(packed, jnp.arange(16), key, "auto", "near")
+    primary = primary_samples(packed, jnp.arange(16), key, "auto", Form.NEAR)
     first, stream = primary.first, jnp.arange(len(primary.u), dtype=jnp.uint32)
     seen = footprint(primary.near.camera, first.position, first.normal)
     key = jax.random.fold_in(key, 1)
@@ -174,7 +174,7 @@ def test_share_in_material_form():
 def test_lists_are_answered_as_if_alone():
     """Whatever else is asked for: with footprints, with given directions, without either."""
     packed, settings = pack(matt_scene()), PathSettings(4, True, "auto")
-    primary = primary_samples(packed, jnp.arange(2), KEY, "auto", "fixed")
+    primary = primary_samples(packed, jnp.arange(2), KEY, "auto", Form.FIXED)
     first, wi, u = primary.first, -primary.direction, primary.u
     seen = footprint(primary.view, first.position, first.normal)
     given = Lobe(wi, jnp.full(len(u), 0.5))

@@ -1,4 +1,4 @@
-"""Earlier estimators, one a file, here to be compared with.
+"""Earlier estimators, for comparison. Each has a file.
 
 `redner_was` is `RednerWAS` (Bangaru et al. 2020): warped areas on the sphere of directions, direct light only. It uses
 the velocity fields of `warped_area`.

@@ -1,15 +1,15 @@
 """Warped areas on the sphere of directions (Bangaru et al. 2020; "Redner_WAS" in Xu et al. 2023), direct light only.
 
-The integrand of direct light as a function of the direction w at a shading point y, F(w) = L(y, w) f_s(w) cos (Eq. 55),
-jumps wherever the light that is seen ends: at occluders' silhouettes and at all outlines of the emitter itself, which
-the material form has fixed on the surface (Eq. 56). With a continuous field v on the sphere that is the velocity of
-these curves where they are approached,
+At a shading point y the integrand of direct light is a function of the direction w: F(w) = L(y, w) f_s(w) cos (Eq. 55).
+It jumps at the silhouettes of occluders and at all outlines of the emitter itself. (In the material form, Eq. 56, these
+outlines are fixed on the surface.) Let v be a continuous field on the sphere that tends to the velocity of these curves
+as a direction approaches them. Then
 
     dI/d theta = int [dF/d theta at a fixed direction + div (F v)] d sigma.
 
-`render`'s interior term is in material form: its directions move with the emitter's points, with a velocity m, so that
-it is int [dF/d theta + div (F m)] d sigma, point by point. What is added here is div (F v) - div (F m): a warp by
-v - m. So the sum is the spherical estimator, at the path tracer's own emitter samples.
+`render`'s interior term is in material form: its directions follow the emitter's points, with a velocity m. So it is
+int [dF/d theta + div (F m)] d sigma, point by point. This file adds div (F v) - div (F m), which is a warp by v - m.
+The sum is the spherical estimator, at the path tracer's own emitter samples.
 """
 
 import dataclasses
@@ -59,21 +59,23 @@ def _glow(asked: Asked) -> str | None:
 class RednerWAS(WarpedTerm):
     """Direct light by warped areas on the sphere of directions (Xu et al. 2023, Eq. 55-57), for comparison.
 
-    Each direction has a velocity: that of the material point seen in it, on the emitter or on whatever hides it. It is
-    zero where nothing is seen. The boundary-test function B is that point's (Eq. 18). Every auxiliary direction costs
-    one ray. Prefer `WarpedArea`: there the outlines of emitters do not move, and need no warp.
+    Each direction has the velocity of the material point that is seen in it, on the emitter or on what hides the
+    emitter. Where nothing is seen the velocity is zero. The boundary-test function B is evaluated at the same point
+    (Eq. 18). Every auxiliary direction costs one ray. Prefer `WarpedArea`: there the outlines of emitters do not move,
+    and need no warp.
 
     All fields are static.
 
     - `distance`: "exponential" (Eq. 57), that of the original, or "path_space" (Eq. 16).
     - `normal_edges`: whether B vanishes at silhouettes that are edges between two faces, where the normal jumps. All
-      outlines of a cube are such edges. Without them only cosines and open edges count, as the authors of Xu et al.
-      found it in the public implementation (Fig. 18). Then the velocity field does not reach the velocity of such an
-      outline, and the derivative is wrong. An edge that is no outline of what is seen needs no warp.
-    - `sigma0`, `power`, `samples`, `boundary_power`, `debias`, `spread`: as of `WarpedArea`, in radians on the sphere.
+      outlines of a cube are such edges. If False, only cosines and open edges count, as Xu et al. found in the public
+      implementation (Fig. 18). Then the velocity field does not reach the velocity of such an outline, and the
+      derivative is wrong. Edges that are not outlines need no warp.
+    - `sigma0`, `power`, `samples`, `boundary_power`, `debias`, `spread`: as in `WarpedArea`, but lengths are angles on
+      the sphere, in radians.
 
-    Take `PathTracer(max_depth=2, sampling="emitter")`. With "mis" the derivative is the same, but noisier: a part of
-    the interior term is at other samples and does not cancel.
+    Take `PathTracer(max_depth=2, sampling="emitter")`. With "mis" the derivative is the same but noisier: a part of
+    the interior term is then at BSDF samples, where div (F m) does not cancel.
 
     Raises ValueError for options out of range.
     """
@@ -97,12 +99,12 @@ class RednerWAS(WarpedTerm):
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
-        del key  # every face may bound what moving surfaces see, whatever moves
+        del key  # all faces are needed: a face at rest may bound what a moving surface sees
         refuse(self.refusals, Asked(context.packed, context.settings))
         return connect_faces(context.packed)
 
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
-        """Direct light."""
+        """The term of direct light, one value a path."""
         packed, record = context.packed, chunk.record
         if record.direct is None or not (packed.has_area_emitters or packed.environment is not None):
             return jnp.zeros_like(record.radiance)
@@ -123,7 +125,7 @@ class RednerWAS(WarpedTerm):
         angle = jnp.where(ends.infinite, 1.0, jnp.abs(dot(normal, towards)) / reach**2 * ratio)
         lit = paths.table.visible & (scale(measure(stop_gradient(towards)), angle) != 0).any(-1)
 
-        # Along with the emitter's points, div (F m): leave it out of the interior term.
+        # The derivative of `along` is div (F m), as the emitter's points move. The interior term has it; subtract it.
         along = jnp.where(lit[:, None], scale(measure(towards), angle), 0.0)
         kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
         around = Convolution(
@@ -156,16 +158,16 @@ def _warp(warped: Warped, measure: Measure, towards, angle, lit, key) -> Float[A
 
     def moved(slot):
         row = velocities.row(slot)
-        # Directions are frames of their own: what turns the environment is in F.
+        # No turns here: a turn of the environment is already in F.
         return displacement(warped.packed, paths.position(row), everywhere[row], velocities.seen(slot), turns=False)
 
-    # On the unit sphere a direction is where the target is, less the apex.
+    # On the unit sphere the direction itself is the target, relative to the apex.
     around_apex = dataclasses.replace(ends, target=towards)
     return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
 
 
 def _measure(packed: PackedScene, paths: PathSegments, index: Int[Array, " N"]) -> Measure:
-    """Of emitter samples: F / pdf (per area) as a function of the unit direction at the apex, detached but for that."""
+    """F / pdf (per area) of emitter samples, as a function of the unit direction at the apex; all else is detached."""
     scatterer, table = paths.scatterer(index), paths.table
 
     def measure(towards):

@@ -1,7 +1,10 @@
-"""Terms of what the film sees, for every estimator alike: lines in the image, with both sides.
+"""Terms of the lines at which the image itself jumps. They are the same for every estimator.
 
-`film_edges` draws points on silhouettes and creases by `edge_distribution`; `film_chains` finds edges seen in mirrors
-and through smooth glass. `hard_shadows` follows what lights without area leave dark, on the film and on the surfaces
-that paths meet, by `shadow_lines`; `pixel_borders` is light that moves through the border of a pixel. Every term asks
-for the radiance of the two sides and splats their difference times the velocity of the line.
+- `film_edges`: silhouettes and creases that the camera sees directly; `edge_distribution` is what they are drawn from.
+- `film_chains`: edges seen in mirrors and through smooth glass.
+- `hard_shadows`: shadows of lights without area, on the film and on the surfaces that paths meet; `shadow_lines` draws
+  points on their edges.
+- `pixel_borders`: light that moves through the border of a pixel.
+
+The first three splat the jump of radiance across a line times the line's normal velocity.
 """

@@ -1,4 +1,4 @@
-"""How edges in the image are drawn: by projected length times an estimate of the jump of radiance."""
+"""The distribution of points on edges in the image: projected length times an estimate of the jump of radiance."""
 
 from typing import NamedTuple
 
@@ -31,15 +31,16 @@ PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an ed
 
 
 class EdgeDistribution(NamedTuple):
-    """What edge points are drawn from; detached. It has a row for each edge of the moving shapes.
+    """The distribution of edge points; detached. It has a row for each edge of the moving shapes.
 
     - `edge`: the number of the edge.
     - `start`, `end`: film points of the visible part of the edge.
     - `clip`: fractions of the 3D edge at the ends of the part between near and far plane.
     - `homogeneous`: denominators of the projection there.
     - `range`: the part of the projected edge inside the film window.
-    - `importance`: per unit length. The cdfs are of length x importance.
-    - `extent`: seen through an aperture, it bounds the edge's length from everywhere on the aperture.
+    - `importance`: estimate of the jump of radiance, per unit of projected length.
+    - `silhouettes`, `creases`: cumulative sums of length x importance over the edges of either kind.
+    - `extent`: with an aperture, an upper bound of the projected length from every point of the aperture; else None.
     """
 
     edge: Int[Array, " E"]
@@ -95,7 +96,7 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
 
 
 def _clip(outside0, outside1):
-    """Parameter range of a line on which a linear function, positive outside, is not positive; empty as (1, 0)."""
+    """Parameter range (low, high) in which a linear function with these end values is not positive; (1, 0) if empty."""
     change = outside1 - outside0
     root = safe_divide(-outside0, change)
     low = jnp.where(outside0 > 0, jnp.where(outside1 > 0, 1.0, root), 0.0)
@@ -104,12 +105,12 @@ def _clip(outside0, outside1):
 
 
 def _inside_window(film, start, end, margin=None):
-    """Parameter range of projected edges within reach of the window's filters, and `margin` pixels more."""
+    """Parameter range of projected edges inside the window, widened by the filter's radius and `margin` pixels."""
     x0, y0, width, height = film.window
     reach = film.filter.radius if margin is None else film.filter.radius + margin
     reach = jnp.broadcast_to(reach, start.shape[:1])[:, None]
     first, last = jnp.asarray((x0, y0), start.dtype), jnp.asarray((x0 + width, y0 + height), start.dtype)
-    # Outside of the four sides, [E, 4].
+    # Distance outside each of the four sides, [E, 4].
     outside = (jnp.concatenate([first - reach - p, p - last - reach], -1) for p in (start, end))
     low, high = _clip(*outside)
     return low.max(-1), high.min(-1)
@@ -118,16 +119,16 @@ def _inside_window(film, start, end, margin=None):
 def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
     """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
 
-    The jump at a crease has three parts: the difference of what the two faces receive, unshadowed, from a few emitter
-    samples; a share of their fold, which stands for all other light; and how much their textures differ. The jump at a
-    silhouette is what the visible face receives, and a typical value for the background. Only the noise depends on
-    these estimates.
+    The jump at a crease has three parts: the difference of the unshadowed light that the two faces receive from a few
+    emitter samples; a share of their fold, which stands for all other light; and the difference of their textures. The
+    jump at a silhouette is the light that the brighter face receives, and a typical value for the background. These
+    estimates change the noise only.
     """
     faces, row_of = packed.faces_of(moving)
     triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
     corner, normal = corners(triangles)[0], normalize(triangle_normals(triangles))
     front = dot(normal, packed.camera.view().towards(corner)) > 0
-    # Normals turned towards the camera: two faces that continue each other have no crease.
+    # Turn the normals towards the camera. Then two faces in one plane have no crease, however they are oriented.
     normal = jnp.where(front[:, None], normal, -normal)
     smooth = jnp.asarray(packed.smooth)[shape]
     lit = front | packed.two_sided[shape]  # one-sided faces seen from behind are black
@@ -139,9 +140,9 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     first, second = components(pair)
     face0 = row_of(first)
     face1 = jnp.where(second >= 0, row_of(second), face0)
-    # Edges of one or of many faces count as silhouettes; with both sides estimated, none is wrong.
+    # Edges of one face or of more than two count as silhouettes. Both sides are estimated, so either kind is right.
     silhouette = ~interior | (front[face0] != front[face1])
-    if packed.camera.aperture:  # and those that are silhouettes from a part of it
+    if packed.camera.aperture:  # add the edges that are silhouettes from a part of the aperture
         turns = packed.camera.turns(corner, normal)
         silhouette = silhouette | turns[face0] | turns[face1]
     fold = norm(normal[face0] - normal[face1])
@@ -152,7 +153,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     if packed.has_seams:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
         crease = crease + light * seam_jumps(packed, number)
-    if packed.glow:  # as irradiance that a white surface would send on
+    if packed.glow:  # radiance x pi: the irradiance with which a white surface would look as bright
         crease = crease + jnp.pi * glow_jumps(packed, number)
     bright = jnp.maximum(received[face0], received[face1])
     return silhouette, jnp.where(silhouette, 0.5 * (typical + bright), crease)
@@ -161,7 +162,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
 def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
     """Irradiance (luminance) of faces from a few emitter samples, without visibility.
 
-    Interpolated normals agree at an edge: what can differ for smooth faces is which of them the light reaches at all.
+    Interpolated normals agree at an edge. So smooth faces have one constant cosine, or zero where they face away.
     """
     if not has_emitters(packed):
         return jnp.zeros(corner.shape[0], corner.dtype)

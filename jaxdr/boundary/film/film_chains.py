@@ -1,15 +1,16 @@
 """Edges seen in mirrors and through smooth glass: lines on the film, by line sampling (docs/delta_visibility.md).
 
-A film point and the random numbers that choose lobes fix a chain of rays. Where one of its segments touches the edge
-(a, b), the image jumps; with (o, d) the segment as a function of the film point x and the scene θ, that is the curve
+A film point and the random numbers that choose lobes fix a chain of rays. The image jumps where one of its segments
+touches the edge (a, b). Let o and d be the segment's origin and direction, functions of the film point x and the scene
+θ. Then the image jumps at the curve
 
     g(x, θ) = d × (b - a) · (a - o) = 0,    of normal velocity  -∂g/∂θ / |∂g/∂x|.
 
-Chords on the film cross the curve where Newton's method finds it. A crossing x* on the chord of half-length r weighs
-(π / 2) / (2 r p P), p the density of chords and P the share of the centres along the chord from which x* is found. The
-number of trials until the first success, 1 / P on average (Booth 2007; Zeltner et al. 2020, "Specular manifold
-sampling"), makes that unbiased whatever else mirrors do: other faces, other lobes, other solutions and no convergence
-are failures.
+Newton's method finds where chords on the film cross the curve. A crossing x* on a chord of half-length r has the weight
+(π / 2) / (2 r p P). Here p is the density of chords, and P is the share of the centres along the chord from which
+Newton's method finds x*. The number of trials until the first success is 1 / P on average (Booth 2007; Zeltner et al.
+2020, "Specular manifold sampling"), so it replaces 1 / P without bias. A trial that meets another face, another lobe or
+another solution, or does not converge, is a failure.
 """
 
 import math
@@ -37,21 +38,21 @@ from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice, path_numbers, uniform
 
 REACH = 2.0  # half-length of the chords, pixels
-PILOTS = 0.25  # chords that tell where the others should go, for each of them
+PILOTS = 0.25  # pilot chords for each other chord; they tell where the others should go
 FLOOR = 0.2  # importance that every pixel keeps, relative to the mean
 STEPS = 5  # of Newton's method
-CONVERGED = 1e-3  # pixels: last step of Newton's method, and how far apart two solutions are
-TRIALS = 256  # at most; what is lost beyond is reported
-NEAR = 1e-3  # share of the distance by which what is beside an edge may be nearer than the edge
-CONTACT = 4e-5  # share of the coordinates below which an edge is one of the mirror's own
-BESIDE_ON_FILM = 2e-5  # how far beside the edge both sides are looked at, as a share of the film's larger side
+CONVERGED = 1e-3  # pixels: largest last step of Newton's method, and largest distance between equal solutions
+TRIALS = 256  # at most; a warning reports crossings that need more
+NEAR = 1e-3  # a hit beside an edge may be nearer than the edge by this share of the distance
+CONTACT = 4e-5  # an edge nearer than this share of the coordinates belongs to the mirror itself
+BESIDE_ON_FILM = 2e-5  # distance of both rays from the edge, as a share of the film's larger side
 
 
 class FilmChords(NamedTuple):
     """C chords from `centre` along the unit `towards`; detached.
 
-    `u` are the random numbers of the paths, those of `stream`, `lens` those of the camera's aperture; `inverse` is one
-    over the density of centres (per square pixel).
+    `u` are the random numbers of the paths with the numbers `stream`. `lens` are the random numbers of the camera's
+    aperture (None without). `inverse` is one over the density of centres (per square pixel).
     """
 
     centre: Float[Array, "C 2"]
@@ -63,7 +64,7 @@ class FilmChords(NamedTuple):
 
 
 class ChainCrossings(NamedTuple):
-    """What chords may cross: the segment `number` of the chain, and the edge. `weight`: 1 / the chance to be chosen."""
+    """A candidate of each chord: segment `number` of its chain, and an `edge`. `weight`: 1 / chance of this choice."""
 
     chords: FilmChords
     number: Int[Array, " C"]
@@ -72,14 +73,17 @@ class ChainCrossings(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What Newton's method came to: film points, and whether they count."""
+    """Results of Newton's method: film points, and whether they are solutions."""
 
     film_point: Float[Array, "C 2"]
     valid: Bool[Array, " C"]
 
 
 def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) -> EdgeTable:
-    """The edges that may jump in the image as it is seen over delta lobes; `moving` shapes, relative to the camera."""
+    """Edges that may move in the image where delta lobes show them.
+
+    `moving`: which shapes move relative to the camera.
+    """
     flags, turns = jnp.asarray(moving), jnp.asarray(False)
     for group in packed.bsdfs:
         if group.bsdf.delta:
@@ -90,7 +94,7 @@ def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) ->
 class Jumps(NamedTuple):
     """Points of the film at which the image jumps; detached.
 
-    `weight` of what jumps there, over the steepness of g; `faces` of the chain.
+    `weight` is the weight of the crossing over |∂g/∂x|. `faces` are those that the chain hits.
     """
 
     crossings: ChainCrossings
@@ -100,15 +104,15 @@ class Jumps(NamedTuple):
 
 
 class FilmChains:
-    """Term of the edges seen over delta lobes, from a chord for every path sample.
+    """Term of the edges seen over delta lobes. It draws a chord for every path sample.
 
-    Pilots, a share of them more, are spread evenly over the film and tell where they go.
+    Additional pilot chords are spread evenly over the film. They tell where the other chords go.
     """
 
     name = "chains"
 
     def prepare(self, context: Context, key) -> EdgeTable | None:
-        """The edges that may jump in the image as it is seen over delta lobes."""
+        """The edges that may move in the image where delta lobes show them; None if there can be none."""
         del key
         packed, seen = context.packed, context.moving.seen
         if not (any(seen) and packed.has_delta_lobes and context.settings.max_depth > 1):
@@ -162,14 +166,14 @@ class FilmChains:
 
 
 def _margin(packed: PackedScene) -> int:
-    """How many pixels around the film's window chords begin."""
+    """How many pixels outside the film's window the centres of chords may lie."""
     return math.ceil(packed.camera.film.filter.radius + REACH)
 
 
 def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths, settings) -> FilmChords:
-    """Chords from random points of cells, the pixels of the window with a margin around it.
+    """Chords with random centres in `cell`, a pixel of the window or of the margin around it.
 
-    Their paths have the numbers that the wavefront draws for their streams from `key_paths`.
+    Their paths use the same random numbers as the wavefront, which draws them from `key_paths` and the streams.
     """
     x0, y0, width, _ = packed.camera.film.window
     margin, dtype = _margin(packed), inverse.dtype
@@ -191,7 +195,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
 def _candidates(
     detached: PackedScene, table: EdgeTable, chords: FilmChords, key, settings
 ) -> tuple[ChainCrossings, Float[Array, " C"]]:
-    """(one candidate of each chord, the importance of all candidates: zero where there is none)."""
+    """(one candidate of each chord, the summed importance of all its candidates: zero if it has none)."""
     count, dtype = chords.inverse.shape[0], chords.inverse.dtype
     key_seed, key_choice = jax.random.split(jax.random.fold_in(key, 2))
     chain, rate = _moved(detached, chords, jnp.zeros(count, dtype), settings)
@@ -201,7 +205,7 @@ def _candidates(
     rows = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
     found = draw_edges(table, rows[0], rows[1], seeds.reshape(-1), REACH)
     found = jax.tree.map(lambda x: x.reshape(segments, count), found)
-    # One of the segments, in proportion to what was found there.
+    # Choose one of the segments, in proportion to the importance of its candidates.
     cumulative = jnp.cumsum(found.total, 0)
     total = cumulative[-1]
     target = uniform(key_choice, (count,), dtype) * total
@@ -235,7 +239,7 @@ def _moved(detached, chords: FilmChords, t, settings) -> tuple[ChainSegments, _R
 
 
 def _segment(crossings: ChainCrossings, *tables):
-    """Rows of tables [B, C, ...] for the segments that cross."""
+    """Rows of tables [B, C, ...] for the segment of each crossing."""
     return jax.tree.map(lambda x: x[crossings.number, jnp.arange(x.shape[1])], tables)
 
 
@@ -247,7 +251,8 @@ def _bundles(detached, chain: ChainSegments, rate: _Rate) -> Bundles:
 def _find(detached, table: EdgeTable, crossings: ChainCrossings, settings) -> Found:
     """Where the chords cross the edges, by Newton's method from their centres.
 
-    A function of the arguments alone, and false unless the edge is among the centre's candidates: trials rely on it.
+    `_trials` relies on two properties: the result is a function of the arguments alone, and it is valid only if the
+    edge is among the candidates of the chord's centre.
     """
     chords = crossings.chords
     start = table.ends[crossings.edge, 0]
@@ -270,7 +275,7 @@ def _find(detached, table: EdgeTable, crossings: ChainCrossings, settings) -> Fo
 
 
 def _trials(detached, table, crossings: ChainCrossings, target: Found, key, settings) -> Float[Array, " C"]:
-    """Numbers of centres on the chords until one finds `target`: 1 / P on average."""
+    """How many random centres on each chord it takes until one finds `target`: 1 / P on average."""
     chords = crossings.chords
 
     def unfinished(state):
@@ -293,9 +298,9 @@ def _trials(detached, table, crossings: ChainCrossings, target: Found, key, sett
 
 
 def _report(lost, total):
-    if not lost:  # under `vmap` the report is called for in any case
+    if not lost:  # under `vmap` this function runs in any case
         return
-    # A power of ten: Python shows a warning once a place and text, and the number differs from call to call.
+    # Round to a power of ten. The exact number differs from call to call, and Python shows each new text again.
     share = 10.0 ** math.ceil(math.log10(lost / total))
     warnings.warn(
         f"jaxdr: up to {100 * share:g} % of the edges seen in mirrors or through glass were not found again in "
@@ -305,7 +310,7 @@ def _report(lost, total):
 
 
 def _volume(packed, crossings: ChainCrossings, film_point, faces, settings) -> Float[Array, " C"]:
-    """g for a scene and film points, along the faces of chains."""
+    """g at film points, for chains that meet these faces."""
     chords = crossings.chords
     chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
     (origin, direction) = _segment(crossings, chain.origin, chain.direction)
@@ -348,7 +353,7 @@ def _jumps(
 
 
 class _Side(NamedTuple):
-    """What rays beside a crossing hit, on which side of the edge the chain passes, and whether in clear sight."""
+    """Chains beside a crossing: their first hit and direction, g there, and whether they pass the edge unhidden."""
 
     first: SurfacePoint
     direction: Float[Array, "C 3"]
@@ -357,7 +362,7 @@ class _Side(NamedTuple):
 
 
 def _side(packed, table: EdgeTable, crossings: ChainCrossings, view, film_points, settings) -> _Side:
-    """What chains from film points beside crossings find."""
+    """Follow chains from film points beside crossings."""
     start = table.ends[crossings.edge, 0]
     side = table.ends[crossings.edge, 1] - start
     whole = delta_chain(packed, view, film_points, crossings.chords.u.swapaxes(0, 1), settings.rays)
@@ -365,7 +370,7 @@ def _side(packed, table: EdgeTable, crossings: ChainCrossings, view, film_points
     at = passes(chain.origin, chain.direction, start, side)
     neighbours = packed.edges.faces[crossings.edge]
     own = ((chain.face[:, None] == neighbours) & (neighbours >= 0)).any(-1)
-    # A face at the edge may be tilted towards the chain; what is hidden after all has no jump.
+    # A face at the edge may tilt towards the chain's origin: its hits count as clear. Hidden edges have no jump anyway.
     clear = own | (chain.distance >= (1.0 - NEAR) * at.distance)
     ahead = at.distance > CONTACT * jnp.abs(chain.origin).max(-1)
     meets = (at.along >= 0) & (at.along <= 1) & ahead & clear & chain.reached

@@ -1,8 +1,8 @@
-"""Discontinuities in the image plane: silhouettes and creases seen directly, with both sides.
+"""Discontinuities in the image plane: silhouettes and creases that the camera sees directly.
 
 With the camera ray fixed, the image is an integral over the film whose integrand jumps across projected edges. Its
 derivative is the line integral of (L on one side - L on the other) times the normal velocity of the edge. The two sides
-share their random numbers, and at creases the directions of their first bounce: the noise is that of the difference.
+share their random numbers, and at creases the directions of their first bounce. So their noise cancels in part.
 """
 
 from functools import partial
@@ -24,6 +24,7 @@ from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe, PathSettings
+from jaxdr.transport.primary import Form
 from jaxdr.transport.radiance import Answers, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 from jaxdr.transport.shading import Scatterer
@@ -34,10 +35,13 @@ KINDS = ("silhouettes", "creases")
 class FilmEdgePoints(NamedTuple):
     """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
 
-    The point is at the share `along` of its `edge`, seen through the point `lens` of the aperture (None without) at
-    `film_point`. `weight` = 1 / (count x density per pixel of length). `normal` on the film, towards the first side.
-    `at_edge`: the ray on that side ends at the edge, which nothing hides there. `outline`: all faces at the edge are on
-    one side, and nothing hides it.
+    - `along`: the point's fraction of its `edge`.
+    - `lens`: the point of the aperture that it is seen through; None without an aperture.
+    - `film_point`, `normal`: its film position, and the line's unit normal on the film, towards the first side.
+    - `weight`: 1 / (count x density per pixel of length).
+    - `direction`, `first`, `distance`: camera rays on both sides, their first hits, and the distance to them.
+    - `at_edge`: the ray on this side ends at the edge, so nothing hides the edge there.
+    - `outline`: all faces at the edge are on one side, and nothing hides the edge.
     """
 
     edge: Int[Array, " n"]
@@ -54,7 +58,11 @@ class FilmEdgePoints(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Edge points; what is behind them: on which side, and which material point; and which count. `crease`: or not."""
+    """Edge points, and what is behind them.
+
+    `behind` is the side (0 or 1) whose hit is farther; `face`, `barycentric` and `hit` describe that hit. `seen` tells
+    which points count, `crease` which are on creases.
+    """
 
     points: FilmEdgePoints
     behind: Int[Array, " n"]
@@ -68,8 +76,8 @@ class _Held(NamedTuple):
 class FilmEdges:
     """Term of the edges in the image, from as many points on silhouettes as on creases, stratified along the edges.
 
-    Where first hits are material points there are no creases. Of light in material form only what the surface behind a
-    silhouette sends has a boundary there, and the edge's velocity counts relative to that surface.
+    Where first hits are material points, creases do not count. Light in material form has a boundary at a silhouette
+    only on the surface behind it. There the edge's velocity counts relative to that surface.
     """
 
     def __init__(self, *kinds: str):
@@ -81,16 +89,16 @@ class FilmEdges:
         """Distributions over the edges of what moves relative to the camera."""
         if not any(context.moving.seen) or not self._kinds(context.form):
             return None
-        del key  # a key of its own: apart or not, the same edges are drawn
+        del key  # a fixed key: the same edges are drawn whether the two kinds are one term or two
         return edge_distribution(context.packed, context.moving.seen, fixed_key(0))
 
-    def _kinds(self, form: str) -> tuple[str, ...]:
-        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != "material")
+    def _kinds(self, form: Form) -> tuple[str, ...]:
+        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != Form.MATERIAL)
 
     def draw(self, context: Context, state: EdgeDistribution, chunk: Chunk, key):
         """Points on edges, and requests for the radiance on both sides."""
         packed, settings, form = context.packed, context.settings, context.form
-        del key  # those of the kinds come from the chunk's: apart or not, the same points are drawn
+        del key  # each kind has a key from the chunk's: the same points are drawn whether the kinds are one term or two
         count, kinds = max(1, round(chunk.paths * context.edge_samples)), self._kinds(form)
         drawn, lenses, numbers, stream = [], [], [], []
         for kind in kinds:
@@ -109,10 +117,11 @@ class FilmEdges:
         first = points.first._replace(valid=points.first.valid & seen)
         given = None
         if kinds[-1] == "creases" and not packed.has_delta_lobes and packed.spreads_through is None:
-            # Else: what two mirrors show is not to be found in one direction; one that leaves a face may enter another.
+            # Not with delta lobes: two mirrors reflect into different directions. Not where light passes through: a
+            # direction that leaves one face may enter the other.
             given = _common_directions(packed, points, crease, u)
         size = None
-        if form == "near":
+        if form == Form.NEAR:
             size = jax.vmap(partial(footprint, _view(packed, points)))(first.position, first.normal)
         sides = (first, -points.direction, jnp.stack([u, u]), jnp.stack([stream, stream]))
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (*sides, size, given))
@@ -134,11 +143,11 @@ class FilmEdges:
         ends = corners(packed.vertices[packed.edges.vertices[points.edge]])
         film_point = view.project(between(*ends, points.along))
         value = 0.0
-        if form != "material":
+        if form != Form.MATERIAL:
             far = total - near
             value = scale(far[1] - far[0], _moved(points, film_point))
-        if form != "fixed":
-            near = total if form == "material" else near
+        if form != Form.FIXED:
+            near = total if form == Form.MATERIAL else near
             material = on_face(packed, held.face, held.barycentric)
             ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
             local = jnp.where(held.hit[:, None], view.local(material), ahead)
@@ -150,7 +159,7 @@ class FilmEdges:
 
 
 def _moved(points: FilmEdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
-    """Displacement of a film point along the normal, zero in value."""
+    """Displacement of a film point along the edge's normal: zero in value, right in derivative."""
     along = dot(points.normal, position)
     return along - jax.lax.stop_gradient(along)
 
@@ -160,12 +169,15 @@ def _view(packed: PackedScene, points: FilmEdgePoints) -> View:
 
 
 def _of_side(x, side: Int[Array, " n"]):
-    """Rows of the first or second side."""
+    """The row of the first or the second side, for each point."""
     return jnp.where(side.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0])
 
 
 def _common_directions(packed: PackedScene, points: FilmEdgePoints, crease, u) -> Lobe:
-    """At creases: directions from the BSDF of either side, and their mean density, for both sides; elsewhere none."""
+    """One direction for both sides of a crease, from the BSDF of a random side, and the mean of both pdfs.
+
+    Away from creases the pdf is zero, so that no direction is given.
+    """
     second = u[:, 2:3] >= 0.5
     rest = jnp.concatenate([2.0 * u[:, 2:3] - second, u[:, 3:]], -1)
     scatterers = [
@@ -181,7 +193,7 @@ def _common_directions(packed: PackedScene, points: FilmEdgePoints, crease, u) -
 def _edge_points(
     packed: PackedScene, distribution: EdgeDistribution, drawn, lens, settings: PathSettings
 ) -> FilmEdgePoints:
-    """`lens`: a point of the aperture each, None without."""
+    """Trace the camera rays on both sides of drawn edge points. `lens`: their points of the aperture, or None."""
     camera, film = packed.camera, packed.camera.film
     row, fraction, weight = drawn
     count = row.shape[0]
@@ -197,7 +209,7 @@ def _edge_points(
     point = between(p0, p1, along)
     view, start, end = camera.view(lens), d.start, d.end
     if camera.aperture:
-        # From a point of the lens an equal step of the fraction is an equal step on the film, too.
+        # From every point of the lens, too, the film point is linear in the fraction.
         start, end = (view.project(between(p0, p1, t)) for t in (t0, t1))
         weight = safe_divide(weight * norm(end - start), d.extent)
     film_point = view.project(point)
@@ -206,7 +218,7 @@ def _edge_points(
     normal = from_components(y, -x)
     sides = jnp.asarray([1.0, -1.0], point.dtype)[:, None, None]
     pixel = view.pixel_size(point)
-    # Far from the origin points are known to rounding only.
+    # Rounding error of points far from the origin.
     rounding = 4 * jnp.finfo(point.dtype).eps * jnp.abs(ends).max((-1, -2))
     step = jnp.maximum(1e-5 * max(film.width, film.height), rounding / pixel)
     origin, direction = view.rays(film_point + sides * scale(normal, step))
@@ -224,7 +236,7 @@ def _edge_points(
     at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
     at_edge = near | at_neighbour
 
-    # Which sides the faces are on.
+    # Find on which side of the edge each face is.
     across = cross(p1 - p0, view.towards(point))
     beside = origin + scale(direction, edge_distance)
     across = scale(across, jnp.sign(dot(across, beside[0] - beside[1])))
@@ -235,13 +247,13 @@ def _edge_points(
     flat = jnp.abs(height) <= (rounding * length)[:, None]
     height = jnp.where((neighbours >= 0) & ~flat, height, 0.0)
     on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
-    # Where a face is thinner than the step, both rays of both of its edges end beyond it, and each would count all that
-    # jumps there.
+    # Where a face is thinner than the step, the rays of both of its edges end beyond it. Each of the two edges would
+    # count the whole jump, so each has half the weight.
     thin = (jnp.abs(height) <= 2 * (step * pixel * length)[:, None]) & (neighbours >= 0)
     once = jnp.maximum(1.0 - 0.5 * thin.sum(-1), 0.0)
     weight = jnp.where(at_edge.all(0), once * weight, weight)
-    # A face that is seen edge-on escapes a ray beside the edge: many silhouettes of fine meshes have such faces. Then
-    # the ray ends on what comes next on the surface, which may be nearer than the edge or farther.
+    # A ray beside the edge misses a face that is seen edge-on; many silhouettes of fine meshes have such faces. Then
+    # the ray ends on the next face of the surface, which may be nearer than the edge or farther.
     around = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
     surface = at_edge | ((packed.faces[first.face][..., None] == around[:, None]).any((-1, -2)) & first.valid)
     clear = distance >= edge_distance - tolerance

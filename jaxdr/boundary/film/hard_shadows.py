@@ -1,13 +1,12 @@
 """Hard shadows of lights without area: lines in the image, and lines on the surfaces that paths meet.
 
-A light that is a point (or one direction) is met by no path and no kernel, so its shadows are found from what bounds
-them: a silhouette as the light sees it, drawn at random, and the ray past it to what receives the light behind. What
-jumps there is the light's own contribution. Where a light ends abruptly of its own (a projected image), its border
-takes the silhouette's place.
+No path and no kernel meets a light that is a point or a direction. So its shadows are drawn from what bounds them: a
+random point on a silhouette as the light sees it, and the ray past that point to the receiver. The jump there is the
+light's own contribution. A light that ends abruptly (a projected image) has a border, which is used like a silhouette.
 
-With the camera ray fixed, the direct light of first hits has line integrals of jump x normal velocity over the film, as
-silhouettes have. Of light that is scattered on, the line is on the receiver, and path vertices are connected
-to points on it as they are to emitters; the velocity counts relative to the material point there.
+With the camera ray fixed, the direct light of first hits has line integrals of jump x normal velocity over the film,
+like silhouettes. For light that the receiver scatters on, the line is on the receiver. Path vertices are connected to
+points on it, like to emitters; the line's velocity counts relative to the material point there.
 """
 
 import jax
@@ -40,8 +39,9 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import leave, material_point
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 
-SAME_SURFACE = 0.7  # cosine between the normals of faces that may be one surface
+SAME_SURFACE = 0.7  # smallest cosine between the normals of faces that count as one surface
 
 
 def _camera(asked: Asked) -> str | None:
@@ -61,7 +61,7 @@ class HardShadows:
     refusals = (Refusal("cameras other than `Perspective`", "`Perspective`", _camera),)
 
     def prepare(self, context: Context, key) -> ShadowDistribution | None:
-        """Raises ValueError for cameras whose shadows have no derivative yet."""
+        """Distribution of shadow lines; None without lights. Raises ValueError for cameras that are not covered."""
         del key
         packed, moving = context.packed, context.moving
         if not packed.light_count or context.settings.max_depth == 1:
@@ -71,11 +71,11 @@ class HardShadows:
         return shadow_distribution(packed, moving.seen, lights, context.settings)
 
     def draw(self, context: Context, state: ShadowDistribution, chunk: Chunk, key):
-        """Nothing: what jumps is the light's own contribution, which no path has to estimate."""
+        """No requests: the jump is the light's own contribution, which needs no path."""
         return None, jax.random.split(key)
 
     def image(self, context: Context, state: ShadowDistribution, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
-        """Points on silhouettes as lights see them, followed to the film and to the paths' vertices."""
+        """Draw points on silhouettes as lights see them, and follow them to the film and to the paths' vertices."""
         packed, settings = context.packed, context.settings
         count = max(1, round(chunk.paths * context.edge_samples))
         total = chunk.share * film_shadow_term(packed, state, count, held[0], settings, context.form)
@@ -91,11 +91,11 @@ def film_shadow_term(
     count: int,
     key: PRNGKeyArray,
     settings: PathSettings,
-    form: str,
+    form: Form,
 ) -> Float[Array, "H W 3"]:
     """Edges of hard shadows in the image, from `count` points on silhouettes: zero in value, right in derivative.
 
-    `form` of the first hits, see `primary_samples`.
+    `form` is that of the first hits; see `primary_samples`.
     """
     detached = jax.tree.map(stop_gradient, packed)
     lines, weight = draw_lines(packed, distribution.film, count, key)
@@ -103,10 +103,10 @@ def film_shadow_term(
     seen = on_film(packed, points)
     visible = _visible(detached, points, seen, settings)
     wi = normalize(detached.camera.to_world[:3, 3] - points.point.position)
-    # From the lit side to the dark one the light's own contribution is what is lost.
+    # From the lit side to the dark side the image loses the light's own contribution.
     jump = scale(points.scattered(detached, wi), -weight / count)
     goes = seen.film_point
-    if form == "material":
+    if form == Form.MATERIAL:
         material = material_point(packed, points.point.face, points.point.barycentric, points.point.valid)
         ahead = detached.camera.to_world[:3, 3] + detached.camera.to_world[:3, 2]
         goes = goes - packed.camera.project(jnp.where(seen.inside[:, None], material.position, ahead))
@@ -142,9 +142,9 @@ def scattered_shadow_term(
     key: PRNGKeyArray,
     settings: PathSettings,
 ) -> Float[Array, "N 3"]:
-    """Edges of hard shadows on what lights the vertices of N paths: zero in value, right in derivative.
+    """Edges of hard shadows on surfaces that light up the vertices of N paths: zero in value, right in derivative.
 
-    Every vertex but the last is connected to one point on the edge of a shadow, `paths` being emitter connections.
+    Every vertex but the last is connected to one point on the edge of a shadow. `paths` are emitter connections.
     """
     detached = jax.tree.map(stop_gradient, packed)
     index = jnp.arange(paths.count - paths.paths)

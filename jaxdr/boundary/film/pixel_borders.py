@@ -1,8 +1,8 @@
 """Flux of moving light through pixel borders: the derivative of a box filter for light in material form.
 
-What is near first hits moves with them (`transport.near_field`), so it leaves pixels and enters others. For a smooth
-filter that is the filter's own derivative; a box that is constant on its pixel leaves the flux through the border:
-radiance x normal velocity of the material point's film position, along the border. One path serves the two pixels.
+Light from near a first hit moves with the hit (`transport.near_field`), so it leaves one pixel and enters another. With
+a smooth filter the filter's own derivative accounts for that. A box is constant on its pixel: what remains is the flux
+through the border, radiance x normal velocity of the material point's film position. One path serves both pixels.
 """
 
 from typing import NamedTuple
@@ -16,12 +16,13 @@ from jaxdr.boundary.shared.term import Chunk, Context, streams
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_point, on_fixed_ray
 from jaxdr.transport.near_field import footprint
+from jaxdr.transport.primary import Form
 from jaxdr.transport.radiance import Answers, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 
 
 class _Held(NamedTuple):
-    """First hits of rays through the borders, and the points of the aperture they go through (None without)."""
+    """First hits of rays through the borders, and the rays' points on the aperture (None without an aperture)."""
 
     first: SurfacePoint
     lens: Float[Array, "n 2"] | None
@@ -33,13 +34,13 @@ class PixelBorders:
     name = "pixel_borders"
 
     def prepare(self, context: Context, key):
-        """There are such points where the filter is a box and light has a material form."""
+        """An empty state; None without a box filter, without light in material form, or if nothing moves."""
         del key
-        here = context.form == "near" and context.packed.camera.film.filter.tiles and any(context.moving.seen)
+        here = context.form == Form.NEAR and context.packed.camera.film.filter.tiles and any(context.moving.seen)
         return () if here else None
 
     def draw(self, context: Context, state, chunk: Chunk, key):
-        """Rays through the sides across both film axes, and requests for what arrives there in material form."""
+        """Rays through the sides across both film axes, and requests for the light in material form along them."""
         packed, settings, dtype = context.packed, context.settings, context.packed.vertices.dtype
         x0, y0, _, _ = packed.camera.film.window
         count, aperture = _points(context, chunk), packed.camera.aperture
@@ -68,7 +69,7 @@ class PixelBorders:
     def image(
         self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
     ) -> Float[Array, "H W 3"]:
-        """What leaves a pixel through one side enters the next."""
+        """The flux through each side, taken from one of its two pixels and added to the other."""
         assert answers is not None  # `draw` always asks
         packed, first = context.packed, held.first
         view, count = packed.camera.view(held.lens), _points(context, chunk)
@@ -88,11 +89,11 @@ class PixelBorders:
 
 
 def _points(context: Context, chunk: Chunk) -> int:
-    """Points on every side of a pixel."""
+    """How many points are drawn on each side of a pixel."""
     return max(1, round(chunk.samples.shape[0] * context.edge_samples / 4))
 
 
 def _sides(packed: PackedScene, axis: int) -> tuple[int, int]:
-    """(rows, columns) of the sides across a film axis."""
+    """(rows, columns) of the pixel sides that are perpendicular to a film axis."""
     _, _, width, height = packed.camera.film.window
     return (height, width + 1) if axis == 0 else (height + 1, width)

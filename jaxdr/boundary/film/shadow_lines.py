@@ -1,4 +1,4 @@
-"""Lines where light without area ends: drawn from the silhouettes and borders that lights see, and where they fall."""
+"""Edges of hard shadows: how their points are drawn, on silhouettes and borders of lights, and where they fall."""
 
 from typing import NamedTuple
 
@@ -31,14 +31,15 @@ from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice, sample_cdf
 from jaxdr.transport.shading import Scatterer
 
-FLOOR = 0.25  # share of the points that goes to silhouettes by their length alone, as their light sees them
+FLOOR = 0.25  # share of the points that are drawn by the silhouettes' length alone, as the light sees it
 
 
 class ShadowLines(NamedTuple):
     """Points on lines that bound what lights reach.
 
-    `light` sees the line between the `ends`, of which the point is `along`; differentiable. `dark` is the unit normal
-    of the plane through light and line, towards what hides the light; `border` marks lines that no surface makes.
+    `light` sees the line between `ends` (differentiable); the point is at the fraction `along`. `dark` is the unit
+    normal of the plane through light and line, towards what hides the light. `border` marks lines that the light itself
+    makes, `used` those that count.
     """
 
     light: Int[Array, " n"]
@@ -52,9 +53,13 @@ class ShadowLines(NamedTuple):
 class ShadowPoints(NamedTuple):
     """Where the light past `ShadowLines` arrives.
 
-    `position` is differentiable: the line's shadow. All else is detached: `point` of the receiver there, valid where
-    light arrives at all; unit direction `towards` the light; `arriving`, RGB: its intensity over the squared distance.
-    `tangent` is the shadow's derivative along the line, `lit` a displacement to its lit side.
+    `position`, a point on the edge of the shadow, is differentiable. All else is detached:
+
+    - `point`: the receiver's surface point there, valid where light arrives at all.
+    - `towards`: unit direction to the light.
+    - `arriving`: RGB intensity of the light over the squared distance.
+    - `tangent`: derivative of the position along the line.
+    - `lit`: a displacement to the lit side.
     """
 
     position: Float[Array, "n 3"]
@@ -65,14 +70,15 @@ class ShadowPoints(NamedTuple):
     lit: Float[Array, "n 3"]
 
     def scattered(self, detached: PackedScene, wi: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Radiance that the receiver scatters along unit directions `wi`, if light arrives."""
+        """Radiance that the receiver scatters along unit directions `wi` where the light arrives."""
         return Scatterer(detached, self.point, wi).eval(self.towards) * self.arriving
 
 
 class ShadowDistribution(NamedTuple):
-    """What points on silhouettes are drawn from; detached. Entry l E + e is edge e as light l sees it; borders follow.
+    """The distribution of points on silhouettes; detached. Entry l E + e is edge e as light l sees it; borders follow.
 
-    `film` and `scattered` are cumulative masses for shadows seen directly and for those that light up other surfaces.
+    `film` and `scattered` are cumulative masses: for shadows that the camera sees, and for shadows on surfaces that
+    light up other surfaces.
     """
 
     film: Float[Array, " K"]
@@ -82,9 +88,9 @@ class ShadowDistribution(NamedTuple):
 def shadow_distribution(
     packed: PackedScene, shapes: tuple[bool, ...], lights: tuple[bool, ...], settings: PathSettings
 ) -> ShadowDistribution:
-    """Distribution over silhouettes for all lights, by what light falls past their middles.
+    """Distribution over silhouettes for all lights, by the light that arrives past their middles.
 
-    `shapes` and `lights` tell what moves, or is seen by a camera that does.
+    `shapes` tells which shapes move relative to the camera, `lights` which lights move.
     """
     packed = jax.tree.map(stop_gradient, packed)
     count, borders = packed.edges.vertices.shape[0], _borders(packed)
@@ -132,7 +138,7 @@ def shadow_distribution(
 
 
 def _mass(table, length):
-    """What the pilot found, and a floor for every silhouette."""
+    """Mix the normalised masses that the pilot found with a floor for every silhouette, by length."""
     whole, total = length.sum(), table.sum()
     even = safe_divide(length, whole)
     found = safe_divide(table, total)
@@ -140,7 +146,7 @@ def _mass(table, length):
 
 
 class _Borders(NamedTuple):
-    """Lines where lights end of their own, and points on their lit sides."""
+    """Lines at which the lights themselves end, and points on their lit sides."""
 
     light: Int[Array, " K"]
     ends: Float[Array, "K 2 3"]
@@ -183,7 +189,7 @@ def _lines(
 
 
 def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSettings) -> ShadowPoints:
-    """Follow the light past lines; what hides the line from the light, or a miss, leaves the point invalid."""
+    """Follow the light past lines. A point is invalid if the line is hidden from the light or the ray misses."""
     detached = jax.tree.map(stop_gradient, packed)
     places, infinite = light_places(packed)
     place, infinite = places[lines.light], infinite[lines.light][:, None]
@@ -203,7 +209,7 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
     face = jnp.where(found, hit.face, 0)
 
     def shadow(edge_point, place, triangle):
-        """Where the light past the point meets the plane of a face."""
+        """Where the light's ray through the edge point meets the plane of a face."""
         ray = jnp.where(infinite, -place, edge_point - place)
         normal = triangle_normals(triangle)
         slope = dot(normal, ray)
@@ -218,7 +224,7 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
 
     position = shadow(edge_point, place, triangle)
     arrived = stop_gradient(position)
-    # Where an object stands on the receiver its edge has no shadow apart from it: what it hides, it hides from all.
+    # Where an object stands on the receiver, the shadow's edge coincides with the object's edge. Leave it out.
     apart = norm(arrived - still) > 4.0 * queries.BESIDE * jnp.abs(still).max(-1)
     barycentric = affine_coordinates(still_triangle, arrived)
     point = material_point(detached, face, barycentric, found & apart)
@@ -235,8 +241,11 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
 
 
 class OnFilm(NamedTuple):
-    """Shadow points on the film; only `film_point` is differentiable. `across` the shadow's edge, towards the lit side,
-    as long as the edge is per unit of its line; `inside` the reach of the film's window and in front of the camera."""
+    """Shadow points on the film; only `film_point` is differentiable.
+
+    `across` is normal to the shadow's edge, towards the lit side. Its length is the edge's length on the film per unit
+    of the line's parameter. `inside`: within reach of the film's window and in front of the camera.
+    """
 
     film_point: Float[Array, "n 2"]
     across: Float[Array, "n 2"]
@@ -268,7 +277,7 @@ def on_film(packed: PackedScene, points: ShadowPoints) -> OnFilm:
 
 
 def draw_lines(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[ShadowLines, Float[Array, " n"]]:
-    """Points on lines, spread evenly, and 1 / density per unit of the line's parameter. Each could be anywhere."""
+    """Points on lines and 1 / density per unit of the line's parameter. A lattice spreads the points over all lines."""
     u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)[0]
     total = cdf[-1]
     entry, _, mass = sample_cdf(cdf, u[:, 0] * total)

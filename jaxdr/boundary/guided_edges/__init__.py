@@ -1,9 +1,10 @@
-"""`GuidedEdges` (Zhang et al. 2020; Yan et al. 2022): lines past edges, from the edge to both ends of a path.
+"""`GuidedEdges` (Zhang et al. 2020; Yan et al. 2022): boundary segments past edges, joined to both ends of a path.
 
-Primary numbers become a point on an edge and a direction: `edge_chains` orders the edges, `edge_lunes` holds where each
-is a silhouette, `boundary_segments` draws, `beam` connects to the film. Guides are densities of these numbers:
-`primary_guides` (none, a grid), `kdtree_guide`, `seeded_tree` with seeds of `projected_paths`; `guide_target` and
-`flux_maps` are what they are made for. `estimator` is the term. `reused_guides` keeps guides.
+Three primary numbers choose a point on an edge and a direction. `edge_chains` orders the edges. `edge_lunes` holds the
+directions in which each is a silhouette. `boundary_segments` draws the segments, and `beam` connects them to the film.
+A guide is a density of the primary numbers: `primary_guides` (none, a grid), `kdtree_guide`, or `seeded_tree` with
+seeds from `projected_paths`. `guide_target` and `flux_maps` hold the function that guides approximate. `estimator` is
+the term. `reused_guides` keeps guides for later images.
 """
 
 from jaxdr.boundary.guided_edges.estimator import GuidedEdges as GuidedEdges

@@ -1,18 +1,21 @@
-"""From boundary segments to the film: radiance of the source's end, importance of the detector's end, displacement.
+"""What boundary segments add to the film: source's radiance x detector's importance x displacement of the edge.
 
-For one fixed film point q the boundary term is the integral of f V dl over the directions w from the first hit x_D,
-with f = f_s |cos_D| L and V the angular velocity of the silhouette relative to x_S. Over film points and silhouettes it
-is an integral over (x_B, w_B): with d, D the distances from x_D to x_B and x_S and t the edge's direction,
+For a fixed film point q the boundary term is the integral of f V dl along the silhouettes, on the sphere of directions
+at the first hit x_D. Here f = f_s |cos_D| L, and V is the angular velocity of the silhouette relative to x_S. Over all
+film points this becomes an integral over the points x_B on edges and the directions w_B there. Let d and D be the
+distances from x_D to x_B and x_S, t the edge's direction, and m the unit normal of the plane through edge and line,
+towards the faces. Then
 
     dq = (dq / dA) dA_D,    dA_D |cos_D| / d^2 = dw_B,    dl = |t x w_B| dx_B / d,
     V d = m . (x_B' - (1 - d/D) x_D' - (d/D) x_S'),
 
-m being the unit normal of the plane through edge and line, towards the faces. All distances cancel:
+and all distances cancel:
 
     I' = integral of h(q) (dq / dA) f_s L |t x w_B| V d  dw_B dx_B
 
-(f_s without its cosine). Behind more bounces the importance of x_D takes the place of h dq / dA, and x_D is a material
-point. In jaxdr's form of the first hit x_D' is how it slides along the camera ray, or a mixture.
+(f_s without its cosine). If more bounces lie between x_D and the camera, the importance of x_D replaces h dq / dA, and
+x_D is a material point. If x_D is the first hit, x_D' depends on the form: x_D moves with the material, slides along
+the fixed camera ray, or does a mixture of both.
 """
 
 from typing import NamedTuple
@@ -34,14 +37,16 @@ from jaxdr.transport.connections import ends, with_camera
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import PathSettings
+from jaxdr.transport.primary import Form
 from jaxdr.transport.sampler import path_numbers
 from jaxdr.transport.subpaths import Subpath, trace_on
 
 
 class Detected(NamedTuple):
-    """Detector subpaths of n segments as the camera sees them, by the number of bounces behind the camera: [B, n, ...].
+    """Detector subpaths of n segments as the camera sees them, by the number of bounces before the camera: [B, n, ...].
 
-    `value`: what the film receives per square pixel, per radiance of the source; zero where it sees nothing. Detached.
+    `value`: what the film receives per square pixel, per radiance of the source; zero if the camera does not see the
+    subpath. Detached.
     """
 
     value: Float[Array, "B n 3"]
@@ -108,12 +113,12 @@ def image(
     ends_of: BoundaryEnds,
     seen: Detected,
     radiance: Float[Array, "B n 3"],
-    form: str,
+    form: Form,
 ) -> Float[Array, "H W 3"]:
     """Image of the segments' contributions: zero in value, right in derivative.
 
-    `radiance` that their sources send, over the density of the segments, for detector subpaths of every number of
-    bounces. `form` of the first hits, see `primary_samples`.
+    `radiance` is what the sources send over the density of the segments, for every number of bounces of the detector
+    subpath. `form` is that of the first hits; see `primary_samples`.
     """
     film = packed.camera.film
     whole, first = _displacements(packed, lunes, drawn, ends_of, seen, form)
@@ -125,9 +130,9 @@ def image(
 
 
 def _displacements(
-    packed: PackedScene, lunes, drawn: BoundarySegments, ends_of: BoundaryEnds, seen: Detected, form: str
+    packed: PackedScene, lunes, drawn: BoundarySegments, ends_of: BoundaryEnds, seen: Detected, form: Form
 ):
-    """(V d with the detector a material point, the same with a first hit of this form), zero in value."""
+    """(V d if the detector is a material point, V d if it is a first hit of this form), zero in value."""
     detector, source = ends_of.detector, ends_of.source
     near = norm(detector.position - drawn.position)
     length = jnp.where(source.valid, norm(source.position - detector.position), 1.0)
@@ -138,7 +143,7 @@ def _displacements(
         moved -= jnp.where(source.valid, 0.0, near * dot(drawn.pole, packed.turned(drawn.towards)))
     at_detector = dot(drawn.pole, on_face(packed, detector.face, detector.barycentric))
     whole = moved - (1 - share) * at_detector
-    if form == "material":
+    if form == Form.MATERIAL:
         first = whole
     else:
         view = packed.camera.view(seen.lens)
@@ -146,7 +151,7 @@ def _displacements(
         face = jnp.where((seen.value[0] != 0).any(-1), detector.face, -1)
         sliding = on_fixed_ray(packed, jnp.broadcast_to(origin, direction.shape), direction, face)
         at_first = dot(drawn.pole, sliding.position)
-        if form == "near":
+        if form == Form.NEAR:
             size = footprint(stop_gradient(view), detector.position, detector.normal)
             near_share = jnp.where(source.valid, size.share(length**2), 0.0)
             at_first = (1 - near_share) * at_first + near_share * at_detector

@@ -2,8 +2,7 @@
 
 A strategy maps primary numbers (u1, u2, u3) to a point x_B on an edge and a unit direction w_B from the detector's end
 x_D to the source's end x_S. Densities are per length of edge and solid angle at x_B: they are the reciprocal of the
-Jacobian J_B (Eq. 5). Both maps can be inverted, so that each strategy knows the density of what the other draws
-(Eq. 15) exactly.
+Jacobian J_B (Eq. 5). Both maps have inverses. So each strategy knows its exact density of the other's samples (Eq. 15).
 """
 
 from typing import NamedTuple
@@ -29,16 +28,17 @@ from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
 from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 
-APART = 4.0  # offsets: an object's edge on its receiver has no shadow apart from it
+APART = 4.0  # smallest distance from edge to detector, in offsets of the rays; nearer, edge and shadow coincide
 
 
 class BoundarySegments(NamedTuple):
     """Lines past edges; detached.
 
-    `towards` is the unit direction to the source. `pole`: unit normal of the plane through edge and line, towards the
-    faces; `scale` the edge's largest coordinate, `sine` that of the angle between edge and line. `silhouette`: the line
-    passes the edge. `emitter`: the point that the line was drawn for, valid where it is on a surface; None where only
-    the direction was drawn.
+    - `towards`: unit direction to the source.
+    - `pole`: unit normal of the plane through edge and line, towards the faces.
+    - `scale`: the edge's largest coordinate. `sine`: of the angle between edge and line.
+    - `silhouette`: the edge is a silhouette in this direction.
+    - `emitter`: the emitter's point that was drawn, valid where it is on a surface; None if only a direction was drawn.
     """
 
     point: LunePoints
@@ -54,7 +54,7 @@ class BoundarySegments(NamedTuple):
 class BoundaryEnds(NamedTuple):
     """Both ends of boundary segments as material points, detached; a source that is not valid is the environment.
 
-    `valid`: there is a detector, apart from the edge, and nothing hides the source or what it should be.
+    `valid`: there is a detector, at a distance from the edge, and nothing hides the source that was drawn.
     """
 
     detector: SurfacePoint
@@ -63,7 +63,7 @@ class BoundaryEnds(NamedTuple):
 
 
 class DirectionSampling:
-    """Directions uniform over those of silhouettes at the edge: J_B = 4 b / p(x_B), `edge_lunes`."""
+    """Directions uniform over those in which the edge is a silhouette (`edge_lunes`): J_B = 4 b / p(x_B)."""
 
     samples_emitters = False
 
@@ -91,7 +91,7 @@ class DirectionSampling:
 
 
 class EmitterSampling:
-    """Directions to emitter samples: J_B = |cos| / (r^2 p(x_B) p(x_S)), and to an environment's 1 / (p(x_B) p(w_B))."""
+    """Directions to emitter samples: J_B = |cos| / (r^2 p(x_B) p(x_S)); for the environment 1 / (p(x_B) p(w_B))."""
 
     samples_emitters = True
 
@@ -108,7 +108,7 @@ class EmitterSampling:
     def density(
         packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds
     ) -> Float[Array, " n"]:
-        """1 / J_B: per length and solid angle, at what glows; zero elsewhere."""
+        """1 / J_B: per length and solid angle, where the source may emit light; zero elsewhere."""
         offset = ends.source.position - drawn.position
         distance2 = jnp.where(ends.source.valid, dot(offset, offset), 1.0)
         cosine = -dot(ends.source.normal, drawn.towards)
@@ -120,7 +120,7 @@ class EmitterSampling:
     def numbers(
         packed: PackedScene, lunes: EdgeLunes, drawn: BoundarySegments, ends: BoundaryEnds
     ) -> Float[Array, "n 3"]:
-        """Primary numbers of lines towards what glows."""
+        """Primary numbers of lines towards emitters."""
         u, _ = emitter_numbers(packed, ends.source, drawn.towards)
         return jnp.concatenate([edge_number(lunes, drawn.point)[:, None], u], -1)
 

@@ -1,9 +1,9 @@
 """Edges in long chains, so that the first primary number runs along them with few jumps (after Yan et al. 2022, 4.3).
 
-Their Algorithm 2 walks from edge to edge, one after the other. Here all ends choose at once, so that it runs inside a
-compiled program, on the positions of the moment: two edges are joined where each is the other's straightest
-continuation at their vertex. Every edge has two ends at most that are joined, so what is joined are chains and rings;
-doubling the steps along them (pointer jumping, Wyllie 1979) numbers their edges in O(E log E).
+Their Algorithm 2 walks from edge to edge, one after the other. Here all ends of edges choose at once, so that it runs
+inside a compiled program, on the current positions. Two edges are joined if each is the other's straightest
+continuation at their common vertex. An edge has two ends, so the joined edges form chains and rings. Pointer jumping
+(Wyllie 1979), which doubles the steps along them, numbers their edges in O(E log E).
 """
 
 from typing import NamedTuple
@@ -14,28 +14,29 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr import loops
 from jaxdr.geometry.vector import corners, dot, normalize
 
-MOST_AROUND = 64  # ends at a vertex that an end is compared with
-ROUNDS = 4  # of choosing
+MOST_AROUND = 64  # an end is compared with at most so many others at its vertex
+ROUNDS = 4  # of choosing partners
 
 
 class EdgeOrder(NamedTuple):
-    """`edge` numbers in the order of their chains; `turned`: the chain runs through them from their second vertex."""
+    """`edge`: numbers in the order of the chains. `turned`: the chain runs through it from its second vertex."""
 
     edge: Int[Array, " E"]
     turned: Bool[Array, " E"]
 
 
 def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts: Bool[Array, " E"]) -> EdgeOrder:
-    """Order the edges that `counts` along chains, and those that don't after them.
+    """Order the edges that count along chains; the others follow.
 
-    An end sees `MOST_AROUND` others at its vertex at most.
+    `counts`: which edges count. An end is compared with at most `MOST_AROUND` others at its vertex.
     """
     count = edges.shape[0]
-    # Of end 2 e + s: the end that it is joined with, -1 for none. What is left over chooses again.
+    # Entry 2 e + s is for end s of edge e: the end that it is joined with, -1 for none. Unjoined ends choose again.
     partner = jnp.full(2 * count, -1, jnp.int32)
     partner = loops.fori_loop(0, ROUNDS, lambda _, p: _partners(vertices, edges, counts, p), partner)
     ends = jnp.arange(2 * count)
-    # Leave an edge by one end: the next one is entered by that one's partner, and left by the other end of its edge.
+    # From an end by which the chain leaves an edge to the next such end. The chain enters the next edge at the partner
+    # and leaves it by its other end.
     following = jnp.where(partner >= 0, partner ^ 1, ends)
     steps = max(1, (2 * count).bit_length())
 
@@ -44,7 +45,7 @@ def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts:
         return (to[to], jnp.minimum(least, least[to])), None
 
     (far, least), _ = loops.scan(jump, (following, ends), None, steps)
-    # A ring never ends: it is cut in front of the end of lowest number in either sense.
+    # A ring has no end. In both senses of rotation, cut it at its end of lowest number.
     stops = jnp.where((partner[far] >= 0) & (least == ends), ends, following)
 
     def measure(state, _):
@@ -52,13 +53,13 @@ def chain_edges(vertices: Float[Array, "V 3"], edges: Int[Array, "E 2"], counts:
         return (to[to], length + length[to]), None
 
     (last, length), _ = loops.scan(measure, (stops, (stops != ends).astype(jnp.int32)), None, steps)
-    # Both ends of an edge lead somewhere: the sense with the lower last end is the chain's.
+    # Each end of an edge leads to a last end of the chain. The chain runs towards the lower of the two.
     pairs, lengths = last.reshape(-1, 2), length.reshape(-1, 2)
     sense = (pairs[:, 1] < pairs[:, 0]).astype(jnp.int32)
     chain = jnp.take_along_axis(pairs, sense[:, None], 1)[:, 0]
     place = jnp.take_along_axis(lengths, sense[:, None], 1)[:, 0]
     order = jnp.lexsort((-place, chain, ~counts)).astype(jnp.int32)
-    # Left by its second end, an edge is run through from its first.
+    # If the chain leaves an edge by its second end, it runs through the edge from its first vertex.
     return EdgeOrder(order, (sense == 0)[order])
 
 
@@ -82,7 +83,7 @@ def _partners(vertices, edges, counts, partner) -> Int[Array, " N"]:
         best, straightest = state
         other = first + (place - first + step) % around
         cosine = jnp.where(other == place, 2.0, dot(out, out[other]))
-        # Ties go to the end of lowest place, whoever asks.
+        # Ties go to the end of lowest place. So both ends of a pair decide alike.
         better = (cosine < straightest) | ((cosine == straightest) & (other < best))
         return jnp.where(better, other, best), jnp.where(better, cosine, straightest)
 

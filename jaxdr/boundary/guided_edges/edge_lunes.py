@@ -1,9 +1,9 @@
 """Edges and the directions in which each is a silhouette: the space that boundary segments are drawn from.
 
-A line through a point of an edge, in the direction w, is a boundary segment where all faces at the edge lie on one side
-of the plane through edge and w. Around the edge those planes fill an angle b = pi less what the faces span, so the
-directions of such lines are two opposite lunes of the sphere, of solid angle 4 b in all. An edge is drawn in proportion
-to its length times b: lines that touch a surface are then drawn evenly (Cauchy-Crofton).
+A line through a point of an edge in the direction w is a boundary segment if all faces at the edge lie on one side of
+the plane through edge and w. Around the edge these planes fill the angle b, which is pi less the angle that the faces
+span. So the directions of such lines form two opposite lunes of the sphere, of total solid angle 4 b. An edge is drawn
+in proportion to its length times b: then the lines that touch a surface are drawn evenly (Cauchy-Crofton).
 """
 
 import math
@@ -33,7 +33,7 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.sampler import sample_cdf
 
-STILL = 0.25  # share of the samples that goes to edges that do not move, where others do: receivers and lights move too
+STILL = 0.25  # share of the samples for edges at rest while others move: their receivers and lights may move
 
 
 class EdgeLunes(NamedTuple):
@@ -43,7 +43,8 @@ class EdgeLunes(NamedTuple):
     - `first`, `second`: a unit frame across the edge. In it, silhouettes have directions at angles from 0 to `width`
       and from pi to pi + `width`. The faces lie clockwise of 0.
     - `cdf`: cumulative probabilities of the rows; `density`: per length.
-    - `share`: how much of the jump at a row counts. Where a face has no area, its two long edges are one.
+    - `share`: the part of the jump that counts at a row. A face without area has two long edges in one place; they
+      share the jump.
     """
 
     edge: Int[Array, " E"]
@@ -60,23 +61,26 @@ class EdgeLunes(NamedTuple):
 
 
 class LunePoints(NamedTuple):
-    """Points on the rows of an `EdgeLunes`, at the share `along` of their edges."""
+    """Points on edges, which are rows of an `EdgeLunes`, at the fraction `along`."""
 
     row: Int[Array, " n"]
     along: Float[Array, " n"]
 
     def position(self, lunes: EdgeLunes) -> Float[Array, "n 3"]:
-        """In the scene, detached."""
+        """Positions of the points, detached."""
         return lunes.start[self.row] + scale(lunes.side[self.row], self.along)
 
     def moving(self, packed: PackedScene, lunes: EdgeLunes) -> Float[Array, "n 3"]:
-        """The same, differentiable."""
+        """Positions of the points, differentiable."""
         return between(*corners(packed.vertices[lunes.vertices[self.row]]), self.along)
 
 
 class Passing(NamedTuple):
-    """How directions pass an edge: angle `turn` in [0, pi) of their plane around it, in which of the two lunes, and
-    `cosine` to the edge. `silhouette`: all faces lie on one side."""
+    """How directions pass an edge.
+
+    `turn`, in [0, pi), is the angle around the edge of the plane through edge and direction; `lune` is 0 or 1; `cosine`
+    is that of the angle to the edge. `silhouette`: all faces lie on one side of the plane.
+    """
 
     turn: Float[Array, " n"]
     lune: Int[Array, " n"]
@@ -87,7 +91,7 @@ class Passing(NamedTuple):
 def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder | None = None) -> EdgeLunes:
     """Lunes of all edges, in the given order or the scene's.
 
-    `moving`: which shapes move, or are seen by a camera that does.
+    `moving`: which shapes move relative to the camera.
     """
     packed = jax.tree.map(stop_gradient, packed)
     edges = packed.edges
@@ -107,7 +111,7 @@ def edge_lunes(packed: PackedScene, moving: tuple[bool, ...], order: EdgeOrder |
     real = there & (jnp.hypot(x, y) > rounding[:, None])
     counts = real.sum(1) / jnp.maximum(there.sum(1), 1)
     angle = jnp.arctan2(y, x)
-    # Slots without a face, or with one of no area, repeat one that has. The widest gap between faces has no face in it.
+    # Slots without a face, or whose face has no area, repeat a face with area. Then find the widest gap between faces.
     one = jnp.take_along_axis(angle, real.argmax(1)[:, None], 1)
     angle = jnp.sort(jnp.where(real, angle, one), axis=1)
     gap = jnp.diff(angle, append=angle[:, :1] + 2 * math.pi, axis=1)
@@ -155,7 +159,7 @@ def passing(lunes: EdgeLunes, row: Int[Array, " n"], direction: Float[Array, "n 
 
 def occluded_side(lunes: EdgeLunes, row: Int[Array, " n"], passed: Passing) -> Float[Array, "n 3"]:
     """Unit normals of the planes through edges and directions, towards the faces."""
-    # In the second lune a direction and its normal are both turned by half a turn: the faces are where they were.
+    # In the second lune the direction is turned by pi, and the plane is the same: the same normal points to the faces.
     return scale(lunes.first[row], jnp.sin(passed.turn)) - scale(lunes.second[row], jnp.cos(passed.turn))
 
 

@@ -42,7 +42,7 @@ from jaxdr.transport.sampler import lattice, path_numbers
 
 
 class GuidedEdgesState(NamedTuple):
-    """What all chunks of an image share: the edges, which shapes move, a guide for every plan, `order` where sorted."""
+    """State for all chunks of an image: the edges, which shapes move, a guide for every plan, `order` if sorted."""
 
     lunes: EdgeLunes
     moving: Bool[Array, " S"]
@@ -51,9 +51,10 @@ class GuidedEdgesState(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """Segments in slots as the camera sees them, see `Detected`, the slots first; detached.
+    """Segments in slots, and how the camera sees them (as in `Detected`, but with the slots first); detached.
 
-    `sent`: emission of the source over its density; `inverse`: one over the density for what the source scatters.
+    `sent`: emission of the source over the density of the segment. `inverse`: one over the density of the segment, for
+    light that the source scatters.
     """
 
     segments: BoundarySegments
@@ -66,7 +67,7 @@ class _Row(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """What one strategy drew; the first `used` slots are filled."""
+    """The segments of one strategy; the first `used` slots are filled."""
 
     rows: _Row
     used: Int[Array, ""]
@@ -86,20 +87,21 @@ def _refusal(what: str, covered: str, found: Callable[[PackedScene], Any]) -> Re
 class GuidedEdges(eqx.Module):
     """Boundary term from segments that are drawn on edges. All fields are static.
 
-    It is unbiased, whatever the guide. Contributions are splatted onto the film.
+    It is unbiased with every guide. Contributions are splatted onto the film.
 
-    - `guide`: where segments are drawn. "none"; "grid", a regular one over edges and directions (Zhang et al. 2020);
+    - `guide`: where segments are drawn. "none"; "grid", a regular grid over edges and directions (Zhang et al. 2020);
       "kdtree", trees with trilinear fits (Yan et al. 2022, 4.1); "projective", a tree around paths that are projected
-      to silhouettes (Zhang et al. 2023), for small emitters. It is built once for every image. A tenth of the segments
-      or more is drawn without it.
-    - `sampling`: "emitter" draws segments for what emitters send towards them, and the rest by direction. "direction"
-      draws all by direction. "mis" finds the emitters' light by both (Yan et al. 2022, 4.2).
+      to silhouettes (Zhang et al. 2023), for small emitters. It is built once for every image. At least a tenth of the
+      segments is drawn without it.
+    - `sampling`: "emitter" draws segments towards emitters for their light, and segments by direction for other light.
+      "direction" draws all by direction. "mis" draws segments for the emitters' light by both (Yan et al. 2022, 4.2).
     - `samples`: segments per path sample and strategy.
-    - `cells`: of a grid, along the edges and along both numbers of the direction.
-    - `leaves`: of all kd-trees of a strategy, about. A projective guide has a quarter, as a power of two.
+    - `cells`: numbers of cells of a grid along the edges and along both numbers of the direction.
+    - `leaves`: about how many leaves all kd-trees of a strategy have together. A projective guide has about a quarter
+      of that, rounded to a power of two.
     - `guide_samples`: evaluations in every cell of a grid, node of a kd-tree, or leaf of a projective guide.
     - `threshold`: leaves are split while their error is above this share of the mean leaf's mass.
-    - `sort`: put the edges into long chains (Yan et al. 2022, 4.3), so that a guide meets fewer jumps along them.
+    - `sort`: put the edges into long chains (Yan et al. 2022, 4.3), so that a guide's target has fewer jumps.
 
     Raises ValueError for options out of range.
     """
@@ -161,19 +163,19 @@ class GuidedEdges(eqx.Module):
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
-        """Edges and guides. Raises ValueError for what no segment covers, and for what has not been verified yet."""
+        """Edges and guides. Raises ValueError for scenes that the estimator does not cover."""
         del key  # all images of the same scene have the same guide
         return self.build(context.packed, context.moving.seen, context.settings)
 
     def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
-        """The same for shapes that can move. Raises ValueError as `prepare`."""
+        """Edges and guides where the shapes `moving` can move. Raises ValueError like `prepare`."""
         refuse(self.refusals, Asked(packed, settings))
         detached = jax.tree.map(stop_gradient, packed)
         lunes, flags, order = edge_lunes(packed, moving), jnp.asarray(moving), None
         if self.sort:
             order = chain_edges(detached.vertices, detached.edges.vertices, lunes.density > 0)
             lunes = edge_lunes(packed, moving, order)
-        # A key of its own, whatever the image's.
+        # A fixed key, independent of the image's.
         key_maps, *keys = jax.random.split(fixed_key(0), 3)
         lines = None
         if self.guide == "projective":
@@ -191,7 +193,7 @@ class GuidedEdges(eqx.Module):
     def _targets(
         self, detached: PackedScene, lunes: EdgeLunes, moving: Bool[Array, " S"], key, settings: PathSettings
     ) -> Callable[[StrategyPlan, PRNGKeyArray], Target]:
-        """What guides of every plan are made for."""
+        """The target of each plan's guide."""
         maps = flux_maps(detached, key, settings) if self.guide != "none" and settings.max_depth > 2 else None
 
         def target(plan: StrategyPlan, key: PRNGKeyArray) -> Target:
@@ -208,7 +210,7 @@ class GuidedEdges(eqx.Module):
         order: EdgeOrder | None,
         key: PRNGKeyArray,
     ) -> tuple[Defended, ...]:
-        """Guides with the boxes that they have and densities after the scene as it is. Raises as `prepare_with`."""
+        """Keep the boxes of the guides and fit their densities to the current scene. Raises like `prepare_with`."""
         plans = self._plans_of(packed, settings, guides)
         detached = jax.tree.map(stop_gradient, packed)
         key_maps, *keys = jax.random.split(key, 3)
@@ -228,15 +230,15 @@ class GuidedEdges(eqx.Module):
         guides: tuple[Defended, ...],
         order: EdgeOrder | None,
     ) -> GuidedEdgesState:
-        """`build` with guides that were built for another position of the same meshes.
+        """`build` with guides that were built for other positions of the same meshes.
 
-        Raises ValueError as `build` does, and for another number of strategies than there are guides.
+        Raises ValueError like `build`, and if the number of guides is not the number of strategies.
         """
         self._plans_of(packed, settings, guides)
         return GuidedEdgesState(edge_lunes(packed, moving, order), jnp.asarray(moving), guides, order)
 
     def _plans_of(self, packed: PackedScene, settings: PathSettings, guides: tuple) -> tuple[StrategyPlan, ...]:
-        """The plans that guides were built for; raises ValueError where they weren't."""
+        """The plans that guides were built for. Raises ValueError if this scene needs another number of plans."""
         refuse(self.refusals, Asked(packed, settings))
         plans = self.plans(packed, settings)
         if len(plans) != len(guides):
@@ -248,7 +250,7 @@ class GuidedEdges(eqx.Module):
 
     @property
     def _evaluations(self) -> int:
-        """Of the target, for every box."""
+        """Evaluations of the target for every box."""
         return self.guide_samples or {"none": 0, "grid": 4, "kdtree": 32, "projective": 16}[self.guide]
 
     @property
@@ -325,10 +327,10 @@ class GuidedEdges(eqx.Module):
         plans = self.plans(packed, settings)
         plan, guide = plans[number], prepared.guides[number]
         key_segments, key_detector, key_source = jax.random.split(key, 3)
-        # Of a lattice in four dimensions: the one in three leaves gaps that shadows fit in.
+        # A lattice in four dimensions: the lattice in three has gaps into which shadows can fall.
         u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[0, :, :3]
         primary = guide.sample(u)
-        # Most lines towards emitters pass no edge as a silhouette: the others are gathered in front.
+        # For most lines towards emitters the edge is not a silhouette. The other lines are moved to the front.
         drawn = plan.strategy.segments(packed, lunes, primary)
         used = drawn.silhouette.sum()
         slots = rows_where(drawn.silhouette, count)
@@ -352,10 +354,10 @@ class GuidedEdges(eqx.Module):
                 sent = emitted(packed, ends.source, -segments.towards)
                 sent = jnp.where(lit.any(-1)[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
             if plan.gathered:
-                # Not of the lattice that segments come from: its rows would differ from theirs by a shift alone.
+                # Not from the lattice of the segments: these numbers would differ from theirs by a constant shift.
                 numbers = path_numbers(key_source, slot, 0, value.dtype)
                 stream = stream_of(self.name) + slot.astype(jnp.uint32)
-                for b in range(settings.max_depth - 2):  # bounces of the detector's side; the rest are the source's
+                for b in range(settings.max_depth - 2):  # bounces on the detector's side; the source has the rest
                     bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
                     asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
             inverse = safe_divide(share, pdf[number], pdf[number] > 0)

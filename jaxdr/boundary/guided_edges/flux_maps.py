@@ -1,7 +1,7 @@
 """Photon and importon maps for guides: how much light surfaces scatter, and how much of it the film would see.
 
-On a regular grid over the scene, looked up without interpolation: they steer samples, and nothing else (Yan et al.
-2022, after Eq. 11).
+They are tables on a regular grid over the scene, read without interpolation. They only steer samples, so they may be
+coarse (Yan et al. 2022, after Eq. 11).
 """
 
 from typing import NamedTuple
@@ -16,19 +16,22 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.path import PathSettings
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.subpaths import Subpath, camera_start, light_start, trace_on
 
 SIDE = 24  # cells along each side of the scene
 PHOTONS = 1 << 14
-FLOOR = 0.02  # of the mean of the cells that have any
+FLOOR = 0.02  # smallest value of a cell, relative to the mean of the cells that are not zero
 
 
 class FluxMaps(NamedTuple):
-    """`radiance`: sent by what surface there is in a cell, luminance. `importance`: square pixels that a cell's surface
-    is worth after one bounce or more towards the camera, per area and steradian."""
+    """Two maps of C cells.
+
+    `radiance`: luminance that the surface in a cell scatters. `importance`: that of the surface in a cell for the film,
+    after one bounce or more towards the camera; square pixels per area and steradian.
+    """
 
     lower: Float[Array, "3"]
     cell: Float[Array, "3"]
@@ -36,11 +39,11 @@ class FluxMaps(NamedTuple):
     importance: Float[Array, " C"]
 
     def radiance_at(self, position: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """At points."""
+        """`radiance` of the cells of points."""
         return self.radiance[_cell(self.lower, self.cell, position)]
 
     def importance_at(self, position: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """At points."""
+        """`importance` of the cells of points."""
         return self.importance[_cell(self.lower, self.cell, position)]
 
 
@@ -67,7 +70,7 @@ def flux_maps(packed: PackedScene, key: PRNGKeyArray, settings: PathSettings) ->
 
     _, _, width, height = packed.camera.film.window
     spp = max(1, PHOTONS // (width * height))
-    primary = primary_samples(packed, jnp.arange(spp), key_first, settings.rays, "fixed")
+    primary = primary_samples(packed, jnp.arange(spp), key_first, settings.rays, Form.FIXED)
     count = primary.u.shape[0]
     camera = camera_start(packed, primary)
     camera = trace_on(packed, camera, uniform(key_camera, (bounces, count, 2), dtype), False, 1, settings.rays)

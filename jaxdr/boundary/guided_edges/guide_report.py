@@ -13,10 +13,12 @@ from jaxdr.scene.scene import Scene
 
 
 class GuideReport(NamedTuple):
-    """`bytes` of all guides of a `GuidedEdges`; `seconds` to build them once, and with compilation, `first_seconds`.
+    """Costs of all guides of a `GuidedEdges`.
 
-    `unguided`: for every strategy, the share of segments that is drawn without its guide. One that is near 1 found too
-    little to be of use: another guide, more evaluations or another strategy may find more.
+    - `bytes`: their memory.
+    - `seconds`: time to build them. `first_seconds`: the same with compilation.
+    - `unguided`: for every strategy, the share of segments that is drawn without its guide. If it is near 1, the guide
+      found too little to be of use: another guide, more evaluations or another strategy may find more.
     """
 
     bytes: int
@@ -34,8 +36,8 @@ def guide_report(
 ) -> GuideReport:
     """What the guides of a scene cost, and how much they are used: a `GuideReport`.
 
-    They are built twice, so that compiling and building are told apart. `boundary` says which guides, `moving` names
-    the shapes that move (None: all).
+    The guides are built twice, to time them without compilation. `boundary` says which guides, `moving` names the
+    shapes that move (None: all).
 
     Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does not cover.
     """

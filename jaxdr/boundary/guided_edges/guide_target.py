@@ -1,4 +1,4 @@
-"""What guides are made for: the contribution of a boundary segment, about (Yan et al. 2022, Eq. 11-13)."""
+"""The target of guides: the approximate contribution of a boundary segment (Yan et al. 2022, Eq. 11-13)."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,9 +19,9 @@ from jaxdr.transport.path import PathSettings
 
 
 class StrategyPlan(NamedTuple):
-    """How segments are drawn by one strategy, and which of the light they carry counts.
+    """How segments are drawn by one strategy, and which light along them counts. Static.
 
-    `emission` of what they end on, `gathered`: light that it scatters. Static.
+    `emission`: light that the source's end emits. `gathered`: light that the source's end scatters.
     """
 
     strategy: Strategy
@@ -38,10 +38,10 @@ def segment_target(
     key,
     settings: PathSettings,
 ) -> Callable[[Float[Array, "n 3"]], Float[Array, " n"]]:
-    """|F| as a function of primary numbers, for any motion of one unit (luminance): f_B J_B h_S h_D.
+    """|F| (luminance) as a function of primary numbers, for a displacement of one unit: f_B J_B h_S h_D.
 
-    Ends at emitters and in view of the camera are evaluated; light that the source scatters (`gathered`), and what the
-    detector adds to the film after more bounces, come from `maps`.
+    Emission of the source, and a detector that the camera sees directly, are evaluated. Light that the source scatters
+    (`gathered`), and what the detector sends to the film over more bounces, come from `maps`.
     """
     strategy = plan.strategy
 

@@ -1,8 +1,8 @@
 """Kd-trees over the primary numbers of boundary segments, with trilinear fits in their leaves (Yan et al. 2022, 4.1).
 
-Algorithm 1, breadth first: every round splits the leaves of the largest errors, as many at a time as fit a batch. So
-shapes are static: a budget of leaves, and where it does not suffice for the threshold the guide is coarser. What is
-drawn is the fit itself, never below a share of the leaf's mean, so that its density is known exactly.
+Algorithm 1, breadth first: every round splits a fixed number of leaves, those of the largest errors. So all array
+shapes are static. If the budget of leaves does not suffice for the threshold, the guide is coarser. Samples are drawn
+from the fit itself, so that their density is known exactly. The fit is at least a share of the leaf's mean.
 """
 
 from typing import NamedTuple
@@ -18,13 +18,17 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.sampling import linear
 from jaxdr.transport.compaction import rows_where
 
-ROUNDS = 10  # in which the leaves are split
-LEAST = 0.1  # of a leaf's mean, everywhere in it
+ROUNDS = 10  # of splitting leaves
+LEAST = 0.1  # smallest value of a fit, as a share of the leaf's mean
 
 
 class Leaves(NamedTuple):
-    """Boxes of n nodes and the fits there: mean `level`, values at the corners relative to it (z fastest), one
-    everywhere where there is nothing, and `error`, the root mean square of what is left times the volume."""
+    """Boxes of n nodes and their fits.
+
+    - `level`: mean of the fit.
+    - `corners`: the fit at the corners over `level` (z fastest); ones where the level is zero.
+    - `error`: root mean square of the residuals times the volume.
+    """
 
     lower: Float[Array, "*n 3"]
     upper: Float[Array, "*n 3"]
@@ -33,19 +37,19 @@ class Leaves(NamedTuple):
     error: Float[Array, "*n"]
 
     def mass(self) -> Float[Array, "*n"]:
-        """Integral of the fits."""
+        """Integrals of the fits over the boxes."""
         return self.volume() * self.level
 
     def volume(self) -> Float[Array, "*n"]:
-        """Of the boxes."""
+        """Volumes of the boxes."""
         return (self.upper - self.lower).prod(-1)
 
 
 class KdTree(NamedTuple):
-    """Trees over intervals of the first number, one root an interval, nodes in a row.
+    """Trees over intervals of the first primary number, one root for each interval. All nodes are in one table.
 
-    `first` and the one after it are a node's children, -1 for leaves; they divide it in the middle of its `axis`.
-    `borders` of the roots' intervals.
+    A node's children are `first` and `first` + 1; they halve the node along its `axis`. `first` of a leaf is -1.
+    `borders` are the lower ends of the roots' intervals. `leaves` chooses among the leaves.
     """
 
     nodes: Leaves
@@ -55,7 +59,7 @@ class KdTree(NamedTuple):
     leaves: Choice
 
     def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Primary numbers from uniform ones: a leaf by its mass, then its fit by inversion, axis by axis."""
+        """Primary numbers from uniform ones: choose a leaf by its mass, then invert its fit axis by axis."""
         node, left = self.leaves.sample(u[:, 0])
         corners = self.nodes.corners[node]
         x = linear(left, corners[:, :4].mean(-1), corners[:, 4:].mean(-1))
@@ -67,7 +71,7 @@ class KdTree(NamedTuple):
         return below_one(lower + jnp.stack([x, y, z], -1) * (upper - lower))
 
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Their density."""
+        """Density of primary numbers."""
         node = self.find(primary)
         lower, upper, corners = self.nodes.lower[node], self.nodes.upper[node], self.nodes.corners[node]
         size = upper - lower
@@ -177,7 +181,7 @@ def fit(target: Target, lower: Float[Array, "*n 3"], upper: Float[Array, "*n 3"]
 
 
 def _leaf_choice(nodes: Leaves, leaf: Bool[Array, " N"]) -> Choice:
-    """Leaves by their mass; by their volume if none has any."""
+    """A choice of leaves by their mass; by their volume if all masses are zero."""
     mass, volume = jnp.where(leaf, nodes.mass(), 0.0), jnp.where(leaf, nodes.volume(), 0.0)
     return choice(jnp.where(mass.sum() > 0, mass, volume))
 
@@ -189,7 +193,7 @@ def _pattern(samples: int) -> Float[np.ndarray, "n 3"]:
 
 
 def root_borders(cdf: Float[Array, " E"], most: int) -> Float[Array, " R1"]:
-    """Borders of intervals that are edges, or runs of as many edges each as make no more than `most`."""
+    """Borders of the intervals of edges or, if there are more than `most` edges, of runs of edges of equal number."""
     run = -(-cdf.shape[0] // most)
     ends = cdf[run - 1 :: run]
     return jnp.concatenate([jnp.zeros(1, cdf.dtype), ends[: -(-cdf.shape[0] // run) - 1], jnp.ones(1, cdf.dtype)])

@@ -1,4 +1,4 @@
-"""Densities over the primary numbers of boundary segments (Yan et al. 2022, 4.1): what a guide is, none, and a grid."""
+"""Densities over the primary numbers of boundary segments (Yan et al. 2022, 4.1): protocol, no guide, and a grid."""
 
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -9,10 +9,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.scene.sampling import search_sorted_rows
 
-# Shares of the segments that may be drawn as if there were no guide. With the least of them what the guide missed has
-# ten times its unguided weight.
+# Candidates for the share of segments that is drawn without the guide. With the least share, a segment where the guide
+# is zero has ten times its unguided weight.
 SHARES = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0
-COMPARED = 1 << 15  # evaluations of the target that the share is chosen by
+COMPARED = 1 << 15  # evaluations of the target from which the share is chosen
 BATCH = 1 << 16  # evaluations of the target at once
 
 # The function that a guide's density should follow: primary numbers to values, not negative.
@@ -21,23 +21,23 @@ Target = Callable[[Float[Array, "n 3"]], Float[Array, " n"]]
 
 @runtime_checkable
 class Guide(Protocol):
-    """A density over the unit cube that is drawn from, and known, exactly. It may vanish: see `Defended`."""
+    """A density over the unit cube, with exact sampling and an exact pdf. It may be zero in places; see `Defended`."""
 
     def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Primary numbers from uniform ones, which keep what evenness they have as far as may be."""
+        """Primary numbers from uniform ones. Well stratified numbers stay so as far as possible."""
         ...
 
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Their density."""
+        """Density of primary numbers."""
         ...
 
     def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "Guide":
-        """The same boxes with densities after another target, from `samples` evaluations in each."""
+        """The same boxes with densities that follow another target, from `samples` evaluations in each."""
         ...
 
 
 class Defended(NamedTuple):
-    """A guide, and a share of samples without it: by number, the first ones, so that evenly spread ones stay so."""
+    """A guide, and the share of samples without it. These are the first samples, so that both parts stay stratified."""
 
     guide: Guide
     share: Float[Array, ""]
@@ -57,10 +57,10 @@ class Defended(NamedTuple):
 
 
 def defended(guide: Guide, target: Target, key: PRNGKeyArray, dtype) -> Defended:
-    """A guide and that share without it for which the second moment of target / density is least.
+    """A guide, with the unguided share for which the second moment of target / density is least.
 
-    The moment is estimated from evaluations that the guide was not built from, half of them its own samples: a guide
-    that missed what a few evaluations find would take far more than it gives.
+    The moment is estimated from new evaluations, half of them at the guide's own samples. So a guide that missed a part
+    of the target is used little: it would add more noise than it takes away.
     """
     half = COMPARED // 2
     trial = Defended(guide, jnp.asarray(0.5, dtype))
@@ -88,25 +88,25 @@ class Unguided(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """Probabilities of K entries in rows of about the square root of K: two short sums keep small ones exact."""
+    """Probabilities of K entries, in rows of about sqrt(K): in two short sums small probabilities stay exact."""
 
     rows: Float[Array, "1 R"]
     columns: Float[Array, "R C"]
 
     def sample(self, u: Float[Array, " n"]) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
-        """(entries, uniform numbers that are left)."""
+        """(entries, new uniform numbers from what the choice leaves of `u`)."""
         row, left = search_sorted_rows(self.rows, jnp.zeros(u.shape, jnp.int32), u)
         column, left = search_sorted_rows(self.columns, row, left)
         return row * self.columns.shape[1] + column, left
 
     def probability(self, entry: Int[Array, " n"]) -> Float[Array, " n"]:
-        """With which `sample` chooses entries."""
+        """The probabilities with which `sample` chooses entries."""
         row, column = jnp.divmod(entry, self.columns.shape[1])
         return _probability(self.rows, jnp.zeros_like(row), row) * _probability(self.columns, row, column)
 
 
 def choice(weight: Float[Array, " K"]) -> Choice:
-    """Probabilities in proportion to weights that are not negative; even if all are zero."""
+    """Probabilities in proportion to weights, which are not negative; uniform if all weights are zero."""
     count = weight.shape[0]
     columns = max(1, round(count**0.5))
     rows = jnp.pad(weight, (0, -count % columns)).reshape(-1, columns)
@@ -114,7 +114,7 @@ def choice(weight: Float[Array, " K"]) -> Choice:
 
 
 def cumulative(weight: Float[Array, "R K"]) -> Float[Array, "R K"]:
-    """Cumulative probabilities in every row; even where a row has no weight."""
+    """Cumulative probabilities in every row; uniform in a row whose weights are all zero."""
     weight = jnp.where(weight.sum(1, keepdims=True) > 0, weight, 1.0)
     total = jnp.cumsum(weight, axis=1)
     return total / total[:, -1:]
@@ -123,7 +123,7 @@ def cumulative(weight: Float[Array, "R K"]) -> Float[Array, "R K"]:
 class Grid(NamedTuple):
     """A density that is constant in every cell of a regular grid over the unit cube (Zhang et al. 2020).
 
-    Cumulative probabilities along x, along y for every x, and along z for every x and y.
+    The fields are cumulative probabilities along x, along y for every x, and along z for every x and y.
     """
 
     x: Float[Array, "1 X"]
@@ -139,7 +139,7 @@ class Grid(NamedTuple):
         return below_one((cell + left) / jnp.asarray(self._size, u.dtype))
 
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Their density."""
+        """Density of primary numbers."""
         size = jnp.asarray(self._size)
         cell = jnp.clip(jnp.floor(primary * size).astype(jnp.int32), 0, size - 1)
         x, y, z = cell[:, 0], cell[:, 1], cell[:, 2]
@@ -149,12 +149,12 @@ class Grid(NamedTuple):
         return along_x * along_y * along_z * size.prod()
 
     def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "Grid":
-        """The mean of the old density and that of new evaluations: what one missed another may find."""
+        """The mean of the old density and of one from new evaluations: one may find what the other missed."""
         new = build_grid(target, self._size, samples, key)
         return grid_of(0.5 * (self.probabilities() + new.probabilities()))
 
     def probabilities(self) -> Float[Array, "X Y Z"]:
-        """With which cells are chosen."""
+        """The probability of each cell."""
         x, y, z = (jnp.diff(cdf, axis=1, prepend=0.0) for cdf in (self.x, self.y, self.z))
         return x[0][:, None, None] * y[:, :, None] * z.reshape(self._size)
 
@@ -164,18 +164,18 @@ class Grid(NamedTuple):
 
 
 def _probability(cdf: Float[Array, "R K"], row: Int[Array, " n"], entry: Int[Array, " n"]) -> Float[Array, " n"]:
-    """Of entries in rows: differences of the very sums that are searched."""
+    """Probabilities of entries in rows: differences of the same sums that `sample` searches."""
     flat, index = cdf.reshape(-1), row * cdf.shape[1] + entry
     return flat[index] - jnp.where(entry > 0, flat[index - 1], 0.0)
 
 
 def below_one(u):
-    """Numbers that rounding may have made 1."""
+    """Keep numbers below 1, which rounding may reach."""
     return jnp.minimum(u, 1.0 - jnp.finfo(u.dtype).epsneg)
 
 
 def grid_of(values: Float[Array, "X Y Z"]) -> Grid:
-    """A grid of density in proportion to values of its cells."""
+    """A grid whose density is in proportion to the values of its cells."""
     columns = values.reshape(-1, values.shape[2])
     rows = columns.sum(1).reshape(values.shape[:2])
     return Grid(cumulative(rows.sum(1)[None]), cumulative(rows), cumulative(columns))

@@ -1,9 +1,9 @@
 """Ordinary paths projected to silhouettes (Zhang, Roussel and Jakob 2023): lines past edges that are likely to count.
 
-A path here is a film point's first hit and an emitter sample, four uniform numbers. Between the numbers of one whose
-emitter is hidden and those of one that sees it lies a path at the border of a shadow: halving the interval leads there,
-and what hides the last hidden one has an edge beside it. All such lines end in what the film shows and on an emitter,
-however small both are.
+A path here is the first hit of a film point and an emitter sample: four uniform numbers. Take the numbers of a path
+whose emitter is hidden, and those of a path that sees its emitter. Between them lies a path at the border of a shadow.
+Halving the interval leads there, and the face that hides the last hidden path has an edge beside it. All such lines
+lead from a point that the film shows to an emitter, even if both are small.
 """
 
 from typing import NamedTuple
@@ -26,13 +26,13 @@ from jaxdr.transport.interaction import SurfacePoint, intersect, leave, on_fixed
 from jaxdr.transport.sampler import lattice
 
 HALVINGS = 14  # of the numbers between a hidden path and a lit one
-STEPS = 4  # from face to face, where the one that is hit has no edge that is a silhouette
+STEPS = 4  # from face to face, until one has an edge that is a silhouette
 
 
 class ShadowRays(NamedTuple):
-    """Paths to emitters: `first` hit and `emitter` sample, `occluder` the face between them, -1 where there is none.
+    """Paths to emitters: the `first` hit, the `emitter` sample, and the `occluder`, the face between them (-1: none).
 
-    `there`: the path exists, and the emitter shows its glowing side.
+    `there`: the path exists, and the emitter sends light towards the first hit.
     """
 
     first: SurfacePoint
@@ -42,7 +42,7 @@ class ShadowRays(NamedTuple):
 
 
 def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> ShadowRays:
-    """From numbers for the film point and for the emitter; through the middle of a lens."""
+    """Paths from two numbers for the film point and two for the emitter; with an aperture, through its middle."""
     camera = packed.camera
     x0, y0, width, height = camera.film.window
     view = camera.view(jnp.full((u.shape[0], 2), 0.5, u.dtype) if camera.aperture else None)
@@ -67,7 +67,7 @@ def shadow_rays(packed: PackedScene, u: Float[Array, "n 4"], rays: str) -> Shado
 def project_paths(
     packed: PackedScene, lunes: EdgeLunes, count: int, key: PRNGKeyArray, rays: str
 ) -> tuple[BoundarySegments, BoundaryEnds]:
-    """`count` lines past edges, from as many paths. Not `valid` where no edge is found, or there are no shadows."""
+    """`count` lines past edges, from as many paths. They are not `valid` if no edge is found or no path is hidden."""
     key_paths, key_pairs = jax.random.split(key)
     u = lattice(key_paths, 1, jnp.arange(count), 4, packed.vertices.dtype)[0]
     paths = shadow_rays(packed, u, rays)
@@ -76,7 +76,8 @@ def project_paths(
     one = rows_where(hidden, count)[jnp.arange(count) % jnp.maximum(hidden.sum(), 1)]
     chosen = jax.random.randint(key_pairs, (count,), 0, jnp.maximum(lit.sum(), 1))
     other = rows_where(lit, count)[chosen]
-    # Between two emitter samples there is little of an emitter's rim: half of the pairs have one, half one film point.
+    # Half of the pairs share their emitter numbers, half their film point. A pair with two emitter points seldom has
+    # the rim of the emitter between them.
     part = jnp.arange(4) < 2
     outside = jnp.where(part == (jnp.arange(count) % 2 == 0)[:, None], u[other], u[one])
     end = shadow_rays(packed, outside, rays)
@@ -98,7 +99,7 @@ def project_paths(
 def _nearest_silhouettes(
     packed: PackedScene, lunes: EdgeLunes, path: ShadowRays
 ) -> tuple[LunePoints, Bool[Array, " n"]]:
-    """(points on edges beside the faces that hide emitters, nearest to paths; whether there is any)."""
+    """(the points nearest to paths on silhouette edges of the faces that hide emitters, whether there is one)."""
     sides, behind = _rows_at(packed, lunes), connect_faces(packed).behind
     origin, emitter = path.first.position, path.emitter
     towards = emitter.direction_from(origin)
@@ -116,7 +117,7 @@ def _nearest_silhouettes(
         best = jnp.where(silhouette, miss, jnp.inf).argmin(1)[:, None]
         row = jnp.where(here, jnp.take_along_axis(rows, best, 1)[:, 0], row)
         along = jnp.where(here, jnp.take_along_axis(on_edge, best, 1)[:, 0], along)
-        # Over the side that the path passes next, but for the one that was come from.
+        # Go on over the side that is nearest to the path, but not back over the side of the last step.
         over = jnp.where(rows == came[:, None], jnp.inf, miss).argmin(1)[:, None]
         beyond = jnp.take_along_axis(behind[face], over, 1)[:, 0]
         came = jnp.take_along_axis(rows, over, 1)[:, 0]
@@ -129,7 +130,7 @@ def _nearest_silhouettes(
 
 
 def _rows_at(packed: PackedScene, lunes: EdgeLunes) -> Int[Array, "F 3"]:
-    """Rows of the edges of all faces; side k is opposite of corner k."""
+    """Rows of the edges of all faces; side k lies opposite corner k."""
     faces, opposite = packed.edges.faces[lunes.edge], packed.edges.opposite[lunes.edge]
     table = jnp.zeros(packed.faces.shape, jnp.int32)
     for k in range(faces.shape[1]):

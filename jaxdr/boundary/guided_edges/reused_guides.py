@@ -1,8 +1,7 @@
 """Guides that are built once and used for many steps of an optimisation.
 
-A guide is a density of primary numbers, and the map from these to lines past edges is that of the shape of the moment:
-whatever moved since the guide was built, the density of what is drawn is known exactly. What is lost is only how well
-it fits.
+A guide is a density of primary numbers. The map from these to lines past edges belongs to the current scene. So the
+density of the lines is known exactly, even if shapes moved since the guide was built. The guide only fits less well.
 """
 
 from collections.abc import Collection
@@ -25,8 +24,8 @@ from jaxdr.transport.path import PathSettings
 class ReusedGuides(eqx.Module):
     """`GuidedEdges` with guides that `build_guides` has made: a boundary estimator for `PathTracer`.
 
-    It is a pytree. Guides of the same sizes go through one compiled program. The order of sorted edges is kept with
-    them.
+    It is a pytree. All guides of the same sizes use one compiled program. `order` is the order of sorted edges, None
+    without sorting. `edges` is the number of edges of the scene.
     """
 
     boundary: GuidedEdges = eqx.field(static=True)
@@ -37,9 +36,9 @@ class ReusedGuides(eqx.Module):
     name = "boundary"
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
-        """Edges of the shape of the moment.
+        """Edges of the current scene, with these guides.
 
-        Raises ValueError as `GuidedEdges.prepare` does, and for guides of another mesh or depth.
+        Raises ValueError like `GuidedEdges.prepare`, and for guides of another mesh or depth.
         """
         del key
         _same_edges(context.packed.edges.vertices.shape[0], self.edges)
@@ -47,11 +46,11 @@ class ReusedGuides(eqx.Module):
         return self.boundary.prepare_with(*scene, self.guides, self.order)
 
     def draw(self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray):
-        """As `GuidedEdges.draw`."""
+        """See `GuidedEdges.draw`."""
         return self.boundary.draw(context, state, chunk, key)
 
     def image(self, context: Context, state: GuidedEdgesState, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
-        """As `GuidedEdges.image`."""
+        """See `GuidedEdges.image`."""
         return self.boundary.image(context, state, chunk, held, answers)
 
 
@@ -62,10 +61,10 @@ def build_guides(
     rays: str = "auto",
     moving: Collection[str] | None = None,
 ) -> ReusedGuides:
-    """Guides of a scene that are kept: a boundary estimator for `PathTracer`.
+    """Build guides for many images of a scene: a boundary estimator for `PathTracer`.
 
-    `boundary` says which guides, `max_depth` for which paths. `moving` names the shapes that move (None: all). Name
-    those that you differentiate by: edges are spread by what moves, and guides fit others badly.
+    `boundary` says which guides, `max_depth` for which paths. `moving` names the shapes that move (None: all). Name the
+    shapes by which you differentiate. Samples go to edges that move, and the guides fit other edges badly.
 
     Works under jit. Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does
     not cover.
@@ -84,12 +83,12 @@ def refit_guides(
     rays: str = "auto",
     moving: Collection[str] | None = None,
 ) -> ReusedGuides:
-    """Guides of the same sizes, fitted to the scene as it is now. It takes a part of the time of building them.
+    """Fit the densities of guides to the current scene. This takes less time than building guides.
 
-    Boxes and leaves stay as they are, and so does the order of sorted edges. `max_depth` and `moving` must be those
-    that the guides were built with. `key` chooses where the target is evaluated.
+    Boxes, leaves and the order of sorted edges stay as they are. `max_depth` and `moving` must be those that the guides
+    were built with. `key` chooses where the target is evaluated.
 
-    Works under jit. Raises ValueError as `build_guides` does, and for guides of another mesh or depth.
+    Works under jit. Raises ValueError like `build_guides`, and for guides of another mesh or depth.
     """
     settings = PathSettings(max_depth, True, rays)
     _same_edges(sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values()), guides.edges)
@@ -117,7 +116,7 @@ def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settin
 
 
 def _flags(scene: Scene, names: Collection[str] | None) -> tuple[bool, ...]:
-    """Which shapes of a scene are named; all without names. Raises ValueError for names that it does not have."""
+    """Which shapes of a scene are named; all if `names` is None. Raises ValueError for names that it does not have."""
     unknown = sorted(set(names or ()) - set(scene.shapes))
     if unknown:
         known = ", ".join(scene.shapes)

@@ -1,9 +1,9 @@
-"""Trees over the primary numbers of boundary segments that grow where seeds lie: points at which a target is positive.
+"""Trees over the primary numbers of boundary segments, built around seeds: points at which the target is positive.
 
-Every node is divided at the median of its seeds, along the axis in which they extend furthest, so that all leaves hold
-about as many. What the target covers may be a millionth of the unit cube: a leaf is then mostly empty, and drawn from
-is the box around its seeds. Boxes do not overlap, so the density is known exactly: constant in every box, but for a
-small share that goes to the leaf around it.
+Every node is divided at the median of its seeds, along the axis in which they extend furthest. So all leaves hold about
+as many seeds. The target may be positive in a millionth of the unit cube only. Then a leaf's cell is mostly empty, so
+samples are drawn from a box around the leaf's seeds, and a small share from the whole cell. Boxes do not overlap and
+cells do not overlap. So the density is known exactly.
 """
 
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from jaxdr.boundary.guided_edges.primary_guides import SHARES, Choice, Defended,
 from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.sampler import lattice, uniform
 
-AROUND = 0.1  # share of a leaf's samples that is drawn from all of it
-SEARCH = 0.5  # the same of those that look for more seeds
-GAPS = 4.0  # by how many mean distances of its seeds a box reaches beyond them
-SEEDS = 32  # a leaf, of each origin: given, evenly spread, drawn
-ALONG = 2 / 3  # from edge to edge everything may change: extents along them count times this power of their number
-MOST = 0.7  # a box that takes this share of its cell along an axis takes all of it
-ROUNDS = 2  # of points drawn from the tree so far
-BLUR = 2.0**-13  # how far seeds are moved at random: a box has some width in float32, and no two seeds are one
+AROUND = 0.1  # share of a leaf's samples that is drawn from its whole cell
+SEARCH = 0.5  # the same share while more seeds are searched
+GAPS = 4.0  # a box reaches beyond its seeds by so many mean distances of seeds
+SEEDS = 32  # for each leaf, of each origin: given, evenly spread, drawn from the tree
+ALONG = 2 / 3  # extents along the edges are scaled by this power of their number: the target jumps from edge to edge
+MOST = 0.7  # a box that takes this share of its cell along an axis takes the whole axis
+ROUNDS = 2  # of drawing more seeds from the tree so far
+BLUR = 2.0**-13  # seeds move at random by up to so much: then boxes have a width in float32, and no two seeds coincide
 
 
 class SeededTree(NamedTuple):
     """A complete binary tree of L leaves; node i has the children 2 i + 1 and 2 i + 2.
 
-    Nodes are divided at `split` of their `axis`. The leaves' cells fill the unit cube, from `cell_lower` to
-    `cell_upper`; their boxes lie in them. A share `around` of a leaf's samples is
-    drawn from its cell.
+    A node is divided at `split` along its `axis`. The leaves' cells, from `cell_lower` to `cell_upper`, fill the unit
+    cube. A leaf's box, from `lower` to `upper`, lies in its cell. The share `around` of a leaf's samples is drawn from
+    its cell, the rest from its box.
     """
 
     axis: Int[Array, " N"]
@@ -45,18 +45,18 @@ class SeededTree(NamedTuple):
     around: Float[Array, ""]
 
     def sample(self, u: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Primary numbers from uniform ones: a leaf by its mass, then a point of its box, or of all of it."""
+        """Primary numbers from uniform ones: choose a leaf by its mass, then a point of its box or its cell."""
         leaf, left = self.leaves.sample(u[:, 0])
         around = left < self.around
         left = jnp.where(around, left / self.around, (left - self.around) / (1 - self.around))
         lower = jnp.where(around[:, None], self.cell_lower[leaf], self.lower[leaf])
         upper = jnp.where(around[:, None], self.cell_upper[leaf], self.upper[leaf])
         point = lower + jnp.stack([left, u[:, 1], u[:, 2]], -1) * (upper - lower)
-        # A point that rounding puts on the upper side belongs to the leaf there.
+        # Rounding may put a point on the upper side, which belongs to the next leaf.
         return jnp.minimum(point, upper * below_one(jnp.ones_like(upper)))
 
     def pdf(self, primary: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Their density."""
+        """Density of primary numbers."""
         leaf = self.find(primary)
         lower, upper = self.lower[leaf], self.upper[leaf]
         inside = ((primary >= lower) & (primary < upper)).all(-1)
@@ -65,7 +65,7 @@ class SeededTree(NamedTuple):
         return self.leaves.probability(leaf) * density
 
     def refitted(self, target: Target, samples: int, key: PRNGKeyArray) -> "SeededTree":
-        """The same boxes, with masses after another target."""
+        """The same boxes, with the masses of another target."""
         squares = _squares(target, self.lower, self.upper, samples, key)
         mass = (self.upper - self.lower).prod(-1) * jnp.sqrt(squares / samples)
         whole = (self.cell_upper - self.cell_lower).prod(-1)
@@ -97,11 +97,11 @@ def build_seeded_tree(
     samples: int,
     key: PRNGKeyArray,
 ) -> SeededTree:
-    """A tree of `leaves`, a power of two and two or more, around those usable seeds at which the target is positive.
+    """A tree of `leaves` (a power of two, at least 2) around the `usable` seeds at which the target is positive.
 
-    The first number runs over so many `edges`. Evenly spread points are tried as seeds as well, and then points drawn
-    from the tree around both. The leaves' masses are root mean squares of `samples` evaluations in their boxes and of
-    those at their seeds.
+    The first primary number runs over so many `edges`. Evenly spread points are tried as seeds, too, and then points
+    drawn from the tree so far. A leaf's mass is its box's volume times the root mean square of the target, over
+    `samples` evaluations in the box and the values at the seeds.
     """
     scale = edges ** jnp.asarray([ALONG, 0.0, 0.0])
     count, dtype = SEEDS * leaves, seeds.dtype
@@ -126,12 +126,12 @@ def _moved(points, key):
 
 
 def _grown(target: Target, points, values, scale, leaves: int, samples: int, key) -> SeededTree:
-    """The tree around points of positive value."""
+    """The tree around those points whose value is positive."""
     levels = leaves.bit_length() - 1
     real, slots = values > 0, jnp.arange(leaves)
 
     def extents(slot):
-        """(number, lowest, highest coordinates) of the seeds in every slot; `leaves` is the slot of what is none."""
+        """(number, lowest, highest coordinates) of the seeds in every slot; other points have the slot `leaves`."""
         number = jax.ops.segment_sum(real.astype(jnp.int32), slot, leaves)
         return number, jax.ops.segment_min(points, slot, leaves), jax.ops.segment_max(points, slot, leaves)
 

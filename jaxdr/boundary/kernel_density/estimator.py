@@ -41,10 +41,10 @@ from jaxdr.transport.sampler import seed_of
 
 
 class KernelDensityState(NamedTuple):
-    """What all chunks of an image share: the kernel radius of every edge, and the tree over the edges.
+    """State for all chunks of an image: the kernel radius of every edge, and the tree over the edges.
 
-    `group` numbers the emitters' planes; None where the radiance of no emitter varies. `moving`: the edges that move,
-    for segments that stand still; None where all edges do.
+    `group` numbers the emitters' planes; None if no emitter has a texture. `moving`: the edges that move, for segments
+    that stand still; None if all segments use all edges.
     """
 
     radius: Float[Array, " E"]
@@ -54,10 +54,11 @@ class KernelDensityState(NamedTuple):
 
 
 class BoundaryPoints(NamedTuple):
-    """Points of boundaries near targets, by `segment`; only `valid` ones count.
+    """Points of boundaries near the targets of segments; only `valid` ones count.
 
-    `goal` is where the contribution is evaluated, `share` the density of the kernel there (per area of the plane at the
-    target, times length of boundary). `ends` and `projection` are differentiable as they say, `apex` is detached.
+    `goal` is where the contribution is evaluated. `share` is the kernel's density there: per area of the plane at the
+    target, times length of boundary. `ends` and `projection` are differentiable as their classes say; `apex` is
+    detached. `used` slots are filled.
     """
 
     segment: Int[Array, " C"]
@@ -72,10 +73,11 @@ class BoundaryPoints(NamedTuple):
 
 
 class _Near(NamedTuple):
-    """Segments near whose targets boundary points are looked for; those of no radius (`shrunk`) have none.
+    """A search for boundary points near the targets of segments.
 
-    `sky`: an environment of varying radiance counts. The widest radius is relative to the length of the segment to the
-    target, or, `there`, to the boundary point.
+    - `shrunk`: radius of every segment's iteration, relative to the first; zero leaves a segment out.
+    - `sky`: an environment of varying radiance counts.
+    - `there`: the widest radius is relative to the distance from apex to boundary point, else to the target.
     """
 
     paths: PathSegments
@@ -88,7 +90,7 @@ class _Near(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Boundary points near segments of both kinds, with how many slots are filled, and those with a background."""
+    """Boundary points near direct and scattered segments, with the number of filled slots, and traced backgrounds."""
 
     direct: tuple[OnPlanes, Int[Array, ""]] | None
     scattered: tuple[OnPlanes, Int[Array, ""]] | None
@@ -100,36 +102,36 @@ class KernelDensity(eqx.Module):
 
     Path segments that pass close to a silhouette are samples of the boundary integral.
 
-    - `radius`: kernel radius, relative to the bounding-box diagonal of the shape whose edge it is.
+    - `radius`: kernel radius, relative to the bounding-box diagonal of the shape that has the edge.
     - `kernel`: "edge" integrates the kernel along the projected edge exactly. "point" is the paper's: `points` points
       drawn uniformly on all edges, with a disc around each projection (Eq. 16, 19).
     - `alpha`: with `iterations` T > 1 the samples of a pixel are dealt to T radii that shrink by Eq. 21. Their average
       is Eq. 22.
-    - `capacity`: room for (segment, edge) pairs, as a share of the number of segments. What exceeds it is thinned at
-      random without bias, with a warning.
+    - `capacity`: room for (segment, edge) pairs, as a share of the number of segments. If there are more pairs, a
+      random part is left out without bias, with a warning.
 
-    Where this differs from the paper, each difference has a switch. Values in brackets are the paper's; all of them
-    together are `jaxdr.boundary.kernel_density.plain_kernel.PLAIN`.
+    Each difference from the paper has a switch. Values in brackets are the paper's; all of them together are
+    `jaxdr.boundary.kernel_density.plain_kernel.PLAIN`.
 
     - `widest` (0): the radius is measured at the edge, and magnified by the projection to the far end, up to this share
-      of the segment's length. Measured at the far end, edges near the apex, whose projections move fast, are rarely
-      met: ten times the variance on a mesh that shadows itself.
+      of the segment's length. The paper measures it at the far end. Then segments rarely meet edges near the apex,
+      whose projections move fast, and meshes that shadow themselves have far more variance.
     - `concave_edges` (True): count concave edges of closed one-sided shapes, which never bound what is visible.
     - `visibility_ray` (False): drop silhouettes that are hidden, by one ray that passes just beside the edge.
     - `at_boundary` (False): evaluate BSDF, geometric term and radiance on the boundary, not at the path's own vertex.
-      That vertex is off to one side by r/2 on average: a bias of first order in r.
-    - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides. Corners
-      of the boundary then cause no bias, and half the variance is gone.
+      That vertex lies r/2 to one side on average, which is a bias of first order in r.
+    - `both_sides` (False): occluded emitter samples count as well, so direct light has a kernel on both sides. Then
+      corners of the boundary cause no bias, and the variance is smaller.
     - `clip_to_face` (False): the strip ends at the outline of an emitter of few faces, and of any face larger than the
-      kernel. It is normalised by the width that is left.
+      kernel. The kernel is normalised over the width that remains.
     - `trace_background` (False): a ray past the edge finds what lies behind silhouettes near BSDF-sampled directions,
-      and a path from there finds its radiance. The kernel is then one over directions, of radius `radius` at the edge
-      and at most 45 degrees.
-    - `iterations` (4): with `kernel="edge"` and all of the above only light from emitters of many small faces is
-      biased, so nothing has to shrink.
+      and a path from there finds its radiance. Then the kernel is over directions, of radius `radius` at the edge and
+      at most 45 degrees.
+    - `iterations` (4): with `kernel="edge"` and all options above, only light from emitters of many small faces is
+      biased. So radii need not shrink.
 
-    Direct light is weighted by emitter sampling alone, without MIS. With a `BidirectionalPathTracer` every strategy
-    counts with its weight. Kernels then lie on the visible side, whatever `both_sides` and `trace_background` say:
+    Direct light comes from emitter sampling alone, without MIS. With a `BidirectionalPathTracer` every strategy counts
+    with its weight. Then kernels lie on the visible side, and `both_sides` and `trace_background` have no effect:
     corners below 180 degrees, and curved targets, cause a bias of first order in r.
 
     Raises ValueError for options out of range.
@@ -180,7 +182,7 @@ class KernelDensity(eqx.Module):
         edges = queries.EdgeSet.of(packed.edges, radius)
         tree = queries.edge_tree(packed.geometry, edges, packed.edge_counts, settings.rays)
         group = emitter_groups(packed) if packed.glow else None
-        # Every edge may bound what moving surfaces see, only moving ones what still surfaces see of still ones.
+        # A segment that moves may need any edge. A segment with both ends at rest needs only edges that move.
         apart = self.kernel == "edge" and any(moving) and not all(moving)
         return KernelDensityState(
             radius, tree, group, moving_edges(packed, moving, radius, settings) if apart else None
@@ -221,14 +223,14 @@ class KernelDensity(eqx.Module):
         return chunk.image(packed, total)
 
     def _scale(self, chunk: Chunk) -> Float[Array, " N"]:
-        """Radii of the samples' iterations, relative to the first."""
+        """Radius of each path's iteration, relative to the first."""
         schedule = jnp.asarray(self.radius_schedule(), chunk.weight.dtype)
         return jnp.tile(schedule[chunk.samples % self.iterations], chunk.paths // chunk.samples.shape[0])
 
     def _near(self, packed, prepared, paths: PathSegments, shrunk, both_sides, key, settings):
         """(boundary points near one kind of segments, how many slots are filled); detached."""
         lit = (paths.table.weight != 0).any(-1)
-        # Black where a path meets them, a map or a textured emitter may glow at the boundary.
+        # An environment map or a textured emitter may be black at the target and bright at the boundary.
         sky = paths.table.unlit is not None and packed.has_varying_sky
         glow = prepared.group if paths.table.unlit is not None and self.at_boundary else None
         if paths.table.unlit is not None:
@@ -257,7 +259,7 @@ class KernelDensity(eqx.Module):
         ends = paths.fixed.ends(jnp.arange(paths.count))
         span = norm(ends.target - ends.apex)
         widest = self.widest * span
-        if there:  # longer by a radius at most
+        if there:  # the boundary point is farther from the apex by at most a radius
             widest = widest / max(1.0 - self.widest, 0.5)
         pairs, edge, along, density = self._pairs(near, ends, widest, key)
 
@@ -275,7 +277,7 @@ class KernelDensity(eqx.Module):
 
         goal = projection.point if self.at_boundary else stop_gradient(ends.target)
         if sky and self.at_boundary:
-            # No wider than details of the map: its radiance at the boundary over the density at the sample is bounded.
+            # No wider than details of the map. This bounds the radiance at the boundary over the density at the sample.
             extent = packed.environment_sampler.extent(paths.direction(segment, goal)) * paths.distance_to_infinity
             r = jnp.where(ends.infinite, jnp.minimum(r, extent), r)
             valid = valid & (~ends.infinite | (norm(goal - stop_gradient(ends.target)) < r))
@@ -287,7 +289,7 @@ class KernelDensity(eqx.Module):
                 valid = valid & on_face
             share = safe_divide(1.0, width, valid)
         else:
-            assert density is not None  # there where the kernel is one of points
+            assert density is not None  # `_pairs` returns it if the kernel is "point"
             share = share_of_disc(density, projection.stretch, r, both_sides)
         if self.visibility_ray:
             valid = valid & sees_past_edge(packed, apex, projection, r, whole_face, valid, rays)
@@ -297,10 +299,11 @@ class KernelDensity(eqx.Module):
     def estimate_connected(
         self, context: Context, state: KernelDensityState, chunk: Chunk, weight: Float[Array, "C N"], key: PRNGKeyArray
     ) -> Float[Array, "C N 3"]:
-        """Boundary terms of the paths of all strategies: zero in value, right in derivative.
+        """Boundary terms of N paths for C strategies: zero in value, right in derivative.
 
-        `weight` is that of the strategies, zero where a path carries nothing. A path with a target close to a boundary
-        stands for the one with that vertex on the boundary and all else as it is. Kernels lie on the visible side.
+        `weight` is that of the strategies, zero where a path carries nothing. A path with a vertex close to a boundary
+        stands for the path with this vertex on the boundary and the same other vertices. Kernels lie on the visible
+        side.
         """
         packed = context.packed
         fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))
@@ -323,7 +326,7 @@ class KernelDensity(eqx.Module):
             shift = jnp.zeros((used.shape[0], *offset.shape), offset.dtype)
             shift = shift.at[layer, jnp.arange(slot.shape[0])].set(offset)
             value = moved_contributions(fixed, rows_of(drawn, path), shift)
-            # Per area of the plane at the target: of the environment, drawn per solid angle, by its cosine's cube.
+            # `share` is per area of the plane at the target. The environment is sampled per solid angle: cosine^3.
             cosine = dot(stop_gradient(ends.normal), normalize(stop_gradient(goal - ends.apex)))
             share = found.share[slot] * jnp.where(ends.infinite, cosine**3, 1.0)
             value = jnp.where(filled[:, None], value * (counts[layer].T * weight[:, path] * share)[..., None], 0.0)
@@ -338,7 +341,7 @@ class KernelDensity(eqx.Module):
     def _pairs(self, near: "_Near", ends: SegmentEnds, widest, key):
         """(candidates, edge, fraction along the edge or None, length of edges per point or None).
 
-        Segments that stand still only have moving edges near them.
+        Segments that stand still are only compared with moving edges.
         """
         packed, prepared, shrunk = near.paths.packed, near.prepared, near.shrunk
         key_points, key_seed = jax.random.split(key)
@@ -359,7 +362,7 @@ class KernelDensity(eqx.Module):
 
 
 def _radiance_at(packed: PackedScene, group, ends: SegmentEnds, projection: Projection) -> Float[Array, "C 3"]:
-    """Radiance of the emitters at boundary points; beyond the small faces of a large emitter that of their borders."""
+    """Radiance of the emitters at boundary points; for points outside all faces found, that of the nearest border."""
     detached = jax.tree.map(stop_gradient, packed)
     face, barycentric, _ = emitter_face_at(detached, group, ends.face, projection.point)
     barycentric = jnp.maximum(barycentric, 0.0)

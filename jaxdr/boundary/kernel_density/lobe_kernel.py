@@ -1,14 +1,14 @@
 """Boundary term of BSDF-sampled segments by a kernel over directions, with the background traced anew.
 
-The paper lets what a path gathered at its own vertex stand for the radiance at the boundary up to r away. Here a ray
-past the silhouette finds what really lies behind it, and a path from there estimates its radiance. Then nothing is
-evaluated away from the boundary, and rays that end on the occluder count as well. With p the density of directions c
-(solid angle), t the angle from c to the foot of its perpendicular on the silhouette, and k any kernel over t,
+The paper uses the radiance that a path gathered at its own vertex for a boundary up to r away. Here a ray past the
+silhouette finds what lies behind it, and a path from there estimates its radiance. Then everything is evaluated on the
+boundary, and rays that end on the occluder count as well. Let p be the density of directions c (solid angle), t the
+angle from c to the foot of its perpendicular on the silhouette, and k any kernel over t. Then
 
     integral of f V dl  =  E_c [ sum over silhouettes with |t| < T of  f V k(t) / p(c) ]
 
-where the integral of k(t) cos t dt is one, because strips around great circles have the area cos t dt dl. It holds for
-any T, so the radius causes no bias.
+if the integral of k(t) cos t dt is one, because strips around great circles have the area cos t dt dl. It holds for any
+T, so the radius causes no bias.
 """
 
 import jax
@@ -28,7 +28,7 @@ from jaxdr.transport.path import PathSettings
 from jaxdr.transport.radiance import Requests
 from jaxdr.transport.sampler import seed_of
 
-WIDEST = 1.0  # tangent of the widest angle between a direction and a silhouette it stands for
+WIDEST = 1.0  # tangent of the widest angle between a sampled direction and a silhouette
 
 
 def lobe_edges(
@@ -42,7 +42,7 @@ def lobe_edges(
 ) -> tuple[Requests, BehindEdges]:
     """Silhouettes near the BSDF-sampled segments of N paths, and requests for the radiance behind them; detached.
 
-    Kernel radii: rank of the edge x `shrunk` there (scene units), but no more than 45 degrees.
+    The kernel's radius at an edge is its rank x `shrunk` (scene units), but at most 45 degrees.
     """
     key_pairs, key_path = jax.random.split(key)
     direction, importance = paths.table.direction, paths.table.lobe
@@ -87,8 +87,8 @@ def lobe_edges(
 def _kernel(scatterer, centre, boundary, pole, limit):
     """(k(t), whether the pair counts): k is proportional to the cosine at the sampled direction.
 
-    That takes the 1 / cosine out of f / p near the horizon, below which nothing is sampled. From surfaces that scatter
-    to both sides it is more generally proportional to what vanishes with p, see `sampled_arc`.
+    This cancels the 1 / cosine in f / p near the horizon, below which nothing is sampled. On surfaces that scatter to
+    both sides k is proportional to a function that is zero where p is; see `sampled_arc`.
     """
     if scatterer.spreads_through() is not None:
         arc = sampled_arc(scatterer, boundary, pole, jnp.arcsin(jnp.clip(limit, 0.0, 1.0)))

@@ -1,8 +1,8 @@
-"""Candidates among fewer edges: what stands still, seen from where nothing moves, carries no derivative.
+"""Fewer candidates: segments that stand still are compared with moving edges only.
 
 The normal velocity of a boundary point is that of the edge's projection minus that of the material point behind it. It
-is zero where the edge, the apex and the target all stand still. So segments whose two ends stand still meet only moving
-edges, which have a small tree of their own. Other segments meet all edges.
+is zero where the edge, the apex and the target all stand still. So a segment with both ends at rest needs only moving
+edges, which have a small tree of their own. Other segments need all edges.
 """
 
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ class MovingEdges(NamedTuple):
 def moving_edges(
     packed: PackedScene, moving: tuple[bool, ...], radius: Float[Array, " E"], settings: PathSettings
 ) -> MovingEdges:
-    """The edges of the `moving` shapes (not all of them, and one at least), of kernel radii `radius`."""
+    """The edges of the `moving` shapes (at least one shape, and not all), with kernel radii `radius`."""
     number = packed.edges_of(moving)
     edges = jax.tree.map(lambda table: table[number], queries.EdgeSet.of(packed.edges, radius))
     counts = [count for count, moves in zip(packed.edge_counts, moving, strict=True) if moves]
@@ -48,9 +48,9 @@ def apart_candidates(
     key: PRNGKeyArray,
     options: dict[str, Any],
 ) -> Candidates:
-    """`queries.edge_candidates` with all edges for segments that move, with `moving` ones for those that stand `still`.
+    """`queries.edge_candidates` with all edges for segments that move, with `moving` edges for `still` segments.
 
-    Weights are one a pair.
+    The result has a weight for every pair.
     """
     key_all, key_moving, key_kept = jax.random.split(key, 3)
 
@@ -66,14 +66,14 @@ def apart_candidates(
 
 
 def _joined(one: Candidates, two: Candidates, key: PRNGKeyArray) -> Candidates:
-    """Both lists in the room of one; what exceeds it is thinned at random without bias."""
+    """Both lists in the room of one. If that is too small, a random part is left out without bias."""
     capacity = one.segment.shape[0]
     segment = jnp.concatenate([one.segment, two.segment])
     element = jnp.concatenate([one.element, two.element])
     weight = jnp.repeat(jnp.stack([one.weight, two.weight]), capacity)
     used = segment >= 0
     count = used.sum()
-    # The order changes only where something has to go.
+    # The order is random only if something has to be left out.
     place = jnp.where(count > capacity, jax.random.uniform(key, used.shape), 0.0)
     kept = jnp.argsort(jnp.where(used, place, 2.0), stable=True)[:capacity]
     thinned = jnp.maximum(count / capacity, 1.0).astype(weight.dtype)

@@ -1,6 +1,6 @@
-"""What is the 2026 paper's own of its kernel: points on edges, discs around their projections, radii that shrink.
+"""The kernel of the paper (Xu et al. 2026): points on edges, discs around their projections, radii that shrink.
 
-`KernelDensity(**PLAIN)` is the method as it is in the paper (Xu et al. 2026, Eq. 15-22).
+`KernelDensity(**PLAIN)` is the method of the paper (Eq. 15-22).
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from jaxdr.geometry.vector import between, corners, norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.sampler import sample_cdf
 
-# The settings of `KernelDensity` that make it the paper's.
+# The options of `KernelDensity` for the paper's method.
 PLAIN: dict[str, Any] = {
     "kernel": "point",
     "iterations": 4,
@@ -46,9 +46,9 @@ def near_points(
     seed: Int[Array, ""],
     options: dict[str, Any],
 ) -> tuple[queries.Candidates, Int[Array, " C"], Float[Array, " C"], Float[Array, ""]]:
-    """(candidates, their edges, fractions along these, length of edges per point): points on edges near targets.
+    """(candidates, their edges, fractions along the edges, length of edges per point): points on edges near targets.
 
-    `count` points are drawn. Kernel radii are the ranks of the edges (scene units); `options` are for
+    `count` points are drawn. The kernel radii are the ranks of the edges (scene units). `options` are for
     `queries.point_candidates`.
     """
     radius = edges.rank
@@ -74,7 +74,7 @@ def edge_points(
 def share_of_disc(
     density: Float[Array, ""], stretch: Float[Array, " C"], radius: Float[Array, " C"], both_sides: bool
 ) -> Float[Array, " C"]:
-    """What a boundary point counts for a path vertex within `radius` of its projection (Eq. 16, 19), per unit of area.
+    """Kernel value of a boundary point for a path vertex within `radius` of its projection, per area (Eq. 16, 19).
 
     `density`: length of edges per point; `stretch`: projected length per length of edge.
     """

@@ -1,4 +1,4 @@
-"""The strip that a kernel covers at a boundary point: as far as it lies in the emitter, and whether it is seen."""
+"""The strip of a kernel at a boundary point: how wide it is inside the emitter, and whether the apex sees it."""
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -28,8 +28,8 @@ def _inradius(triangles) -> Float[Array, " C"]:
 def strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection, r, both_sides: bool):
     """(width of the kernel's strip across a boundary point, whether it was cut to the face, whether the point counts).
 
-    Strips are cut to the emitter where that has few faces, else to the target's face where that is larger than the
-    kernel; smaller faces are parts of one surface, and the strip goes on over their plane.
+    Strips are cut to the emitter if emitters have few faces, else to the target's face if that is larger than the
+    kernel. Smaller faces belong to a larger surface, so there the strip goes on in the plane of the face.
     """
     low, high = -r, r if both_sides else jnp.zeros_like(r)
     target, normal = stop_gradient((ends.corners, ends.normal))
@@ -53,7 +53,7 @@ def strip_in_face(packed: PackedScene, ends: SegmentEnds, projection: Projection
 
 
 def _overlap(barycentric, rate, low, high):
-    """(length of the line's parameter range [low, high] inside triangles, whether its origin is)."""
+    """(length of the line's parameter range [low, high] inside triangles, whether the line's origin is inside)."""
     start, end = part_inside(barycentric, rate, low, high)
     return end - start, (barycentric > 0).all(-1)
 
@@ -65,7 +65,7 @@ def sees_past_edge(
     fraction = projection.fraction
     past = past_edge(projection.edge_point, apex.position, projection.normal)
     start = leave(apex, past - apex.position)
-    # Through `past` whatever the offset of the start.
+    # The ray goes through `past`, however far the start is moved off the surface.
     reach = scale(past - start, safe_divide(1.0, fraction, fraction > 0))
     # A curved receiver rises above the plane of one of its faces: stop one radius short of it. The path itself shows
     # that the target, less than a radius away, can be seen.

@@ -1,8 +1,8 @@
-"""Random chords through the far ends of path segments, and what a boundary point on one weighs.
+"""Random chords through the far ends of path segments, and the weights of boundary points on them.
 
-A centre c is drawn with density p(c) and a direction phi uniform in [0, pi). Every piece dl of a boundary curve is
-crossed by the centres of a strip of area |sin(phi - phi_l)| dl dt (Cauchy-Crofton), so for any kernel k whose integral
-over the chord through the boundary point mu is one,
+A chord has a centre c of density p(c) and an angle phi, uniform in [0, pi). The chords that cross a piece dl of a
+boundary curve have their centres in a strip of area |sin(phi - phi_l)| dl dt (Cauchy-Crofton). So for any kernel k
+whose integral over the chord through the boundary point mu is one,
 
     integral of f V dl  =  E_{c, phi} [ sum over crossings mu of  f(mu) V(mu) (pi / 2) k(c) / p(c) ].
 """
@@ -26,9 +26,9 @@ from jaxdr.transport.shading import Scatterer
 
 
 class Chords(NamedTuple):
-    """M chords, detached: from `first` to `last`, its centre at the share `centre` of the way.
+    """M chords from `first` to `last`, with the centre at the fraction `centre`; detached.
 
-    `group` as in `queries.sector_crossings`. `useful` ones may find something that counts.
+    `group` is as in `queries.sector_crossings`. Only `useful` chords are searched.
     """
 
     first: Float[Array, "M 3"]
@@ -43,9 +43,9 @@ class Chords(NamedTuple):
         return normalize(jnp.where(self.useful[:, None], across, 1.0))
 
     def in_sight(self, scatterer: Scatterer, centre: Float[Array, "M 3"], reach: Float[Array, " M"]) -> "Chords":
-        """Useful are those with a part above the horizon; all of them where light goes through the surface.
+        """Only chords with a part above the horizon stay useful; all of them where light goes through the surface.
 
-        They are geodesic, within the angle `reach` (radians) of unit directions `centre`.
+        For geodesic chords, within the angle `reach` (radians) of unit directions `centre`.
         """
         rises = scatterer.cosine(centre) * jnp.sign(z_of(scatterer.wi)) > -jnp.sin(reach)
         through = scatterer.spreads_through()
@@ -53,22 +53,23 @@ class Chords(NamedTuple):
 
 
 def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Array, "M 3"]:
-    """Unit vectors across unit `axis` vectors, whose angles are even over half a turn for even `u` in [0, 1)."""
+    """Unit vectors perpendicular to unit `axis` vectors; their angle is pi `u`, for `u` uniform in [0, 1)."""
     s, t = orthonormal_basis(axis)
     angle = math.pi * u
     return scale(s, jnp.cos(angle)) + scale(t, jnp.sin(angle))
 
 
 def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """one / (one + two), 1 where both are zero: the share of one of two ways by the balance heuristic (Veach 1997)."""
+    """one / (one + two), 1 where both are zero: the weight of a strategy by the balance heuristic (Veach 1997)."""
     either = one + two > 0
     return safe_divide(one, one + two, either, 1.0)
 
 
 class EmitterChords(NamedTuple):
-    """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is what lies on the emitter.
+    """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is the length on the emitter.
 
-    Seen from a surface that scatters to both sides, chords end in its plane: `part` is the length on the centre's side.
+    For surfaces that scatter to both sides, chords end in the surface's plane: `part` is the length on the centre's
+    side.
     """
 
     chords: Chords
@@ -89,7 +90,7 @@ def emitter_chords(
     u: Float[Array, "M 3"],
     horizon: Float[Array, "M 3"] | None = None,
 ) -> EmitterChords:
-    """Whole chords of emitters, in area measure: k = 1 / length, so that nothing depends on where the centre is.
+    """Whole chords of emitters, in area measure: k = 1 / length, so that the weight does not depend on the centre.
 
     `horizon`, if given: normals of the planes through the apexes in which chords end, zero for those that do not.
     """
@@ -132,11 +133,12 @@ def emitter_rate(
     normal: Float[Array, "M 3"],
     plane: Float[Array, "M 3"],
 ) -> Float[Array, " M"]:
-    """How often one whole chord of an emitter crosses a boundary curve at `point`, in the plane with normal `plane`.
+    """Density with which a whole chord of an emitter crosses a boundary at `point`, in the plane with normal `plane`.
 
-    Per length of the curve as the apex sees it and angle of the plane, times the sine between them (1 / radian^2).
-    On the emitter that is pdf x length / pi; lengths, areas and angles there are those on the sphere mapped by M, of
-    determinant d^2 / cos, which stretches the chord by m: |sin| dl dphi is det(M)^2 / m^3 times as much.
+    The measure is |sin| dl dphi on the sphere of directions around the apex: length of the curve, angle of the plane,
+    and the sine of the angle between both (1 / radian^2). On the emitter the density is pdf x length / pi. A linear map
+    M takes the sphere to the emitter. Its determinant is d^2 / cos, and it stretches the chord by m. So |sin| dl dphi
+    on the emitter is det(M)^2 / m^3 times that on the sphere.
     """
     distance2, slope, usable, towards = _slope(apex, point, normal)
     stretch2 = 1.0 + _tilt(normal, slope, cross(plane, towards)) ** 2
@@ -153,9 +155,9 @@ def angle_ratio(
 ) -> Float[Array, " M"]:
     """|sin(phi - phi_l)| dphi on an emitter's plane over that on the sphere of directions around the apex.
 
-    phi is the angle of a chord through `point`, in the plane with normal `plane`; phi_l that of the boundary, the image
-    of a line along `tangent`. Each is the share of the chords' angles in a boundary point's integral in one measure;
-    it is det(M)^2 / (m^3 l) with the names of `emitter_rate` and l, by which M stretches the boundary. Positive.
+    phi is the angle of a chord through `point`, in the plane with normal `plane`. phi_l is the angle of the boundary,
+    which is the image of a line along `tangent`. The ratio is det(M)^2 / (m^3 l), with the names of `emitter_rate`; M
+    stretches the boundary by l. It is positive.
     """
     _, slope, _, towards = _slope(apex, point, normal)
     seen = normalize(tangent - scale(towards, dot(tangent, towards)))
@@ -165,7 +167,7 @@ def angle_ratio(
 
 
 def _slope(apex, point, normal):
-    """(squared distance, cosine at an emitter's point, whether that is usable, unit direction to the point)."""
+    """(squared distance, cosine at an emitter's point, whether the cosine is usable, unit direction to the point)."""
     offset = point - apex
     distance2 = dot(offset, offset)
     distance2 = jnp.where(distance2 > 0, distance2, 1.0)
@@ -183,7 +185,7 @@ def _tilt(normal, slope, along):
 class LobeChords(NamedTuple):
     """Geodesic chords around directions from the BSDF: `centre` directions with density `pdf` (solid angle).
 
-    Half-length `reach` (radians), in planes with the unit normals `plane`.
+    Their half-length is `reach` (radians). They lie in planes with the unit normals `plane`.
     """
 
     centre: Float[Array, "M 3"]
@@ -192,7 +194,7 @@ class LobeChords(NamedTuple):
     reach: Float[Array, " M"]
 
     def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
+        """Chords for the search, of unbounded sectors; `far` is a distance larger than the scene."""
         ahead = scale(self.centre, far * jnp.cos(self.reach))
         aside = scale(cross(self.plane, self.centre), far * jnp.sin(self.reach))
         return Chords(
@@ -211,11 +213,11 @@ def lobe_chords(scatterer: Scatterer, width: Float[Array, " M"], u: Float[Array,
 
 
 def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]) -> Float[Array, " M"]:
-    """(pi / 2) k / p for boundary points in unit directions `boundary`, crossed by the chords.
+    """(pi / 2) k / p for boundary points in unit directions `boundary`, which the chords cross.
 
-    k is proportional to the cosine at the sampled direction: that takes the 1 / cosine out of f / p near the horizon,
-    below which nothing is sampled. Its integral is over the arc of centres whose chords reach the boundary point. From
-    surfaces that scatter to both sides it is more generally proportional to what vanishes with p, see `sampled_arc`.
+    k is proportional to the cosine at the sampled direction. This cancels the 1 / cosine in f / p near the horizon,
+    below which nothing is sampled. k is normalised over the arc of centres whose chords reach the boundary point. On
+    surfaces that scatter to both sides k is proportional to a function that is zero where p is; see `sampled_arc`.
     """
     if scatterer.spreads_through() is not None:
         return _two_sided_weight(scatterer, chords, boundary)
@@ -228,10 +230,10 @@ def lobe_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array,
 def lobe_rate(
     scatterer: Scatterer, reach: Float[Array, " M"], plane: Float[Array, "M 3"], boundary: Float[Array, "M 3"]
 ) -> Float[Array, " M"]:
-    """The same as `emitter_rate` for one geodesic chord, about.
+    """The same as `emitter_rate` for a geodesic chord, approximately.
 
-    Exact where the density of centres is proportional to the cosine (to the kernel); only weights that add up to one
-    depend on it.
+    It is exact where the density of centres is proportional to the kernel. An approximation suffices: only MIS weights,
+    which add up to one, depend on it.
     """
     if scatterer.spreads_through() is not None:
         arc = sampled_arc(scatterer, boundary, normalize(cross(plane, boundary)), reach)
@@ -244,7 +246,7 @@ def lobe_rate(
 
 
 def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[Array, "M 3"]):
-    """`lobe_weight` for surfaces of which some scatter to both sides."""
+    """`lobe_weight` if some surfaces scatter to both sides."""
     along = normalize(cross(chords.plane, boundary))
     arc = sampled_arc(scatterer, boundary, along, chords.reach)
     if scatterer.smooth:  # else the horizon is that of the face
@@ -259,7 +261,7 @@ def _two_sided_weight(scatterer: Scatterer, chords: LobeChords, boundary: Float[
 def _arc(scatterer: Scatterer, reach, plane, boundary) -> Float[Array, " M"]:
     """Integral of the cosine over the arc of centres whose chords reach `boundary`, on its side of the horizon.
 
-    `plane` contains `boundary`.
+    `boundary` lies in the plane with normal `plane`.
     """
     height = scatterer.cosine(boundary)
     side = jnp.sign(height)

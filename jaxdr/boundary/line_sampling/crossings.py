@@ -1,4 +1,4 @@
-"""Chords from path vertices and the edges that they cross: what all kinds of lines have in common."""
+"""Chords from path vertices and the edges that cross them: the common part of all kinds of chords."""
 
 import abc
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from jaxdr.transport.path import PathSettings
 from jaxdr.transport.sampler import lattice, seed_of
 from jaxdr.transport.shading import Scatterer
 
-# Ranks of edges: those that only hide others, those that may bound what is visible, and the moving ones of these.
+# Ranks of edges: edges that only hide others, edges that may bound what is visible, and moving edges of the latter.
 HIDES, BOUNDS, MOVES = 1, 2, 3
 WIDEST = 1.4  # half-length of geodesic chords, radians
 
@@ -30,10 +30,12 @@ class RankedEdges(NamedTuple):
 
 
 class LineSamplingState(NamedTuple):
-    """What all chunks of an image share.
+    """State for all chunks of an image.
 
-    `edges` for silhouettes. `group` numbers the emitters' planes, `moving` tells which shapes move; `count_layers`
-    (static in effect) says whether all edges are looked at for segments that only moving ones can bound.
+    - `edges`: ranked edges for silhouettes.
+    - `group`: numbers of the emitters' planes.
+    - `moving`: which shapes move.
+    - `count_layers`: look at all edges for bounded chords, even if only moving edges can bound what they see.
     """
 
     edges: RankedEdges
@@ -43,16 +45,16 @@ class LineSamplingState(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """M chords: the path vertices they start from (-1 for unused ones), and 1 / the expected number of chords there."""
+    """M chords: the path vertices they start from (-1: unused slot), and 1 / the expected number of chords there."""
 
     vertex: Int[Array, " M"]
     inverse: Float[Array, " M"]
 
 
 class Crossings(NamedTuple):
-    """Crossings of chords: the path vertex, chord and edge, the fraction `along` the edge, whether the slot is used.
+    """Crossings of chords: path vertex, chord and edge, the fraction `along` the edge, whether the slot is used.
 
-    `share` is what counts of them where edges lie on one another, None for all.
+    `share` is the part of a crossing that counts where edges coincide; None if all crossings count in full.
     """
 
     vertex: Int[Array, " C"]
@@ -65,9 +67,9 @@ class Crossings(NamedTuple):
 
 @dataclass(frozen=True)
 class ChordKind(abc.ABC):
-    """One kind of chords. What `search` draws, `score` gets back.
+    """One kind of chords. `score` gets what `search` has drawn.
 
-    `traces_paths`: a path from behind each crossing is what costs, so that few are kept.
+    `traces_paths`: a path is traced from behind each crossing. Such paths are expensive, so few crossings are kept.
     """
 
     packed: PackedScene
@@ -82,7 +84,7 @@ class ChordKind(abc.ABC):
 
     @abc.abstractmethod
     def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings to the pilot: luminance per motion of the edge."""
+        """Contribution of crossings to the pilot: luminance per displacement of the edge."""
 
     def starts(self, chosen: Chosen, key, numbers: int) -> tuple[Scatterer, Float[Array, "M n"]]:
         """(BSDFs at the path vertices that chords start from, some uniform numbers for each)."""
@@ -91,12 +93,15 @@ class ChordKind(abc.ABC):
 
 
 def lobe_reach(scatterer: Scatterer, reach: float) -> Float[Array, " M"]:
-    """Half-length of geodesic chords (radians), `reach` of the lobes' widths."""
+    """Half-length of geodesic chords (radians): `reach` x width of the lobe."""
     return jnp.minimum(reach * scatterer.lobe_width(), WIDEST)
 
 
 def apex_moves(lines: ChordKind, vertex: Int[Array, " M"]) -> Bool[Array, " M"]:
-    """Whether path vertices may move, and their lobes: with their own shape or, where some slide, any one before."""
+    """Whether path vertices or their lobes may move: with their own shape, or with that of an earlier vertex.
+
+    Earlier vertices count only where vertices slide.
+    """
     paths, moving, shape = lines.paths, lines.prepared.moving, lines.packed.face_shape
     if paths.vertices is None:
         return moving[shape[paths.table.apex_face[vertex]]]
@@ -113,14 +118,14 @@ def silhouette_crossings(
     room: int,
     far_moves: bool | Bool[Array, ""] = True,
 ) -> tuple[Crossings, Float[Array, ""], Int[Array, ""]]:
-    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, their number).
+    """(crossings of chords with the silhouettes seen from path vertices, weight of the thinning, number of crossings).
 
-    `far_moves`: whether what unbounded chords look for may move.
+    `far_moves`: whether the far ends of unbounded chords may move.
     """
     packed, prepared = lines.packed, lines.prepared
     vertex, shape = jnp.maximum(chosen.vertex, 0), packed.face_shape
     bounded = chords.group != queries.UNBOUNDED
-    # What a moving edge, apex or far end changes is needed. A background point may be anywhere.
+    # Crossings count if the edge, the apex or the far end moves. The far end of an unbounded chord may be anywhere.
     moves = jnp.zeros(packed.faces.shape[0], jnp.int32)
     moves = moves.at[jnp.where(prepared.group < 0, moves.shape[0], prepared.group)].max(
         prepared.moving[shape].astype(jnp.int32), mode="drop"
@@ -145,7 +150,8 @@ def silhouette_crossings(
     chord = jnp.where(valid, found.chord, 0)
     crossings = Crossings(vertex[chord], chord, found.edge, found.along.astype(apex.dtype), valid)
     if table.share is not None:
-        # Layers change between none and some at one of the edges that lie on one another. Rays see past each of them.
+        # Edges may coincide. The number of layers changes between none and some at one of them only, which counts in
+        # full. But if rays test visibility, they pass all of these edges, so the edges share the crossing.
         by_rays = ~bounded | (needed > HIDES) | (lines.settings.rays == "jax")
         crossings = crossings._replace(share=jnp.where(by_rays[chord], table.share[found.edge], 1.0))
     return crossings, found.weight.astype(apex.dtype), valid.sum()

@@ -1,4 +1,4 @@
-"""Chords on area emitters, and their share where geodesic chords find the same light."""
+"""Chords on area emitters, and their MIS weight beside geodesic chords that find the same light."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -38,12 +38,12 @@ from jaxdr.transport.shading import Scatterer
 
 
 class Centres(NamedTuple):
-    """Both kinds of chords as ways to find the same crossings (MIS in the space of crossings, balance heuristic).
+    """MIS of both kinds of chords, which find the same crossings (balance heuristic in the space of crossings).
 
     `emitters` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. A crossing is a
-    boundary point and the angle of a chord there. Shares depend on both, so both kinds must mean the same by the
-    integral over the angle. Each kind has |sin(phi - phi_l)| dphi / 2 of its own measure. What is integrated here is
-    their mean, with weights that depend on the boundary point alone.
+    boundary point and the angle of a chord there. The MIS weights depend on both, so both kinds must integrate over the
+    angle with the same measure. But each kind has |sin(phi - phi_l)| dphi / 2 in its own space. So a mean of both is
+    integrated here, with weights that depend on the boundary point alone.
     """
 
     packed: PackedScene
@@ -56,9 +56,10 @@ class Centres(NamedTuple):
     def weight_of_emitters(
         self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint, pdf, length
     ) -> Float[Array, " C"]:
-        """What crossings of chords on emitters, in planes with the normals `plane`, weigh beside the other kind.
+        """Weight of crossings of chords on emitters, in planes with the normals `plane`.
 
-        `scatterer` at the apexes, `pdf` of their centres, per area, and their `length`; `point` on the emitter.
+        `scatterer` is at the apexes, `point` on the emitter. `pdf` is the density of the chords' centres (per area),
+        `length` their length.
         """
         share, both, ratio = self._shares(found, scatterer, plane, point, pdf, length)
         return share * both / ratio
@@ -66,7 +67,7 @@ class Centres(NamedTuple):
     def weight_of_lobes(
         self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint
     ) -> Float[Array, " C"]:
-        """The same for geodesic chords; zero where `point` is on no surface."""
+        """The same weight for geodesic chords; zero where `point` is on no surface."""
         normal = stop_gradient(point.normal)
         along = cross(plane, normal)
         meets = (dot(along, along) > 0) & point.valid
@@ -76,7 +77,7 @@ class Centres(NamedTuple):
         return jnp.where(meets, (1.0 - share) * both, 0.0)
 
     def _shares(self, found: Crossings, scatterer: Scatterer, plane, point: SurfacePoint, pdf, length):
-        """(share of emitters' chords, their mean measure of angles and that of emitters', over the sphere's)."""
+        """(MIS weight of emitters' chords, mean measure of angles, emitters' measure); measures as in `angle_ratio`."""
         vertex, expected = found.vertex, (self.emitters.reshape(-1), self.lobes.reshape(-1))
         emitters, lobes = (table[vertex] for table in expected)
         position, normal = stop_gradient(point.position), stop_gradient(point.normal)
@@ -107,8 +108,8 @@ class EmitterLines(ChordKind):
         if through is not None:
             horizon = jnp.where(through[:, None], scatterer.normal, 0.0)
         drawn = emitter_chords(self.packed, self.prepared.group, scatterer.point.position, u, horizon)
-        # Off the surface on the side that scatters, whatever the chord's centre: a chord may cross the horizon. It ends
-        # there where both sides do.
+        # Start on the side that scatters, even if the chord's centre is below the horizon, which a chord may cross.
+        # Where both sides scatter, the chord ends at the horizon.
         apex = scatterer.leave_scattering(stop_gradient(drawn.centre.position) - scatterer.point.position)
         return drawn, *silhouette_crossings(self, chosen, apex, drawn.chords, key_seed, room)
 
@@ -133,12 +134,12 @@ class EmitterLines(ChordKind):
         face = drawn.centre.face[found.chord]
         scatterer = paths.scatterer(found.vertex)
         on_plane = _projected(self, found, scatterer.point.position, drawn.centre)
-        # The chord may have left the triangle its centre is in, whose vertices move otherwise.
+        # The point may lie in another triangle than the chord's centre, and its vertices may move differently.
         face, barycentric, inside = emitter_face_at(packed, group, face, on_plane)
         ends = paths.ends_to(found.vertex, face, barycentric, jnp.zeros_like(inside), jnp.zeros_like(barycentric))
         projection = project_edges(packed, found.edge, ends, found.along)
         point = material_point(paths.fixed.packed, face, barycentric, inside)
-        # The radiance there and not at the centre; none from behind.
+        # The radiance at this point, not at the centre. Behind the emitter it is zero.
         radiance = emitted(paths.fixed.packed, point, stop_gradient(ends.apex) - projection.point)
         value = paths.table.throughput[found.vertex] * radiance
         value = scale(value, drawn.weight()[found.chord])
@@ -148,7 +149,7 @@ class EmitterLines(ChordKind):
 
 
 def _projected(lines: EmitterLines, found: Crossings, apex, centre: SurfacePoint) -> Float[Array, "C 3"]:
-    """Where the crossed edges are projected to, on the planes of the chords' centres; detached."""
+    """Projections of the crossed edges onto the planes of the chords' centres; detached."""
     target, normal = stop_gradient(centre.position)[found.chord], stop_gradient(centre.normal)[found.chord]
     fixed = lines.paths.fixed.packed
     offset = between(*corners(fixed.vertices[fixed.edges.vertices[found.edge]]), found.along) - apex

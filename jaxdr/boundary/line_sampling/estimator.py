@@ -37,11 +37,11 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Answers, Requests, joined
 
-ROW = 64  # crossings among which some are kept are rounded together
+ROW = 64  # expected numbers of kept crossings are rounded together in rows of so many crossings
 
 
 class Spread(NamedTuple):
-    """One kind of chords, how many are expected from every path vertex, and the share of crossings that is kept."""
+    """One kind of chords, their expected number from every path vertex, and the share of crossings that is kept."""
 
     lines: ChordKind
     expected: Float[Array, "B P n"]
@@ -49,12 +49,12 @@ class Spread(NamedTuple):
     key: PRNGKeyArray
 
     def beside(self, **ways: Any) -> "Spread":
-        """The same, of which other kinds of chords find some of the light."""
+        """The same spread, whose kind gets the fields `ways`: its MIS with other kinds of chords."""
         return self._replace(lines=dataclasses.replace(self.lines, **ways))
 
 
 class _Held(NamedTuple):
-    """What `draw` found."""
+    """Boundary points on emitters with the number of filled slots, and boundary points with traced backgrounds."""
 
     emitters: tuple[OnPlanes, Int[Array, ""]] | None
     behind: list[BehindEdges]
@@ -63,10 +63,10 @@ class _Held(NamedTuple):
 class LineSampling(eqx.Module):
     """Boundary term by line sampling: every silhouette that crosses a random chord. All fields are static.
 
-    It is unbiased and has no radius. Light of area emitters is found by chords on the emitters; where these have more
-    than 16 faces, by geodesic chords across clusters of faces. All other light (environment, indirect) is found by
-    geodesic chords around BSDF-sampled directions. Where the integrator's sampling is "mis", both kinds find the light
-    of area emitters, and chords around an environment map's samples find its light.
+    It is unbiased and has no radius. Light of area emitters is found by chords on the emitters; if these have more than
+    16 faces, by geodesic chords across clusters of faces. All other light (environment, indirect) is found by geodesic
+    chords around BSDF-sampled directions. If the integrator's sampling is "mis", both kinds find the light of area
+    emitters, and chords around an environment map's samples find the map's light.
 
     - `chords`: chords of each kind per path sample. A pilot sends them to the pixels whose shadows it finds, and to the
       path vertices that carry most.
@@ -74,8 +74,8 @@ class LineSampling(eqx.Module):
     - `floor`: importance that every pixel keeps, relative to the mean over pixels.
     - `reach`: half-length of geodesic chords, relative to the lobe's width (`BSDF.lobe_width`); at most 1.4 radians.
     - `backgrounds`: paths traced from what lies behind silhouettes, per path sample.
-    - `capacity`: room for crossings, as a share of the number of chords. What exceeds it is thinned at random without
-      bias, with a warning.
+    - `capacity`: room for crossings, as a share of the number of chords. If there are more crossings, a random part is
+      left out without bias, with a warning.
 
     Raises ValueError for options out of range.
     """
@@ -116,7 +116,7 @@ class LineSampling(eqx.Module):
     def draw(
         self, context: Context, state: LineSamplingState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, "_Held | None"]:
-        """Crossings of chords, and requests for the radiance behind those of geodesic ones."""
+        """Crossings of chords, and requests for the radiance behind crossings of geodesic chords."""
         packed, settings = context.packed, context.settings
         if chunk.record.direct is None:
             return None, None
@@ -148,16 +148,16 @@ class LineSampling(eqx.Module):
         return chunk.image(packed, total)
 
     def _spreads(self, packed: PackedScene, state: LineSamplingState, paths: PathSegments, settings, key):
-        """(chords on emitters or None; those around BSDF samples, around a map's, towards lamps of many faces)."""
+        """(chords on emitters or None; chords around BSDF samples, around a map's samples, and towards clusters)."""
         key_emitters, key_lobes = jax.random.split(key)
         throughput = luminance(paths.table.throughput)
-        one_light = settings._replace(max_depth=2)  # none from what else is behind a silhouette
+        one_light = settings._replace(max_depth=2)  # no light that the surface behind a silhouette scatters
         emitters = lobes = skies = lamps = None
         if packed.has_area_emitters and packed.clusters is None:
             emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
         if packed.environment is not None or settings.max_depth > 2:
             carries = throughput
-            if packed.environment is None:  # nothing is gathered behind the last bounce
+            if packed.environment is None:  # no indirect light reaches the last vertex
                 carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
             lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
         if settings.mis and packed.has_varying_sky:
@@ -177,7 +177,7 @@ class LineSampling(eqx.Module):
         return emitters, [spread for spread in (lobes, skies, lamps) if spread is not None]
 
     def _spread(self, lines: ChordKind, carries, key) -> Spread:
-        """How many chords of one kind go where; `carries` is the importance of every path vertex."""
+        """Where chords of one kind go, and how many; `carries` is the importance of every path vertex."""
         paths = lines.paths
         _, _, width, height = paths.packed.camera.film.window
         pixels, samples = width * height, paths.paths // (width * height)
@@ -205,7 +205,7 @@ class LineSampling(eqx.Module):
         return Spread(lines, shares(importance, chords), kept, key_rest)
 
     def _crossings(self, spread: Spread):
-        """(chords of one kind of light, crossings that count, their weights, their number)."""
+        """(chords of one kind, crossings that count, their weights, their number)."""
         lines, paths = spread.lines, spread.lines.paths
         key_main, key_chords, key_kept = jax.random.split(spread.key, 3)
         chords = self.chords * paths.paths
@@ -249,9 +249,9 @@ class LineSampling(eqx.Module):
         return asked, BehindEdges(behind, used)
 
     def _kept(self, lines: ChordKind, drawn, found: Crossings, weight, used, key):
-        """Crossings drawn in proportion to what they should contribute, their weights, and their number.
+        """Crossings drawn in proportion to their expected contributions, their weights, and their number.
 
-        The paths from behind them are what costs: there are as many as `backgrounds` asks for, whatever was found.
+        A path from behind a crossing is expensive. So as many crossings are kept as `backgrounds` asks for.
         """
         rows = -(-found.chord.shape[0] // ROW)
         room = rows * ROW

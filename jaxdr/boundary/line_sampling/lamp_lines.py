@@ -1,9 +1,9 @@
 """Geodesic chords towards emitters of many faces, for the light of these emitters alone.
 
 A chord on a single face is as short as the face, and short chords are noisy. Here a cluster of faces is chosen first
-(`EmitterClusters.cut`). All directions within the cone of its bounding sphere are equally likely as centres. The chord
-is the whole great circle inside the cone. Its weight is (pi / 2) k / p of `chords` with k = 1 / length, so nothing
-depends on the place of the centre, nor on the number of faces. A crossing counts where a face of the cluster lies
+(`EmitterClusters.cut`). The centre is uniform over the directions in the cone of the cluster's bounding sphere. The
+chord is the arc of a great circle inside the cone. Its weight is (pi / 2) k / p of `chords` with k = 1 / length, so it
+depends neither on the place of the centre nor on the number of faces. A crossing counts if a face of the cluster lies
 behind it.
 """
 
@@ -41,8 +41,8 @@ from jaxdr.transport.shading import Scatterer
 class Cone(NamedTuple):
     """Directions from apexes to clusters' bounding spheres: unit `axis`, `sine` of the half-angle; detached.
 
-    Around apexes that are in the sphere or close to it, `wide`, it is all directions; chords have the half-length
-    `WIDEST` there.
+    If the apex is inside the sphere or close to it, the cone is `wide`: it has all directions, and chords have the
+    half-length `WIDEST`.
     """
 
     axis: Float[Array, "M 3"]
@@ -54,12 +54,12 @@ class Cone(NamedTuple):
 
     @property
     def height(self) -> Float[Array, " M"]:
-        """1 - the cosine of the half-angle; the solid angle is 2 pi times that."""
+        """1 - cosine of the half-angle. The solid angle is 2 pi x height."""
         inside = jnp.minimum(self.sine, 1.0)
         return jnp.where(self.wide, 2.0, inside**2 / (1.0 + jnp.sqrt(1.0 - inside**2)))
 
     def half_chord(self, plane: Float[Array, "M 3"]) -> Float[Array, " M"]:
-        """Half the angle of the great circle in planes of unit normals `plane` that is inside; 0 where it misses."""
+        """Half the angle inside the cone of great circles in planes with unit normals `plane`; 0 where they miss it."""
         off2 = dot(plane, self.axis) ** 2
         inside = jnp.minimum(self.sine, 1.0) ** 2
         half = jnp.arctan2(jnp.sqrt(jnp.maximum(inside - off2, 0.0)), jnp.sqrt(1.0 - inside))
@@ -76,9 +76,10 @@ def cone_to(clusters: EmitterClusters, node: Int[Array, " M"], apex: Float[Array
 
 
 class LampChords(NamedTuple):
-    """Chords in cones towards clusters `node`: `centre` directions with density `pdf` (solid angle), choice included.
+    """Chords in cones towards clusters `node`, around unit `centre` directions.
 
-    In planes with the unit normals `plane`, from `low` <= 0 to `high` (radians) along cross(plane, centre).
+    `pdf` is the density of centres (solid angle), times the probability of the cluster. Chords lie in planes with the
+    unit normals `plane`, from the angle `low` <= 0 to `high` (radians) along cross(plane, centre).
     """
 
     node: Int[Array, " M"]
@@ -87,10 +88,10 @@ class LampChords(NamedTuple):
     plane: Float[Array, "M 3"]
     low: Float[Array, " M"]
     high: Float[Array, " M"]
-    ends: Float[Array, " M"]  # 1 where chords end with the cone, 0 where they are windows around their centre
+    ends: Float[Array, " M"]  # 1 if chords end where the cone ends, 0 if they have a fixed length around their centre
 
     def chords(self, apex: Float[Array, "M 3"], far: Float[Array, ""]) -> Chords:
-        """Sectors without an end, for the search; `far` is a distance beyond the scene."""
+        """Chords for the search, of unbounded sectors; `far` is a distance larger than the scene."""
         along = cross(self.plane, self.centre)
 
         def at(angle):
@@ -108,7 +109,7 @@ class LampChords(NamedTuple):
 
 
 def lamp_chords(clusters: EmitterClusters, apex: Float[Array, "M 3"], u: Float[Array, "M 4"]) -> LampChords:
-    """Chords towards clusters that are chosen by what they may send to the apexes."""
+    """Chords towards clusters, which are chosen by the light that they may send to the apexes."""
     cut = clusters.cut(apex)
     node, _ = chosen(cut.probability, u[:, 0])
     cone = cone_to(clusters, node, apex)
@@ -128,10 +129,10 @@ def lamp_chords(clusters: EmitterClusters, apex: Float[Array, "M 3"], u: Float[A
 
 
 class LampShare(NamedTuple):
-    """Chords towards clusters and around BSDF samples as two ways to find the light of emitters past silhouettes.
+    """MIS of chords towards clusters and chords around BSDF samples, for the light of emitters past silhouettes.
 
-    `lamps` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both are geodesic, with
-    planes at even angles, so that their shares (balance heuristic, in the space of crossings) need nothing else.
+    `lamps` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both kinds are geodesic,
+    with planes at uniform angles. So their weights (balance heuristic in the space of crossings) need no other factor.
     """
 
     packed: PackedScene
@@ -142,12 +143,12 @@ class LampShare(NamedTuple):
     def of_lamps(
         self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], towards, face: Int[Array, " C"]
     ) -> Float[Array, " C"]:
-        """Share of the former at boundary points in unit directions `towards`, past which emitting faces are seen.
+        """Weight of chords towards clusters at boundary points in unit directions `towards`, in front of `face`.
 
-        They are crossed in planes of normals `plane`; `scatterer` at the apexes.
+        The chords lie in planes with normals `plane`; `scatterer` is at the apexes. The faces emit light.
         """
         clusters, apex = self.packed.clusters, stop_gradient(scatterer.point.position)
-        assert clusters is not None  # there is a share only where there are
+        assert clusters is not None  # else there is no `LampShare`
         cut = clusters.cut(apex)
         node = clusters.node_at(cut, face)
         cone = cone_to(clusters, node, apex)
@@ -159,7 +160,7 @@ class LampShare(NamedTuple):
     def weight_of_lobes(
         self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], point: SurfacePoint
     ) -> Float[Array, " C"]:
-        """What crossings of chords around BSDF samples weigh; zero where `point` is on no surface."""
+        """Weight of crossings of chords around BSDF samples; zero where `point` is on no surface."""
         towards = normalize(stop_gradient(point.position - scatterer.point.position))
         share = self.of_lamps(found, scatterer, plane, towards, point.face)
         return jnp.where(point.valid, 1.0 - share, 0.0)
@@ -184,13 +185,13 @@ class LampLines(ChordKind):
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room, moves)
 
     def score(self, drawn: LampChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings, if the cluster is behind them: luminance per motion of the edge."""
+        """Contribution of crossings if the cluster is behind them: luminance per displacement of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         weight = luminance(weight * scatterer.eval(seen.towards))
         return weight * self.packed.clusters.radiance[drawn.node[found.chord]] / seen.distance
 
     def look(self, drawn: LampChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
-        """Requests for the emission behind crossings, and what it is multiplied with, times `weight`."""
+        """Requests for the emission behind crossings, and the factors that it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
         behind, background = look_behind(packed, scatterer, seen, scale(value, weight), found.valid, self.settings)
@@ -202,14 +203,14 @@ class LampLines(ChordKind):
         if self.both is not None:
             share = self.both.of_lamps(found, scatterer, drawn.plane[found.chord], seen.towards, face)
         emission = jnp.where(background.valid & aimed_at, share, 0.0)
-        # Where nothing was aimed at nothing is asked for: not the sky either.
+        # Behind a crossing there may be no face of the cluster, or the sky. Then nothing counts.
         behind = behind._replace(weight=jnp.where((emission > 0)[:, None], behind.weight, 0.0))
         return ask_behind(paths, seen, background, number, emission, key, "lamp_lines", self.settings), behind
 
     def _boundary(self, drawn: LampChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).
 
-        The weight is (pi / 2) k / p; k is even over the chord, on the side that it is seen from.
+        The weight is (pi / 2) k / p. k is constant on the part of the chord on the centre's side of the surface.
         """
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)

@@ -27,8 +27,8 @@ from jaxdr.transport.radiance import Requests
 class LobeLines(ChordKind):
     """Geodesic chords around BSDF-sampled directions, for light from everything but area emitters.
 
-    With `both`, for their share of the light from area emitters as well, and with `skies` for no more than theirs of an
-    environment map's. `reach` of chords is relative to the lobe's width.
+    With `both` they also count for light from area emitters, with their MIS weight. With `skies` they count for light
+    from the environment map with their MIS weight only. `reach`: half-length of chords relative to the lobe's width.
     """
 
     reach: float
@@ -48,12 +48,12 @@ class LobeLines(ChordKind):
         return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
 
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
-        """Requests for the radiance behind crossings, and what it is multiplied with, times `weight`."""
+        """Requests for the radiance behind crossings, and the factors that it is multiplied with, times `weight`."""
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
         value, plane = scale(value, weight), drawn.plane[found.chord]
         behind, background = look_behind(packed, scatterer, seen, value, found.valid, self.settings)
-        # Emission of what is no surface, and that of surfaces as it counts beside chords on them.
+        # Weights for emission of the environment and of surfaces, which other kinds of chords may find as well.
         emission = jnp.zeros_like(weight)
         if packed.environment is not None or self.both is not None:
             surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)

@@ -1,4 +1,4 @@
-"""Geodesic chords around directions from an environment map, for its light alone."""
+"""Geodesic chords around directions from an environment map, for the map's light alone."""
 
 import math
 from dataclasses import dataclass
@@ -29,10 +29,10 @@ from jaxdr.transport.shading import Scatterer
 
 
 class SkyShare(NamedTuple):
-    """Chords around the environment's and around the BSDF's samples as two ways to find its light past silhouettes.
+    """MIS of chords around the environment's samples and chords around BSDF samples, for the environment's light.
 
-    `skies` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both are geodesic, with
-    planes at even angles, so that their shares (balance heuristic, in the space of crossings) need nothing else.
+    `skies` and `lobes` are the expected numbers of chords from every path vertex, [B, P, n]. Both kinds are geodesic,
+    with planes at uniform angles. So their weights (balance heuristic in the space of crossings) need no other factor.
     """
 
     packed: PackedScene
@@ -44,9 +44,9 @@ class SkyShare(NamedTuple):
     def of_skies(
         self, found: Crossings, scatterer: Scatterer, plane: Float[Array, "C 3"], towards: Float[Array, "C 3"]
     ) -> Float[Array, " C"]:
-        """Share of the former at boundary points in unit directions `towards`, crossed in planes of normals `plane`.
+        """Weight of chords around the environment's samples at boundary points in unit directions `towards`.
 
-        `scatterer` at the apexes.
+        The chords lie in planes with normals `plane`; `scatterer` is at the apexes.
         """
         skies, lobes = (table.reshape(-1)[found.vertex] for table in (self.skies, self.lobes))
         other = lobe_rate(scatterer, lobe_reach(scatterer, self.reach), plane, towards) * lobes
@@ -57,9 +57,10 @@ class SkyShare(NamedTuple):
 
 @dataclass(frozen=True)
 class SkyLines(ChordKind):
-    """Chords around directions from an environment map, for the light that comes from it past silhouettes.
+    """Chords around directions from an environment map, for the map's light past silhouettes.
 
-    What a crossing can come from is all within the map's `extent` of it, where the density of centres differs little.
+    A crossing counts if the chord's centre is within the map's `extent` of it. There the density of centres varies
+    little.
     """
 
     both: SkyShare | None = None
@@ -79,14 +80,14 @@ class SkyLines(ChordKind):
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings, if the environment is behind them: luminance per motion of the edge."""
+        """Contribution of crossings if the environment is behind them: luminance per displacement of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         radiance = scale(self._radiance(seen.towards), self._share(drawn, found, scatterer, seen.towards))
         weight = weight * scatterer.eval(seen.towards) * radiance
         return luminance(weight) / seen.distance
 
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
-        """Requests for the environment's radiance behind crossings, and what it is multiplied with, times `weight`."""
+        """Requests for the environment's radiance behind crossings, and the factors that multiply it x `weight`."""
         packed, paths = self.packed, self.paths
         seen, scatterer, value = self._boundary(drawn, found)
         value = scale(value, weight * self._share(drawn, found, scatterer, seen.towards))
@@ -105,8 +106,8 @@ class SkyLines(ChordKind):
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).
 
-        The weight is (pi / 2) k / p; k is even over the centres within the environment's `extent` of the boundary, and
-        on the side that it is seen from.
+        The weight is (pi / 2) k / p. k is constant over the centres within the environment's `extent` of the boundary
+        point that are on its side of the surface.
         """
         seen = seen_edges(self.packed, self.paths, found.vertex, found.edge, found.along, found.valid)
         scatterer = self.paths.scatterer(found.vertex)

@@ -1,7 +1,7 @@
-"""Where chords go: a pilot finds the pixels where they cross something, and every pixel keeps a floor.
+"""Where chords go: a pilot finds the pixels where chords cross something, and every pixel keeps a floor.
 
-Given a path, its pilot chords are independent of the chords that are used. So every allocation leaves the estimate
-unbiased, as long as each vertex that carries light has a positive expected number of chords.
+For a given path the pilot chords are independent of the chords that are used. So every allocation leaves the estimate
+unbiased if each vertex that carries light has a positive expected number of chords.
 """
 
 import jax
@@ -12,7 +12,7 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.transport.sampler import uniform
 
 POOLING = (1.0, 4.0, 6.0, 4.0, 1.0)  # binomial weights of neighbouring pixels in the pilot's map
-SLACK = 6.0  # standard deviations of the number of chords that there is room for
+SLACK = 6.0  # room for the mean number of chords and so many standard deviations
 
 
 def capacity(count: int, pixels: int) -> int:
@@ -23,10 +23,11 @@ def capacity(count: int, pixels: int) -> int:
 def allocate(
     expected: Float[Array, "B P n"], room: int, key: PRNGKeyArray
 ) -> tuple[Int[Array, " M"], Float[Array, " M"]]:
-    """(vertex of each chord or -1, 1 / its expected number): `expected` chords for B bounces of n paths in P pixels.
+    """(vertex of each chord or -1, 1 / expected number of chords at this vertex).
 
-    Vertices are numbered as the array is laid out. Within a pixel the numbers are rounded together, so its chords are
-    spread evenly over its vertices. More chords than there is `room` for (see `capacity`: practically never) are lost.
+    `expected` are numbers of chords for B bounces of n paths in P pixels. Vertices are numbered in the order of this
+    array. Within a pixel the numbers are rounded together, so its chords are spread evenly over its vertices. Chords
+    beyond `room` are lost; with `capacity` that practically never happens.
     """
     bounces, pixels, samples = expected.shape
     per_pixel = jnp.moveaxis(expected, 0, 1).reshape(pixels, bounces * samples)
@@ -43,7 +44,7 @@ def allocate(
 
 
 def shares(importance: Float[Array, "B P n"], total: float) -> Float[Array, "B P n"]:
-    """Expected numbers proportional to `importance`, `total` in all."""
+    """Expected numbers in proportion to `importance`, with the sum `total`."""
     whole = importance.sum()
     return importance * (safe_divide(total, whole))
 
@@ -51,7 +52,7 @@ def shares(importance: Float[Array, "B P n"], total: float) -> Float[Array, "B P
 def pixel_importance(
     score: Float[Array, " M"], pixel: Int[Array, " M"], used, shape: tuple[int, int], floor: float
 ) -> Float[Array, " P"]:
-    """Root mean square score of the pilot's chords in and around every pixel, and `floor` times its mean everywhere."""
+    """Root mean square score of the pilot's chords in and around every pixel, plus `floor` times its mean."""
     height, width = shape
     slot = jnp.where(used, pixel, height * width)
     power = jnp.zeros(height * width, score.dtype).at[slot].add(score**2, mode="drop")

@@ -1,8 +1,8 @@
 """Silhouettes in a direction from path vertices, and the radiance of what lies behind them.
 
-The integral of f V dl over directions, for lights that emitter sampling does not reach: f is what the lobe makes of the
-radiance past the edge, which a ray and a path from where it ends estimate. Paths share the far end's radiance with no
-neighbour, so nothing is evaluated away from the boundary.
+This is the integral of f V dl over directions, for light that emitter sampling does not find. f is the BSDF times the
+radiance past the edge. A ray past the edge and a path from its hit estimate this radiance, so nothing is evaluated away
+from the boundary.
 """
 
 from typing import NamedTuple
@@ -28,9 +28,9 @@ from jaxdr.transport.shading import Scatterer
 class SeenEdges(NamedTuple):
     """Points at fractions `along` edges, as seen from the apexes of segments.
 
-    Differentiable are `edge_point`, `moving_apex`, and the corners of the faces of the apexes, `apex_triangle`. `pole`
-    is the unit normal of the plane through apex and edge, towards the occluded side; `own` marks edges of the face that
-    the apex lies in (horizons).
+    `edge_point`, `moving_apex` and `apex_triangle` (the corners of the apex's face) are differentiable, all else is
+    detached. `pole` is the unit normal of the plane through apex and edge, towards the occluded side. `own` marks edges
+    of the face that the apex lies in (horizons).
     """
 
     segment: Int[Array, " C"]
@@ -70,8 +70,8 @@ def seen_edges(
 class Behind(NamedTuple):
     """Boundary points of C slots with the surface that is seen past the edge; detached.
 
-    `weight`: all that the radiance from there is multiplied with but the velocity, zero where nothing counts. The
-    background is a material point, or the environment where nothing is `hit`.
+    `weight` times radiance times velocity is the contribution; the weight is zero where nothing counts. The background
+    is a material point, or the environment if nothing is `hit`.
     """
 
     segment: Int[Array, " C"]
@@ -98,10 +98,10 @@ def look_behind(
     valid: Bool[Array, " C"],
     settings: PathSettings,
 ) -> tuple[Behind, SurfacePoint]:
-    """(boundary points with what is behind them, that as surface points). One ray each; in value alone.
+    """(boundary points with their backgrounds, the backgrounds as surface points). One ray each; detached.
 
-    `scatterer`: the BSDFs at the apexes.
-    `weight`: throughput to the apex over the density of boundary points (length in solid angle), without the BSDF.
+    `scatterer`: the BSDFs at the apexes. `weight`: throughput to the apex over the density of boundary points (per
+    length on the sphere of directions), without the BSDF.
     """
     background, clear = background_point(packed, scatterer.point, seen, valid, settings)
     counts = valid & clear
@@ -122,7 +122,7 @@ def ask_behind(
     name: str,
     settings: PathSettings,
 ) -> Requests:
-    """Requests for the radiance of what is seen past edges; `emission` is the share of the emitted one that counts.
+    """Requests for the radiance of what is seen past edges; `emission` is the share of emitted radiance that counts.
 
     `number`, `key` and `name` choose the random numbers.
     """
@@ -142,7 +142,7 @@ def background_values(
     valid = (behind.weight != 0).any(-1)
     seen = seen_edges(packed, paths, behind.segment, behind.edge, behind.along, valid)
     edge_point, apex, pole, distance = seen.edge_point, seen.apex, seen.pole, seen.distance
-    # The environment is seen in one direction, whatever the apex does, and is never near.
+    # The direction of the environment does not depend on the apex, and the environment is never near.
     there = behind.hit[:, None]
     far = jnp.where(there, on_face(packed, behind.face, behind.barycentric), apex)
     fixed_far = stop_gradient(far)
@@ -150,7 +150,7 @@ def background_values(
     if paths.near is not None:
         moving_apex = jnp.where(there, paths.apex_towards(seen.segment, moving_apex, fixed_far), moving_apex)
     far_distance = jnp.where(valid & behind.hit, norm(fixed_far - apex), 1.0)
-    # The apex stays in its face: where that sets, the boundary moves as the plane does; see `project_edges`.
+    # The edges of the apex's own face are its horizon: this boundary moves with the plane; see `project_edges`.
     horizon = -dot(horizon_normal(seen.apex_triangle, pole), seen.towards)
     edge_moved = jnp.where(seen.own, horizon, dot(pole, edge_point - moving_apex) / distance)
     sky = dot(pole, packed.turned(seen.towards)) if packed.environment_turns else 0.0
@@ -163,7 +163,7 @@ def background_values(
 def sum_behind(
     packed: PackedScene, paths: PathSegments, edges: BehindEdges, radiance: Float[Array, "C 3"]
 ) -> Float[Array, "N 3"]:
-    """The same, summed over the boundary points of each of N paths."""
+    """`background_values`, summed over the boundary points of each of N paths."""
 
     def values(block, number):
         behind, radiance = block
@@ -179,7 +179,7 @@ def background_point(
 ) -> tuple[SurfacePoint, Bool[Array, " C"]]:
     """(what a ray just past the edge hits, as a material point; whether nothing hides the edge)."""
     past = past_edge(seen.edge_point, seen.apex, seen.pole)
-    # Where the surface scatters to both sides, its own edges are seen from the side that `past` is on.
+    # If surfaces scatter to both sides, leave on the side of `past`: own edges are seen from there.
     through = packed.spreads_through is not None
     start = leave(point, past - point.position if through else seen.towards)
     offset = past - start

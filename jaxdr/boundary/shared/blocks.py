@@ -1,4 +1,4 @@
-"""Work on lists of unknown length: room for the worst case, time for what there is."""
+"""Work on lists of unknown length: memory for the longest list, time for the filled slots only."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,8 +16,8 @@ BLOCKS = 6
 def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any, used: Int[Array, ""]) -> Any:
     """Sum of `function(block of slots, their numbers)` over the blocks of a list whose first `used` slots are filled.
 
-    Blocks behind them are not computed (under `vmap` they are, for nothing). Slots from `used` on may hold copies of
-    filled ones: leave them out by number. Differentiable in forward and reverse mode.
+    Later blocks are not computed (except under `vmap`, where their result is discarded). Slots from `used` on may hold
+    copies of filled slots: leave them out by their numbers. Differentiable in forward and reverse mode.
     """
     part, zeros, blocks = _split(function, slots, used)
 
@@ -28,7 +28,7 @@ def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
 
 
 def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any, used: Int[Array, ""]) -> Any:
-    """The same for a function with a result for every slot: zeros in the blocks that are not computed."""
+    """Results of a function that has one for every slot. In the blocks that are not computed they are zero."""
     length = jax.tree.leaves(slots)[0].shape[0]
     part, _, blocks = _split(function, slots, used)
     stacked = loops.scan(lambda _, block: (None, part(block)), None, blocks)[1]
@@ -36,16 +36,20 @@ def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
 
 
 def _split(function, slots, used):
-    """(function of a block that is zero behind `used`, zeros like its result, the blocks with their numbers)."""
+    """(function of a block, zeros like its result, the blocks with their numbers).
+
+    The function gives zeros for blocks after the first `used` slots.
+    """
     length = jax.tree.leaves(slots)[0].shape[0]
-    size = length // BLOCKS + 1  # some padding in any case: the program is the same for all lengths
+    size = length // BLOCKS + 1  # always with padding, so that the program is the same for all lengths
     padding = size * BLOCKS - length
 
     def split(table):
         table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
         return table.reshape(BLOCKS, size, *table.shape[1:])
 
-    # Twice: around the block, or the loop stacks what a branch keeps; inside of the branch, or the branch returns it.
+    # Rematerialise twice. Without it around the block the loop would stack the branch's residuals; without it inside
+    # the branch the branch would return them.
     @rematerialised
     def whole(block, index):
         return function(block, index * size + jnp.arange(size))

@@ -1,7 +1,7 @@
-"""One of the edges that thin bundles of rays may cross, drawn in proportion to what it may contribute.
+"""For thin bundles of rays: one of the edges that a bundle may cross, drawn in proportion to its importance.
 
-A bundle is a ray and how it turns as one parameter t changes. Its candidates are found with a tree over edges and go
-through a reservoir (Chao 1982): one survives for each bundle, so there is no list that could overflow.
+A bundle is a ray and its derivative with respect to a parameter t. Its candidates are found with a tree over edges and
+go through a reservoir (Chao 1982): one candidate survives for each bundle, so there is no list that could overflow.
 """
 
 from typing import NamedTuple
@@ -20,14 +20,14 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.sizes import at_once
 
-# Bundles that go through the tree together. They wait for each other, which costs less than idle threads of a GPU.
+# How many bundles go through the tree together. They wait for each other; on a GPU idle threads would cost more.
 CPU_BLOCK, GPU_BLOCK = 2048, 1 << 17
-BEYOND = 1.5  # how much further than what the ray hits edges are looked for: it may hit what is beside them
-MARGIN = 1.5  # how much further than allowed the first-order t of a crossing may be
+BEYOND = 1.5  # edges are searched up to so many times the distance of the hit: the ray may hit a face beside them
+MARGIN = 1.5  # the first-order t of a crossing may exceed the reach by this factor
 
 
 class EdgeTable(NamedTuple):
-    """Edges at which what a ray sees may jump; detached. `importance`, as creases, is zero for those left out."""
+    """Edges at which what a ray sees may jump; detached. `importance` is that of a crease; zero leaves an edge out."""
 
     ends: Float[Array, "E 2 3"]
     normals: Float[Array, "E 2 3"]
@@ -37,7 +37,7 @@ class EdgeTable(NamedTuple):
 
 
 class Bundles(NamedTuple):
-    """N rays from `origin` in unit `direction`, and their derivatives with respect to t; `end` is how far they go."""
+    """N rays from `origin` in unit `direction`, and their derivatives with respect to t; `end` is their length."""
 
     origin: Float[Array, "N 3"]
     direction: Float[Array, "N 3"]
@@ -47,7 +47,7 @@ class Bundles(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """For each bundle an edge, its importance there, and the sum over all candidates: zero where there is none."""
+    """For each bundle an edge, its importance, and the sum over all candidates: zero if there is none."""
 
     edge: Int[Array, " N"]
     importance: Float[Array, " N"]
@@ -55,7 +55,7 @@ class Drawn(NamedTuple):
 
 
 def edge_table(packed: PackedScene, counts: Bool[Array, " E"], rays: str) -> EdgeTable:
-    """All edges that `counts` but for those that are flat, where textures go on across them."""
+    """All edges that count (`counts`), except flat edges across which textures continue."""
     packed = jax.tree.map(stop_gradient, packed)
     edges = packed.edges
     normal = normalize(packed.face_normals())
@@ -73,7 +73,7 @@ def edge_table(packed: PackedScene, counts: Bool[Array, " E"], rays: str) -> Edg
 
 
 class Crossing(NamedTuple):
-    """Where the ray at t passes a line: `along` the line as a share of it, `distance` along the ray."""
+    """Where a ray passes a line: fraction `along` the line, `distance` along the ray."""
 
     along: Float[Array, " N"]
     distance: Float[Array, " N"]
@@ -95,14 +95,14 @@ def passes(
 
 
 def volume(origin, direction, start, side) -> Float[Array, "*n"]:
-    """Zero where a ray meets a line; a smooth function of both, of either sign on its two sides."""
+    """Zero where a ray meets a line; a smooth function of both, with opposite signs on the line's two sides."""
     return dot(cross(direction, side), start - origin)
 
 
 def may_cross(
     bundle: Bundles, start: Float[Array, "*n 3"], side: Float[Array, "*n 3"], reach: float
 ) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """(t at which bundles cross the lines of edges, to first order; whether that is on the edge and within `reach`)."""
+    """(t at which bundles cross the lines of edges, to first order; whether they cross the edge within `reach`)."""
     o, d, do, dd = bundle.origin, bundle.direction, bundle.origin_rate, bundle.direction_rate
     rate = dot(cross(dd, side), start - o) - dot(cross(d, side), do)
     step = safe_divide(-volume(o, d, start, side), rate)
@@ -115,8 +115,10 @@ def may_cross(
 
 
 def _within(bundle: Bundles, point, radius, reach):
-    """Whether a ball may meet what the bundle sweeps, and then some; all points of it for which this holds without a
-    ball."""
+    """Whether a ball of this `radius` around a point may meet what the bundle sweeps, with a margin.
+
+    It is true for the ball if it is true for a point in the ball with radius zero.
+    """
     offset = point - bundle.origin
     depth = dot(offset, bundle.direction)
     across = norm(offset - scale(bundle.direction, depth))
@@ -190,7 +192,7 @@ def _draw(table: EdgeTable, bundles: Bundles, active, seed, reach) -> Drawn:
 
 
 def _hashed(seed, edge):
-    """Uniform numbers in [0, 1), one a bundle and edge (the output function of PCG, O'Neill 2014, twice)."""
+    """A uniform number in [0, 1) for each bundle and edge (the output function of PCG, O'Neill 2014, twice)."""
     word = seed ^ (edge.astype(jnp.uint32) * jnp.uint32(0x9E3779B9))
     for _ in range(2):
         word = word * jnp.uint32(747796405) + jnp.uint32(2891336453)

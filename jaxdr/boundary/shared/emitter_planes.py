@@ -1,4 +1,4 @@
-"""Planar emitters: which emitting faces lie in one plane, and where lines in it run inside of them."""
+"""Planar emitters: which emitting faces lie in one plane, and which part of a line in this plane is inside them."""
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
@@ -12,7 +12,7 @@ from jaxdr.scene.packed import PackedScene
 
 
 def few_emitter_faces(packed: PackedScene) -> bool:
-    """Whether emitters are looked at as whole polygons; others are face by face."""
+    """Whether emitters have so few faces that they are treated as whole polygons, not face by face."""
     return packed.has_area_emitters and packed.emitter_faces.shape[0] <= FEW_FACES
 
 
@@ -38,7 +38,7 @@ def part_inside(
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """(start, end): the part of a line's parameter range [low, high] that is inside triangles; start = end if none.
 
-    `barycentric` coordinates at the line's origin, and their `rate` along it.
+    `barycentric` are coordinates of the line's origin, `rate` their derivatives along the line.
     """
     root = safe_divide(-barycentric, rate)
     missed = ((rate == 0) & (barycentric < 0)).any(-1)
@@ -59,8 +59,8 @@ def chord_inside(
 ) -> tuple[Float[Array, " N"], Float[Array, " N"], Float[Array, " N"]]:
     """(first, last, length) of lines through points of emitting faces, inside the emitter's faces in that plane.
 
-    `first` < 0 < `last` are distances along unit `direction`, `length` is what lies inside in between; detached. No
-    more than from `low` to `high`, where they are given.
+    `first` < 0 < `last` are distances along unit `direction`; `length` is the part between them that is inside the
+    faces. If `low` and `high` are given, the line is cut to this range. Detached.
     """
     vertices = stop_gradient(packed.vertices)
     if few_emitter_faces(packed):
@@ -81,7 +81,7 @@ def emitter_face_at(
 ) -> tuple[Int[Array, " N"], Float[Array, "N 3"], Bool[Array, " N"]]:
     """(face, barycentric coordinates, inside or not) of points in the planes of emitting faces `face`.
 
-    Other faces of the emitter are looked at where it is taken as a polygon.
+    If emitters are treated as polygons, the other faces in the plane count as well.
     """
     vertices = stop_gradient(packed.vertices)
     faces = face[:, None]

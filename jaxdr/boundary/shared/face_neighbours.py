@@ -1,4 +1,4 @@
-"""Which face lies behind which side of which other."""
+"""Neighbours of faces: which face lies behind each side of a face."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from jaxdr.scene.packed import PackedScene
 class Faces(NamedTuple):
     """Unit normals of all faces (detached) and the faces behind their sides.
 
-    Side k is opposite of corner k; -1 where there is no other face or more than one.
+    Side k lies opposite corner k. `behind` is -1 if no other face lies there, or more than one.
     """
 
     normal: Float[Array, "F 3"]

@@ -1,4 +1,4 @@
-"""Boundary points on the planes at the far ends of segments: how much they carry, and how fast they move."""
+"""Boundary points on the planes at the far ends of segments: their weights and their normal velocities."""
 
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ from jaxdr.scene.packed import PackedScene
 
 
 class OnPlanes(NamedTuple):
-    """Projected edges in slots, with the segments they bound and those's far ends; detached.
+    """Projected edges in slots, with the segments that they bound and the far ends of these segments; detached.
 
-    `weight`: all but the velocity, zero where nothing counts.
+    `weight` times velocity is the contribution; the weight is zero where nothing counts.
     """
 
     segment: Int[Array, " C"]

@@ -1,4 +1,4 @@
-"""Segments of paths, looked up by number: where both ends are, how they move, and what the path is worth there."""
+"""Segments of paths, looked up by number: positions of both ends, their motion, and the weight of the path."""
 
 import copy
 from typing import Literal
@@ -23,13 +23,13 @@ from jaxdr.transport.shading import Scatterer
 class SegmentEnds(eqx.Module):
     """Both ends of C segments.
 
-    - `apex` (on `apex_face`) and `target`: their points, differentiable. The target follows its material point. At
-      infinity it stays in one direction from the apex, as far away as the scene is large.
+    - `apex` (on `apex_face`) and `target`: positions of the near and the far end, differentiable. The target is a
+      material point. If it is `infinite`, it lies in one direction from the apex, at the distance of the scene's size.
     - `face`, `corners`: the target's face and its vertices.
-    - `normal`: of the plane at the target: its face, or at infinity the plane across the segment.
-    - `turn`: the identity in value. It says how directions to the environment move, where they do.
-    - `attached`: the apex as a material point, where it has both forms.
-    - `footprint`: that of a pixel at the apex; of size zero where it has one form.
+    - `normal`: unit normal of the plane at the target: of its face, or at infinity of the plane across the segment.
+    - `turn`: how directions to the environment turn, the identity in value; None if they do not.
+    - `attached`: the apex as a material point, if it also has the form of a point on a fixed ray; else None.
+    - `footprint`: the pixel's footprint at the apex; its size is zero where the apex has one form only.
     """
 
     apex: Float[Array, "C 3"]
@@ -44,12 +44,12 @@ class SegmentEnds(eqx.Module):
     footprint: Footprint | None = None
 
     def apex_towards(self, goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """The apex as it moves for light from `goal`."""
+        """The apex, moving in the form that light from `goal` has."""
         return _mixed(self.apex, self.attached, self.footprint, goal)
 
 
 def _mixed(apex, attached, seen: Footprint | None, goal):
-    """Both forms of the apex, mixed by the share that the near field has of light from `goal`."""
+    """Both forms of the apex, mixed by the near field's share of light from `goal`."""
     if seen is None:
         return apex
     offset = goal - stop_gradient(apex)
@@ -59,8 +59,8 @@ def _mixed(apex, attached, seen: Footprint | None, goal):
 class PathSegments:
     """The segments of N paths, flattened over the bounces and looked up by number.
 
-    Where some vertices slide, `vertices` says how all of them move. `fixed` are the same segments, detached; themselves
-    where nothing is `differentiated`.
+    If some vertices slide, `vertices` says how all of them move. `fixed` has the same segments, detached. If not
+    `differentiated`, everything counts as detached already.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class PathSegments:
         self.vertices = jax.tree.map(lambda a: a.reshape(bounces * self.paths, *a.shape[2:]), vertices)
         self.count = bounces * self.paths
         self.distance_to_infinity = packed.size
-        self._positions: Float[Array, "S 3"] | None = None  # known of all where nothing is differentiated
+        self._positions: Float[Array, "S 3"] | None = None  # of all near ends, in `fixed` only
         self.fixed = copy.copy(self)
         if differentiated:
             moving = (packed, self.view, self.near, self.first, self.first_wi, self.table, self.vertices)
@@ -90,9 +90,9 @@ class PathSegments:
         self.fixed._positions = self.fixed.position(jnp.arange(self.count))
 
     def stand_still(self, moving: Bool[Array, " S"]) -> Bool[Array, " s"]:
-        """Which segments have two ends that do not move, from which shapes do; detached.
+        """Which segments have both ends at rest, if these shapes are `moving`; detached.
 
-        Where vertices slide, one moves with its own shape or any one before.
+        If vertices slide, a vertex moves with its own shape and with those of all earlier vertices.
         """
         shape, table = self.packed.face_shape, self.table
         apex = moving[shape[table.apex_face]]
@@ -107,7 +107,7 @@ class PathSegments:
         return jax.lax.rem(index, jnp.full_like(index, self.paths))
 
     def apex(self, index: Int[Array, " C"]) -> SurfacePoint:
-        """Near ends: the first hit where the segment is the path's second one, else a material or sliding point."""
+        """Near ends: the first hit if the segment is the path's second, else a material or sliding point."""
         face, barycentric = self.table.apex_face[index], self.table.apex_barycentric[index]
         point = material_point(self.packed, face, barycentric, jnp.ones(face.shape, bool))
         if self.vertices is not None:
@@ -116,7 +116,7 @@ class PathSegments:
         return point._replace(position=self._on_ray(index, point.position))
 
     def position(self, index: Int[Array, " C"], triangle: Float[Array, "C 3 3"] | None = None) -> Float[Array, "C 3"]:
-        """Near ends: the positions of `apex`; `triangle`: the corners of their faces, where they are at hand."""
+        """Positions of the near ends. `triangle`: the corners of their faces, if known."""
         if self.vertices is not None:
             return self.vertices.position[index]
         if self._positions is not None:
@@ -126,11 +126,11 @@ class PathSegments:
         return self._on_ray(index, interpolate(triangle, stop_gradient(self.table.apex_barycentric[index])))
 
     def _on_ray(self, index, position):
-        """First hits where the segment is the path's second one."""
+        """The first hit if the segment is the path's second, else `position`."""
         return jnp.where((index < self.paths)[:, None], self.first.position[self.path(index)], position)
 
     def ends(self, index: Int[Array, " C"]) -> SegmentEnds:
-        """Both ends."""
+        """Both ends of segments."""
         face, barycentric = self.table.target_face[index], self.table.target_barycentric[index]
         return self.ends_to(index, face, barycentric, self.table.infinite[index], self.table.direction[index])
 
@@ -142,7 +142,7 @@ class PathSegments:
         infinite: Bool[Array, " C"],
         direction: Float[Array, "C 3"],
     ) -> SegmentEnds:
-        """The near ends, and other material points (directions where `infinite`) for far ends."""
+        """The near ends of segments, with other far ends: material points, or directions where `infinite`."""
         apex = self.position(index)
         triangle = self.packed.vertices[self.packed.faces[face]]
         far = infinite[:, None]
@@ -167,7 +167,7 @@ class PathSegments:
         )
 
     def _attached(self, index, apex):
-        """(the apex as a material point, footprint of a pixel there or of nothing) where it has both forms."""
+        """(the apex as a material point, the pixel's footprint there); None if no apex has both forms."""
         if self.near is None:
             return None, None
         on_ray, path = index < self.paths, self.path(index)
@@ -181,7 +181,7 @@ class PathSegments:
     def apex_towards(
         self, index: Int[Array, " C"], apex: Float[Array, "C 3"], goal: Float[Array, "C 3"]
     ) -> Float[Array, "C 3"]:
-        """Near ends, of positions `apex`, as they move for light from `goal`."""
+        """Near ends at `apex`, moving in the form that light from `goal` has."""
         return _mixed(apex, *self._attached(index, apex), goal)
 
     def weight(
@@ -189,8 +189,8 @@ class PathSegments:
     ) -> Float[Array, "C 3"]:
         """f / pdf without the segment's own BSDF value and geometric term, per area of the plane at the target.
 
-        From the environment comes what it sends from the direction of `goal`, from surfaces `radiance` where it is
-        given: else what the target sends.
+        The environment's radiance is taken in the direction of `goal`. A surface's radiance is `radiance` if given,
+        else that of the target.
         """
         infinite = self.table.infinite[index]
         far = jnp.where(infinite, self.distance_to_infinity**2, 1.0)
@@ -203,13 +203,13 @@ class PathSegments:
         return scale(weight, far)
 
     def direction(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
-        """From the near ends to `goal`; detached."""
+        """Unit directions from the near ends to `goal`; detached."""
         offset = stop_gradient(goal) - self.fixed.position(index)
         there = dot(offset, offset) > 0
         return normalize(jnp.where(there[:, None], offset, 1.0))
 
     def scatterer(self, index: Int[Array, " C"], apex: SurfacePoint | None = None) -> Scatterer:
-        """The BSDF at the near ends; detached. `apex`: these, detached, where they are at hand."""
+        """The BSDF at the near ends; detached. `apex`: the detached near ends, if known."""
         fixed = self.fixed
         if apex is None:
             apex = fixed.apex(index)
@@ -223,7 +223,7 @@ class PathSegments:
     ) -> Float[Array, "C 3"]:
         """BSDF value at the apex times geometric term towards points of the target's plane, RGB per area; detached.
 
-        `scatterer` is that of the near ends, where it is at hand.
+        `scatterer`: that of the near ends, if known.
         """
         if scatterer is None:
             scatterer = self.scatterer(index)
@@ -242,7 +242,7 @@ def on_face(packed: PackedScene, face: Int[Array, " C"], barycentric: Float[Arra
 def path_segments(
     packed: PackedScene, chunk: Chunk, kind: Literal["direct", "scattered"], differentiated: bool = True
 ) -> PathSegments:
-    """The segments of one kind of a chunk's paths; not `differentiated` in `Term.draw`."""
+    """The segments of one kind of a chunk's paths. `Term.draw` needs them without `differentiated`."""
     record: PathRecord = chunk.record
     segments = getattr(record, kind)
     vertices = jax.tree.map(lambda x: x[: segments.apex_face.shape[0]], record.vertices)

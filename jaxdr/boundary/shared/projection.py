@@ -28,12 +28,13 @@ from jaxdr.scene.packed import PackedScene, concave_edges
 class Projection(eqx.Module):
     """Edges projected from the apex onto the plane at the target; detached.
 
-    - `along`: the fraction of the 3D edge, `edge_point` the point there; `fraction` of the way to the plane at which
-      that lies, `point` its projection.
-    - `pole`: unit normal of the plane through apex and edge, `normal`: unit, in the target's plane; both towards the
-      side of the edge's faces (the occluded side). `own` marks edges of the apex's own face.
+    - `along`: the fraction of the 3D edge; `edge_point`: the point there.
+    - `point`: its projection; `fraction`: distance of the edge point from the apex over that of its projection.
+    - `pole`: unit normal of the plane through apex and edge. `normal`: unit normal of the projected edge within the
+      target's plane. Both point to the side of the edge's faces (the occluded side).
+    - `own`: marks edges of the apex's own face.
     - `stretch`: length on the plane per length of edge.
-    - `barycentric` coordinates of `point` on the target's face.
+    - `barycentric`: coordinates of `point` on the target's face.
     """
 
     along: Float[Array, " C"]
@@ -50,7 +51,7 @@ class Projection(eqx.Module):
 def project_edges(
     packed: PackedScene, edge: Int[Array, " C"], ends: SegmentEnds, along: Float[Array, " C"] | None = None
 ) -> Projection:
-    """Project edges: the foot of the perpendicular from the target, or the point `along` the 3D edge (0 to 1)."""
+    """Project edges. The point on an edge is at the fraction `along` (0 to 1), or projects closest to the target."""
     packed, ends = stop_gradient((packed, ends))
     p0, p1 = corners(packed.vertices[packed.edges.vertices[edge]])
     apex, normal = ends.apex, ends.normal
@@ -90,13 +91,13 @@ def displacement(
     offset = point - moving_apex
     reach = safe_divide(dot(ends.normal, ends.target - moving_apex), dot(ends.normal, offset))
     projected = moving_apex + scale(offset, reach)
-    # The material point under the projected edge: rigid with the target's face, extended beyond it where need be.
+    # The material point under the projected edge moves rigidly with the target's face, also outside the face.
     rigid = interpolate(ends.corners, projection.barycentric)
     to_plane = on_plane - stop_gradient(ends.apex)
     sky = to_plane if ends.turn is None else transform(ends.turn, to_plane)
     material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
-    # The apex stays in its face, so where that sets, the boundary moves as the plane does. Projected from an edge that
-    # is close by, its motion would be the difference of two fast ones.
+    # The edges of the apex's own face are its horizon. The apex stays in its face, so this boundary moves with the
+    # plane. A projection from the near edge would give the same motion as the difference of two fast ones.
     apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
     to_corner = corners(apex_triangle)[0] - on_plane
     horizon = safe_divide(dot(horizon_normal(apex_triangle, pole), to_corner), dot(pole, in_plane))
@@ -113,9 +114,8 @@ def occluded_side(
 ) -> tuple[Float[Array, "C 3"], Bool[Array, " C"]]:
     """(unit normals of the planes through apexes and silhouettes, towards the faces there; own face or not).
 
-    Own are edges of the apex's own face: silhouettes where that face sets. The plane is the face's there. All positions
-    are detached: `ends` of the edges, and `apex_triangle`, the corners of the apexes' faces; None where they lie in no
-    face.
+    Edges of the apex's own face are its horizon: there the plane is that of the face. All positions are detached.
+    `ends` are those of the edges, `apex_triangle` the corners of the apexes' faces; None if apexes lie in no face.
     """
     (p0, p1), opposite = ends, packed.edges.opposite[edge]
     plane, counts, own = cross(p0 - apex, p1 - p0), opposite >= 0, jnp.zeros(edge.shape, bool)
@@ -124,7 +124,7 @@ def occluded_side(
         own = of_apex.any(-1)
         plane = jnp.where(own[:, None], triangle_normals(apex_triangle), plane)
         counts = counts & ~of_apex  # the apex's own face lies in the plane
-    # The face furthest from the plane tells the side.
+    # The side is that of the face furthest from the plane.
     height = dot(plane[:, None], stop_gradient(packed.vertices)[opposite] - p0[:, None])
     height = jnp.where(counts, height, 0.0)
     highest, lowest = height.max(-1), height.min(-1)
@@ -172,7 +172,8 @@ def _along_sides(one, two, offset):
 def foot_on_edge(s0, s1, f0, f1, target):
     """Fraction of the 3D edge that projects to the foot of the perpendicular from the target; all relative to the apex.
 
-    `f0`, `f1` are the fractions of the way to the plane at which the ends lie; the edge is clipped to what is between.
+    `f0` and `f1` are the heights of the edge's ends over the apex, relative to the plane's. The edge is clipped to the
+    part between apex and plane.
     """
     c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
     rise = nonzero(f1 - f0)
@@ -186,16 +187,15 @@ def foot_on_edge(s0, s1, f0, f1, target):
 
 
 def never_silhouettes(packed: PackedScene) -> Bool[Array, " E"]:
-    """Concave edges of shapes that can only be seen from outside: they never bound what is visible."""
+    """Which edges never bound what is visible: concave edges of shapes that can only be seen from outside."""
     return concave_edges(packed) & _seen_from_outside(packed)[packed.edges.shape]
 
 
 def _seen_from_outside(packed: PackedScene) -> Bool[Array, " S"]:
-    """Closed one-sided shapes that no other shape reaches into: everything that scatters light is outside of them.
+    """Closed one-sided shapes that no other shape reaches into, and that scatter no light to their inside.
 
-    Unless it is they who scatter what is inside.
-
-    Decided by bounding boxes, the shape's own shrunk by one per cent so that touching is not reaching in.
+    So everything that scatters light is outside of them. Bounding boxes decide. The shape's own box is shrunk by one
+    per cent, so that a shape may touch it.
     """
     lower, upper = packed.shape_bounds()
     count = len(packed.closed)

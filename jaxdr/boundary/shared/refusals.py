@@ -1,4 +1,4 @@
-"""What derivatives do not cover: terms and integrators list it. The lists raise, and make the documentation's table."""
+"""What derivatives do not cover. Terms and integrators have lists of it, which raise and make the docs' tables."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -12,9 +12,9 @@ INTERIOR = "or boundary=None for the interior term alone"
 
 
 class Asked(NamedTuple):
-    """A derivative that is asked for. Terms know `packed` and `settings` of it, integrators everything.
+    """A derivative that is asked for. Terms know `packed` and `settings` only, integrators everything.
 
-    `packed` is None before the scene is.
+    `packed` is None until the scene is packed.
     """
 
     packed: PackedScene | None
@@ -25,7 +25,7 @@ class Asked(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """One thing that is not covered: in words, what to take instead, and why it is refused where it is (or None)."""
+    """One thing that is not covered: its name, a remedy, and a function that returns the error message or None."""
 
     what: str
     remedy: str

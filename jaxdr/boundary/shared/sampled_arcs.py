@@ -1,8 +1,8 @@
-"""Around boundary points seen from surfaces that scatter to both sides: where the directions are that BSDFs sample.
+"""Arcs of directions that BSDFs sample, around boundary points seen from surfaces that scatter to both sides.
 
-A kernel over sampled directions must vanish where none are sampled, or what it gives those is lost. From an opaque
-surface that is below the horizon; beyond rough glass light is refracted into a part of the other hemisphere alone
-(`BSDF.rims`). On a great circle through a boundary point, cos t μ + sin t e, each bound is an interval of t.
+A kernel over sampled directions must be zero where no direction is sampled. Else a part of its integral is lost. An
+opaque surface samples nothing below the horizon. Rough glass refracts light into a part of the other hemisphere only
+(`BSDF.rims`). On a great circle through a boundary point μ, cos t μ + sin t e, each bound gives an interval of t.
 """
 
 from typing import NamedTuple
@@ -16,9 +16,10 @@ from jaxdr.transport.shading import Scatterer
 
 
 class SampledArc(NamedTuple):
-    """The part low < t < high of a great circle, from which directions are sampled.
+    """The part low < t < high of a great circle in which directions are sampled, and a kernel there.
 
-    At the boundary point, t = 0, it is positive: a cos t + b sin t - least, which vanishes about as their density does.
+    The kernel a cos t + b sin t - least is positive at the boundary point, t = 0. Where the density of directions goes
+    to zero, the kernel does so at about the same rate.
     """
 
     low: Float[Array, " C"]
@@ -28,17 +29,17 @@ class SampledArc(NamedTuple):
     least: Float[Array, " C"]
 
     def at(self, t: Float[Array, " C"]) -> Float[Array, " C"]:
-        """The function."""
+        """The kernel at t."""
         return self.a * jnp.cos(t) + self.b * jnp.sin(t) - self.least
 
     def integral(self) -> Float[Array, " C"]:
-        """Its integral over the arc."""
+        """The kernel's integral over the arc."""
         low, high = self.low, self.high
         rest = self.least * (high - low)
         return self.a * (jnp.sin(high) - jnp.sin(low)) - self.b * (jnp.cos(high) - jnp.cos(low)) - rest
 
     def strip(self) -> Float[Array, " C"]:
-        """Its integral times cos t over the arc: over a strip, per length at t = 0."""
+        """The integral of the kernel times cos t over the arc: over a strip, per length at t = 0."""
 
         def primitive(t):
             sine, cosine = jnp.sin(t), jnp.cos(t)
@@ -53,7 +54,7 @@ class SampledArc(NamedTuple):
 def sampled_arc(
     scatterer: Scatterer, boundary: Float[Array, "C 3"], along: Float[Array, "C 3"], reach: Float[Array, " C"]
 ) -> SampledArc:
-    """Within `reach` (radians) of boundary points, on great circles along the unit tangents `along`."""
+    """Arcs within `reach` (radians) of boundary points, on great circles along the unit tangents `along`."""
     mu, e = scatterer.frame.to_local(boundary), scatterer.frame.to_local(along)
     side = scatterer.sampled_side(jnp.sign(z_of(mu)))
     low, high = -reach, reach
@@ -71,12 +72,12 @@ def on_same_side(
     low: Float[Array, " C"],
     high: Float[Array, " C"],
 ) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
-    """(low, high), less what is not on the side of the face that `centre` is on, where both sides scatter.
+    """(low, high), cut to the side of the face that `centre` is on, for faces that scatter to both sides.
 
-    A chord is looked at from there alone: from the other side the face would hide it.
+    The search for edges starts on that side. From there the face hides the rest of a chord.
     """
     through = scatterer.spreads_through()
-    assert through is not None  # asked only where some surface does
+    assert through is not None  # called only if some surface scatters to both sides
     normal = scale(scatterer.normal, jnp.sign(dot(scatterer.normal, centre)))
     start, end = _within(dot(normal, boundary), dot(normal, along), jnp.zeros_like(low), low, high)
     return jnp.where(through, start, low), jnp.where(through, end, high)
@@ -88,7 +89,7 @@ def place(boundary: Float[Array, "C 3"], along: Float[Array, "C 3"], centre: Flo
 
 
 def _within(a, b, least, low, high):
-    """(low, high), less what is not in the interval around 0, or nearest to it, where a cos t + b sin t > least."""
+    """(low, high), cut to the interval around (or nearest to) 0 in which a cos t + b sin t > least."""
     size = jnp.sqrt(a * a + b * b)
     middle = jnp.arctan2(b, a)
     half = jnp.arccos(jnp.clip(safe_divide(least, size), -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Where textures jump: at UV seams, which are creases, and inside faces, where no estimator looks for it."""
+"""Where textures jump: at UV seams, which are creases, and inside faces, where no estimator looks for jumps."""
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +15,16 @@ from jaxdr.transport.interaction import material_point
 from jaxdr.transport.texturing import tangents_along_u, texture_difference, texture_point
 
 PROBES = 5  # points along an edge at which the two sides are compared
-TURN = 1e-6  # one less the cosine: tangents along u that differ by more turn a normal map
-STEP = 1e-4  # textures that differ by more than rounding, in the middle of an edge
-TOLERANCE = 1e-3  # relative: lengths along u and v that differ by more change a bump map
-LEAST = 0.1  # jump of textures that seams stand for at least: between the probes they may be further apart
+TURN = 1e-6  # 1 - cosine: if tangents along u differ by more, a normal map turns at the edge
+STEP = 1e-4  # a larger difference of textures in the middle of an edge is not rounding
+TOLERANCE = 1e-3  # relative: if lengths along u or v differ by more, a bump map jumps at the edge
+LEAST = 0.1  # smallest jump at a seam: between the probes the textures may differ more
 
 
 def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"]:
-    """How much the textures of the two faces at edges differ there, roughly; zero where UVs go on across. Detached.
+    """How much the textures of the two faces at edges differ, roughly; zero where UVs continue across. Detached.
 
-    Only the noise depends on how much it is, but it is positive wherever textures may jump inside a mesh.
+    It is positive wherever textures may jump inside a mesh. Its size changes the noise only.
     """
     if not packed.has_seams:
         return jnp.zeros(edge.shape, packed.vertices.dtype)
@@ -38,7 +38,7 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
         apart |= texture_difference(packed, *points(0.5)) > STEP
     if packed.uses_slopes:
         one, two = (texture_point(packed, point).axes for point in points(0.5))
-        assert one is not None and two is not None  # there where slopes are used
+        assert one is not None and two is not None  # `texture_point` has axes if slopes are used
         apart |= (jnp.abs(one - two) > TOLERANCE * (norm(one) + norm(two))[:, None]).any(-1)
     if packed.tangential:
         (one, _), (two, _) = (tangents_along_u(packed, point) for point in points(0.5))
@@ -59,7 +59,7 @@ def glow_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
 
 
 def _beside(packed: PackedScene, edge: Int[Array, " C"]):
-    """(which edges have two faces, function: share of the way along edges -> the points there on either face)."""
+    """(which edges have two faces, function of a fraction of the edges that yields the points on either face)."""
     interior, ends = packed.edges.interior[edge], packed.edges.vertices[edge]
     sides = []
     for k in (0, 1):
@@ -78,10 +78,10 @@ def _uv(packed, point):
 
 
 def _moved_jumps(asked: Asked) -> str | None:
-    """Where a texture's jumps inside faces move in the image.
+    """A message if a texture's jumps inside faces move in the image; None if not.
 
-    With `fixed_rays`, first hits slide over the shapes that move relative to the camera. Behind mirrors and smooth
-    glass that move, later hits slide over any shape. Points in material form take the jumps along.
+    With fixed rays, first hits slide over the shapes that move relative to the camera. Behind mirrors and smooth glass
+    that move, later hits slide over any shape. Points in material form move with the jumps.
     """
     scene, moving, fixed_rays = asked.scene, asked.moving.seen, asked.primary == "fixed_ray"
     pairs = zip(scene.shapes.values(), moving, strict=True)
@@ -92,18 +92,21 @@ def _moved_jumps(asked: Asked) -> str | None:
         for field, texture in textures_of(shape):
             if remedies and not texture.continuous:
                 return (
-                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}): where that moves in "
-                    f"the image it has no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
+                    f"render: {name}.{field} jumps inside faces ({type(texture).__name__}), and jumps that move in "
+                    f"the image have no derivative with fixed rays; use {' and '.join(remedies)}, a bilinear Bitmap, "
                     f"{INTERIOR}"
                 )
     return None
 
 
 def _moved_maps(active: Scene) -> str | None:
-    """Where a texture that jumps inside faces moves over its surface; leaves say whether they are differentiated."""
+    """A message if a texture that jumps inside faces moves over its surface; None if not.
+
+    The leaves of `active` are bools: whether they are differentiated.
+    """
     for name, shape in active.shapes.items():
         for field, texture in ((field, part) for field, whole in textures_of(shape) for part in whole.parts):
-            # All but its data places a texture.
+            # All leaves but its data place a texture on the surface.
             moves = bool(shape.mesh.uvs) or sum(jax.tree.leaves(texture)) > sum(jax.tree.leaves(texture.data()))
             if texture.uses_uv and moves and not texture.continuous:
                 return (

@@ -2,8 +2,8 @@
 
 Xu et al. 2023, "Warped-Area Reparameterization of Differential Path Integrals", Eq. 14-18 and 41-47, 58-62. For a fixed
 apex y and a target p, auxiliary points q around p have velocities v_i: zero where y sees q, else that of the occluder
-projected to q. The continuous velocity is their mean v(p) = sum_i share_i(p) v_i. Shares and their gradients are
-detached and do not know the v_i, so everything here is done before anything is differentiated by the scene.
+projected to q. The continuous velocity is their weighted mean v(p) = sum_i share_i(p) v_i. Shares and their gradients
+are detached and do not depend on the v_i. So nothing here is differentiated with respect to the scene.
 """
 
 import math
@@ -22,14 +22,14 @@ from jaxdr.transport.interaction import detached_barycentric
 from jaxdr.transport.sampler import uniform
 
 TAIL = 3.0  # the density of auxiliary points falls as |q - p|^(-2 TAIL), as the kernel does for a power of 3
-DEPTH = 10.0  # how far from the tangent plane projections count, in widths of the kernel: there it is 1e-6
+DEPTH = 10.0  # projections count up to so many kernel widths from the tangent plane; there the kernel is 1e-6
 
 
 class Kernel(NamedTuple):
     """The kernel w(q; p) = 1 / (D(q; p) + B(q)^boundary_power) (Eq. 15); all static.
 
-    `sigma` is relative to the length of the segment (Eq. 17 with lengths of the segment for units). `spread` is that of
-    the auxiliary points relative to the kernel's width.
+    `sigma` is relative to the length of the segment (Eq. 17 in units of this length). `spread` is the spread of the
+    auxiliary points relative to the kernel's width.
     """
 
     distance: Literal["path_space", "exponential"]
@@ -40,7 +40,7 @@ class Kernel(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Where auxiliary points are drawn, relative to the length of the segment: `exponential` has no small scale."""
+        """Width of the auxiliary points' density over the segment's length; "exponential" has no small scale."""
         return self.spread * (self.sigma if self.distance == "path_space" else 1.0)
 
     @property
@@ -62,11 +62,14 @@ class Kernel(NamedTuple):
 
 
 class Convolution(NamedTuple):
-    """How velocities are convolved; static. `samples` auxiliary points a target, `projections` of each at most.
+    """How velocities are convolved; static.
 
-    `debias` as of `WarpedArea`. Targets may be on surfaces (`finite`), infinitely far away, or both. `normal_edges`:
-    see `find_occluders`. `horizon`: whether the plane of the apex's own face may hide something. `rays`: as
-    of `PathTracer`.
+    - `samples`: auxiliary points for each target; `projections`: at most so many for each auxiliary point.
+    - `debias`: as in `WarpedArea`.
+    - `finite`, `infinite`: whether there are targets on surfaces, and targets infinitely far away.
+    - `normal_edges`: see `find_occluders`.
+    - `horizon`: whether the plane of the apex's own face may hide something.
+    - `rays`: as in `PathTracer`.
     """
 
     kernel: Kernel
@@ -83,8 +86,9 @@ class Convolution(NamedTuple):
 class Auxiliary(NamedTuple):
     """Q points drawn around each of N targets, and up to C projections of each onto the target's shape.
 
-    `drawn` lie in the tangent plane (at infinity on the sphere of directions); `slant` is |cos| between the normals of
-    tangent plane and projection: the density of a projection is that of its point times the slant (Eq. 46).
+    `drawn` points lie in the tangent plane, or at infinity on the sphere of directions. `slant` is |cos| between the
+    normals of the tangent plane and of the projection's face. The density of a projection is that of its point times
+    the slant (Eq. 46).
     """
 
     drawn: Float[Array, "N Q 3"]
@@ -110,9 +114,9 @@ def draw_auxiliary(
     around: Convolution,
     key: PRNGKeyArray,
 ) -> Auxiliary:
-    """Auxiliary points of detached targets, all projections along the normal; none where not `active`.
+    """Auxiliary points of detached targets, with their projections along the normal; none where not `active`.
 
-    `normals` are the faces' unit ones.
+    `normals` are the faces' unit normals.
     """
     kernel, samples, capacity = around.kernel, around.samples, around.projections
     n, dtype = ends.apex.shape[0], ends.apex.dtype
@@ -158,7 +162,7 @@ def draw_auxiliary(
 
 
 def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool) -> Float[Array, "N Q"]:
-    """Log of the density of drawn points around `point`: per area of the tangent plane, at infinity of the sphere."""
+    """Log of the density of drawn points around `point`: per area of the tangent plane or, at infinity, the sphere."""
     away = point - ends.apex
     length = norm(away)
     normal, offset = ends.normal, drawn - point[:, None]
@@ -167,7 +171,7 @@ def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool)
     in_plane = offset - scale(normal[:, None], dot(offset, normal[:, None]))
     radius2, width = dot(in_plane, in_plane), (kernel.width * length)[:, None]
     bent = jnp.zeros_like(radius2)
-    if infinite:  # area of the tangent plane per area of the sphere: one over the cosine's cube
+    if infinite:  # an area of the tangent plane is 1 / cosine^3 times that on the sphere
         cosine = dot(normalize(drawn - ends.apex[:, None]), normal[:, None])
         cosine = jnp.where(ends.infinite[:, None], cosine, 1.0)
         radius2, bent = radius2 / cosine**2, -3.0 * jnp.log(cosine)
@@ -178,7 +182,7 @@ def log_density(kernel: Kernel, ends: SegmentEnds, drawn, point, infinite: bool)
 def log_weights(
     kernel: Kernel, ends: SegmentEnds, points: Auxiliary, boundary: Float[Array, "N Q C"], point, infinite: bool
 ) -> Float[Array, "N Q C"]:
-    """Log of w(q; p) over the density of q, which stays that around the targets: shares are their softmax."""
+    """Log of w(q; p) over the density of q around the targets. The shares are the softmax of these logs."""
     density = log_density(kernel, ends, points.drawn, ends.target, infinite)[..., None]
     weight = kernel.value(ends.apex, point, points.position, boundary) - density
     slant = jnp.where(points.there, points.slant, 1.0)
@@ -186,9 +190,9 @@ def log_weights(
 
 
 def shares_of(weights: Float[Array, "N Q C"]) -> Float[Array, "N Q C"]:
-    """Weights normalised by their sum (Eq. 47), from their logs; zeros where there are none."""
+    """Weights normalised by their sum (Eq. 47), from their logs; zeros if a target has no auxiliary point."""
     largest = weights.max((1, 2), keepdims=True)
-    # -inf where there are no points at all: exp(-inf - 0) is zero, exp(-inf + inf) is not a number.
+    # A target without points has -inf everywhere: exp(-inf - 0) is zero, exp(-inf + inf) would be NaN.
     raised = jnp.exp(weights - jnp.where(largest == -jnp.inf, 0.0, largest))
     total = raised.sum((1, 2), keepdims=True)
     return safe_divide(raised, total)
@@ -202,12 +206,12 @@ def velocity_field(
     debias: bool,
     infinite: bool,
 ) -> Field:
-    """Shares of the auxiliary points, and what the divergence makes of their velocities.
+    """Shares of the auxiliary points, and the factors of their velocities in the divergence.
 
-    The gradient of a share follows from the gradients of log w in two tangent directions, by forward mode with the q
-    held fixed (Eq. 58-62). With `debias` the change of the density of the q with p counts as well. Then the expected
-    divergence is exactly that of the mean field E[v(p)], for any number of points. Without it this holds only in the
-    limit of many.
+    The gradient of a share follows from the gradients of log w in two tangent directions, by forward mode with fixed q
+    (Eq. 58-62). With `debias` the change of the density of q with p counts as well. Then the expected divergence is
+    exactly that of the mean field E[v(p)], for any number of points. Without it this holds only in the limit of many
+    points.
     """
 
     def logs(point):
@@ -224,7 +228,7 @@ def velocity_field(
         if debias:
             rate = rate + _score_terms(of_point, score)[..., None]
         divergence += scale(tangent[:, None, None], share * rate)
-    if infinite:  # of a sphere: without the normal component of the mean
+    if infinite:  # the surface divergence on a sphere leaves out the mean's normal component
         curvature = jnp.where(ends.infinite, 2.0 / norm(ends.target - ends.apex), 0.0)
         divergence -= scale(scale(ends.normal, curvature)[:, None, None], share)
     return Field(share, divergence)
@@ -233,8 +237,8 @@ def velocity_field(
 def _score_terms(share: Float[Array, "N Q"], score: Float[Array, "N Q"]) -> Float[Array, "N Q"]:
     """A_k s_k - sum_{i != k} A_i^2 s_i / (1 - A_i), with A the shares of the drawn points and s their scores.
 
-    The divergence of E[v] has the terms s_i (v - v_without_i), since E[s_i v_without_i] = 0; 1 / density, which the
-    weights contain, moves as well. Together they are s_i A_i^2 (v_i - v_without_i).
+    The divergence of E[v] has the terms s_i (v - v_without_i), since E[s_i v_without_i] = 0. The weights contain
+    1 / density, which moves as well. Both together give s_i A_i^2 (v_i - v_without_i).
     """
     others = 1.0 - jnp.eye(share.shape[1], dtype=share.dtype)
     rest = (share[:, None] * others).sum(-1)  # 1 - A_i, without cancellation

@@ -1,4 +1,4 @@
-"""div (f v) over what is seen, v the continuous velocity of warped areas (Xu et al. 2023): what its users share."""
+"""div (f v) over what is seen, with the continuous velocity v of warped areas (Xu et al. 2023), for all its users."""
 
 import abc
 from collections.abc import Callable
@@ -37,9 +37,9 @@ Measure = Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
 
 
 class Hidden(NamedTuple):
-    """Auxiliary points (material points of their surface) and the material points that hide them; detached.
+    """Auxiliary points, as material points of their surface, and the material points that hide them; detached.
 
-    `own`: hidden by the plane of the apex's own face, `occluder`; None where there are none.
+    `own`: the plane of the apex's own face hides the point, and `occluder` is that face; None if that cannot happen.
     """
 
     position: Float[Array, "*n 3"]
@@ -51,7 +51,7 @@ class Hidden(NamedTuple):
 
 
 def check_options(estimator, counts: tuple[str, ...]) -> None:
-    """Raises ValueError where options of the kernel, or the numbers of points `counts`, are out of range."""
+    """Raises ValueError if options of the kernel, or the options `counts` (numbers of points), are out of range."""
     name = type(estimator).__name__
     if estimator.distance not in ("path_space", "exponential"):
         raise ValueError(f"{name}: distance must be 'path_space' or 'exponential', got {estimator.distance!r}")
@@ -65,12 +65,12 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
 
 
 class WarpedTerm(eqx.Module):
-    """Terms that ask for no radiance: what the paths found is differentiated."""
+    """Terms that request no radiance: they differentiate the contributions that the paths found."""
 
     name = "boundary"
 
     def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
-        """Nothing."""
+        """No requests; the key is kept for `image`."""
         return None, key
 
     def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
@@ -79,11 +79,11 @@ class WarpedTerm(eqx.Module):
 
     @abc.abstractmethod
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
-        """The term of every path."""
+        """The term, one value a path."""
 
 
 class Warped(NamedTuple):
-    """One kind of segments, and what their velocities are found from; `fixed` is `packed`, detached."""
+    """One kind of segments (`paths`), and the inputs of their velocities; `fixed` is `packed`, detached."""
 
     packed: PackedScene
     fixed: PackedScene
@@ -92,15 +92,15 @@ class Warped(NamedTuple):
     around: Convolution
 
     def velocities(self, index, ends: SegmentEnds, lit, key) -> "Velocities":
-        """Velocities around the targets of segments by number, and what they count for these."""
+        """Velocities around the targets of the segments `index`, with their shares and rates."""
         return hidden_velocities(self.fixed, self.faces, self.paths.fixed.apex(index), ends, lit, self.around, key)
 
 
 class Velocities(NamedTuple):
-    """Auxiliary points that are hidden, `slots` in [N, Q, C], of which the first `used` are filled; detached.
+    """Hidden auxiliary points: `slots` of the [N, Q, C] points, of which the first `used` are filled; detached.
 
-    v(p) = along x sum of share x velocity, div v = sum of rate . velocity. All others are still. `along` is None where
-    all targets are infinitely far away.
+    v(p) = along x sum of share x velocity, and div v = sum of rate . velocity. Points that are not hidden have no
+    velocity. `along` is None if all targets are infinitely far away.
     """
 
     slots: Int[Array, " S"]
@@ -111,11 +111,11 @@ class Velocities(NamedTuple):
     table: Hidden
 
     def inside(self, slot: Int[Array, " M"], motion: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
-        """`along` x the displacements of occluders in slots."""
+        """`along` x `motion`, the displacements of occluders in slots."""
         return motion if self.along is None else jnp.einsum("njk,nk->nj", self.along[self.row(slot)], motion)
 
     def row(self, slot: Int[Array, " M"]) -> Int[Array, " M"]:
-        """Which of the N targets slots belong to."""
+        """The number of each slot's target."""
         return slot // (self.table.face.shape[1] * self.table.face.shape[2])
 
     def seen(self, slot: Int[Array, " M"]) -> Hidden:
@@ -132,7 +132,7 @@ def hidden_velocities(
     around: Convolution,
     key,
 ) -> Velocities:
-    """Auxiliary points around the targets of N segments, and what they count for them; all arguments detached."""
+    """Auxiliary points around the targets of N segments, with their shares and rates; all arguments detached."""
     points = draw_auxiliary(packed, faces.normal, ends, lit, around, key)
     occluders = find_occluders(packed, faces, apex, ends, points, around.rays, around.normal_edges)
     field = velocity_field(around.kernel, ends, points, occluders.boundary, around.debias, around.infinite)
@@ -147,7 +147,7 @@ def hidden_velocities(
     hidden, own = occluders.hidden, occluders.own
     if own is not None and not around.horizon:
         hidden, own = hidden & ~own, None
-    # Slots that hold nothing repeat the first one: its numbers must be finite.
+    # Unused slots repeat the first point, so its numbers must be finite.
     hidden = (hidden & points.there & lit[:, None, None]).reshape(-1)
     shares = jnp.where(hidden, field.share.reshape(-1), 0.0)
     rates = jnp.where(hidden[:, None], rate.reshape(-1, 3), 0.0)
@@ -166,7 +166,7 @@ def divergence_term(
 ) -> Float[Array, "N 3"]:
     """f div v + grad f . v at the targets of N segments: zero in value, right in derivative.
 
-    `value` is f there, `moved` gives the displacements of the occluders in slots: zero, with the derivative v.
+    `value` is f at the targets. `moved` gives the displacements of the occluders in slots: zero, with the derivative v.
     """
     value = jnp.where(lit[:, None], value, 0.0)
     slopes = []
@@ -191,9 +191,9 @@ def divergence_term(
 def displacement(
     packed: PackedScene, apex: Float[Array, "C 3"], infinite: Bool[Array, " C"], seen: Hidden, turns: bool = True
 ) -> Float[Array, "C 3"]:
-    """Where occluders are projected to, less the material points there: zero, with the derivative v^dis (Eq. 7-8).
+    """Projections of occluders minus the material points there: zero in value, with the derivative v^dis (Eq. 7-8).
 
-    Directions to the environment move with it where it `turns`.
+    With `turns`, directions to the environment turn with it.
     """
     triangle = packed.vertices[packed.faces[seen.face]]
     material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)
@@ -211,9 +211,9 @@ def displacement(
 
 
 def _horizon(triangle, normal, material, offset, far):
-    """How the plane of the apex's face moves over the material points, across its trace in their plane (or sphere).
+    """Displacement of the apex's face plane over the material points, across its trace in their plane (or sphere).
 
-    The apex stays in that plane, so its own motion does not count.
+    The apex stays in the plane of its face, so its own motion does not count.
     """
     plane = normalize(triangle_normals(triangle))
     across = stop_gradient(plane)

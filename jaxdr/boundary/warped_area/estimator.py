@@ -46,31 +46,32 @@ def _deep_hard_shadows(asked: Asked) -> str | None:
 class WarpedArea(WarpedTerm):
     """Boundary term as an area integral, for every segment behind the first hit (Xu et al. 2023, Eq. 38).
 
-    Over the surface at the far end of a segment, div (f v) = f div v + grad f . v. Here v is a continuous velocity that
-    equals the boundary's where it is approached: a convolution over `samples` auxiliary points. No edge is looked for.
+    It integrates div (f v) = f div v + grad f . v over the surface at the far end of a segment. v is a continuous
+    velocity that tends to the boundary's velocity at the boundary. It is a convolution over `samples` auxiliary points.
+    No search for edges is needed.
 
     All fields are static.
 
     - `distance`: "path_space" (Eq. 16), or "exponential" (Eq. 57, of Bangaru et al. 2020), which has no small scale and
       needs many more auxiliary points.
-    - `sigma0`: width of the kernel of Eq. 17, in lengths of the segment. Narrow kernels are noisy. Wide ones have to
-      tell more boundaries apart.
+    - `sigma0`: width of the kernel of Eq. 17, in lengths of the segment. Narrow kernels are noisy. Wide kernels reach
+      more boundaries.
     - `power`: a of Eq. 16.
-    - `samples`: auxiliary points N_q of every path vertex; each is one projection onto the surface and one ray.
-    - `projections`: room for projections of an auxiliary point onto its shape. A warning reports further ones.
+    - `samples`: auxiliary points N_q of every path vertex; each costs one projection onto the surface and one ray.
+    - `projections`: room for projections of an auxiliary point onto its shape. A warning reports more projections.
 
-    Where this differs from the paper, each difference has a switch. Values in brackets are the paper's.
+    Each difference from the paper has a switch. Values in brackets are the paper's.
 
     - `boundary_power` (1): power of the boundary-test function B in the kernel (Eq. 15). With 1 the kernel has no
       singularity at the boundary, and v does not reach the boundary's velocity.
     - `debias` (False): the divergence is exactly that of the mean velocity, for any number of auxiliary points. Without
-      it, a quarter to three quarters of the term are missing with 8.
-    - `spread`: scale of the density of auxiliary points, in kernel widths. The paper draws from a Gaussian of unnamed
+      it, a large part of the term is missing with 8 points.
+    - `spread`: scale of the density of auxiliary points, in kernel widths. The paper draws from a Gaussian of unstated
       width, whose tail is thinner than the kernel's.
 
-    The derivative is as good as v is at the boundary: behind a bumpy figure 2 % is missing with 8 auxiliary points (0.4
-    % with 16), most of it at corners. With a `PathTracer` direct light is weighted by emitter sampling alone, without
-    MIS. With a `BidirectionalPathTracer` every strategy counts with its weight.
+    The derivative has a bias where v differs from the boundary's velocity at the boundary: with few auxiliary points a
+    small part is missing, most of it at corners. With a `PathTracer` direct light comes from emitter sampling alone,
+    without MIS. With a `BidirectionalPathTracer` every strategy counts with its weight.
 
     Raises ValueError for options out of range.
     """
@@ -96,19 +97,19 @@ class WarpedArea(WarpedTerm):
         check_options(self, ("samples", "projections"))
 
     def around(self, packed: PackedScene, finite: bool, infinite: bool, rays: str = "auto") -> Convolution:
-        """How velocities are convolved; whether there are targets on surfaces, and infinitely far away."""
+        """How velocities are convolved, for targets on surfaces (`finite`), infinitely far away, or both."""
         kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
         room = min(self.projections, packed.faces.shape[0]) if finite else 1
         return Convolution(kernel, self.samples, room, self.debias, finite, infinite, rays=rays)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""
-        del key  # every face may bound what moving surfaces see, whatever moves
+        del key  # all faces are needed: a face at rest may bound what a moving surface sees
         refuse(self.refusals, Asked(context.packed, context.settings))
         return connect_faces(context.packed)
 
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
-        """Direct light, and what BSDF-sampled segments carry."""
+        """The terms of direct light and of BSDF-sampled segments, one value a path."""
         packed, rays, record = context.packed, context.settings.rays, chunk.record
         total = jnp.zeros_like(record.radiance)
         if record.direct is None:
@@ -138,8 +139,8 @@ class WarpedArea(WarpedTerm):
     ) -> Float[Array, "C N 3"]:
         """Boundary terms of the paths of all strategies: zero in value, right in derivative (Eq. 52-54).
 
-        `weight` is that of the strategies, zero where a path carries nothing. Every target moves with its mean
-        velocity, which the contribution and its factor 1 + div v are differentiated by.
+        N paths, C strategies. `weight` is that of the strategies, zero where a path carries nothing. Every target moves
+        with its mean velocity v. The term is the derivative of the contribution times the factor 1 + div v.
         """
         packed = context.packed
         fixed, drawn, weight = jax.tree.map(stop_gradient, (packed, chunk.record.drawn, weight))
@@ -184,7 +185,7 @@ def _term(warped: Warped, measure, key) -> Float[Array, "N 3"]:
 
 
 def _target_motion(warped: Warped, index, lit, key):
-    """(mean velocities of the targets of N segments, in their planes, divergences); zero in value."""
+    """(mean velocities of the targets of N segments in their planes, divergences of these); zero in value."""
     ends = warped.paths.fixed.ends(index)
     velocities = warped.velocities(index, ends, lit, key)
 
@@ -213,7 +214,7 @@ def _moved(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds, v
 def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
     """(unit directions from the apexes, cosine over squared distance) of points in the planes of the targets.
 
-    At infinity there is no such factor: densities there are per solid angle.
+    At infinity the factor is one, because densities are per solid angle there.
     """
     offset = position - ends.apex
     distance2 = dot(offset, offset)
@@ -224,7 +225,7 @@ def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[A
 
 
 def _direct_measure(packed: PackedScene, paths: PathSegments, index, ends: SegmentEnds) -> Measure:
-    """Of emitter samples: emitted radiance x geometric term x BSDF at the apex."""
+    """The measure of emitter samples: emitted radiance x geometric term x BSDF at the apex."""
     scatterer, table = paths.scatterer(index), paths.table
 
     def measure(position):
@@ -242,14 +243,15 @@ def _direct_measure(packed: PackedScene, paths: PathSegments, index, ends: Segme
 
 
 def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSegments, index, ends) -> Measure:
-    """Of BSDF-sampled segments: BSDF at the apex x geometric term x what the target scatters towards the apex.
+    """The measure of BSDF-sampled segments: BSDF at the apex x geometric term x radiance scattered by the target.
 
-    That is what its own emitter sample and its own BSDF-sampled segment bring, with the far ends of both held fixed.
+    The target scatters the light of its own emitter sample and its own BSDF-sampled segment. The far ends of both are
+    held fixed.
     """
     scatterer, after = paths.scatterer(index), index + paths.paths
     towards, factor = _geometry(ends, ends.target)
     seen = scale(scatterer.eval(towards), stop_gradient(factor))
-    # Their weights contain that of the segment itself, at its target.
+    # The weights of the target's segments contain the factor `seen` of this segment.
     itself = safe_divide(1.0, seen, otherwise=0.0)
     parts: list[Onward] = [(direct.table, after, direct.table.visible)]
     if paths.count > paths.paths:
@@ -264,12 +266,12 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
     return measure
 
 
-# Segments that lead on from N targets: a table, their numbers in it, and which of the table's are not hidden.
+# Segments that lead on from N targets: a table, their numbers in it, and which segments of the table are not hidden.
 Onward = tuple[Segments, Int[Array, " N"], Bool[Array, " S"]]
 
 
 def sent_back(packed: PackedScene, target: Scatterer, parts: list[Onward]) -> Float[Array, "N 3"]:
-    """f / pdf of what targets scatter as they slide over their faces; the far ends of the segments stay."""
+    """f / pdf of the light that targets scatter, as they slide over their faces; the segments' far ends are fixed."""
     position, arriving = target.point.position, jnp.zeros_like(target.point.position)
     for table, number, visible in parts:
         there = number < table.target_face.shape[0]

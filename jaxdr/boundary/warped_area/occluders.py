@@ -17,9 +17,9 @@ from jaxdr.transport.interaction import OFFSET, SurfacePoint, leave
 
 
 class Occluders(NamedTuple):
-    """Where auxiliary points are hidden, by which point of which face, and the boundary-test function B.
+    """Which auxiliary points are hidden, by which point of which face, and the boundary-test function B.
 
-    `own`: by the face that the apex lies in, behind its horizon; None where that hides no light.
+    `own`: hidden by the apex's own face, below its horizon; None if no light comes from there.
     """
 
     hidden: Bool[Array, "N Q C"]
@@ -40,13 +40,13 @@ def find_occluders(
 ) -> Occluders:
     """One ray from each apex to each auxiliary point on the side of the surface that the target shows; all detached.
 
-    - Seen points have no velocity, and B = 1.
-    - Hidden ones have that of the occluder, and its B^dist (Eq. 18). At the silhouette of a faceted occluder no cosine
-      vanishes: distances to silhouette edges of the face that is hit count as those to open edges do, unless
-      `normal_edges` is off.
-    - Points on the other side of their surface (back-facing) have no velocity and their own B^dist. Nor have those
-      below the horizon of the apex: f vanishes where they begin. Where normals are interpolated it does not, and the
-      plane of the apex's own face hides them.
+    - Points that are seen have no velocity, and B = 1.
+    - Hidden points have the velocity of the occluder and its B^dist (Eq. 18). At the silhouette of a faceted occluder
+      no cosine goes to zero. So, with `normal_edges`, distances to silhouette edges of the face that is hit count like
+      distances to open edges.
+    - Back-facing points have no velocity, and their own B^dist.
+    - Points below the apex's horizon have no velocity, because f goes to zero at the horizon. With interpolated normals
+      it does not: then the plane of the apex's own face hides these points.
     """
     full = points.there.shape
     row = jnp.broadcast_to(jnp.arange(full[0])[:, None, None], full).reshape(-1)
@@ -94,7 +94,7 @@ def _to_sides(triangles, barycentric):
 
 
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
-    """B^dist of points on occluders: the cosine there, or the distance to an edge that ends what is hidden (angle)."""
+    """B^dist of points on occluders: the cosine squared, or the angular distance to an edge where the occluder ends."""
     triangles = packed.vertices[packed.faces[face]]
     position = interpolate(triangles, barycentric)
     offset = position - apex
@@ -102,10 +102,10 @@ def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, ape
     length = jnp.where(length > 0, length, 1.0)
     behind = faces.behind[face]
     slope = dot(faces.normal[face], offset)
-    # A point on side k for each of the sides: the corner after k.
+    # For each side k, a point on it: the corner after k.
     on_side = jnp.roll(triangles, -1, axis=1) - apex[:, None]
     neighbour = dot(faces.normal[jnp.maximum(behind, 0)], on_side)
     ends_here = (behind < 0) | (neighbour * slope[:, None] <= 0) if normal_edges else behind < 0
     to_side = jnp.where(ends_here, _to_sides(triangles, barycentric), jnp.inf).min(-1)
-    # At a smooth silhouette the cosine falls as the root of the distance.
+    # At a smooth silhouette the cosine goes to zero like the root of the distance, so its square is a distance.
     return jnp.minimum((slope / length) ** 2, to_side / length)

@@ -1,4 +1,4 @@
-"""Velocities along the outlines of what a segment ends on, none across (Xu et al. 2023, after Eq. 10)."""
+"""Removes the velocity across outlines of the surface at a segment's far end (Xu et al. 2023, after Eq. 10)."""
 
 from typing import NamedTuple
 
@@ -25,26 +25,30 @@ STRIP = 0.0625  # width of the strip along an outline, in widths of the kernel
 
 
 class Inside(NamedTuple):
-    """`along` v has no flux through outlines; `spread`: div (`along` v) = tr(`along` grad v) + `spread` . v."""
+    """A matrix `along`, for which `along` v has no flux through outlines, and its divergence `spread`.
+
+    div (`along` v) = tr(`along` grad v) + `spread` . v.
+    """
 
     along: Float[Array, "N 3 3"]
     spread: Float[Array, "N 3"]
 
 
 def keep_inside(packed: PackedScene, faces: Faces, ends: SegmentEnds, width: Float[Array, " N"]) -> Inside:
-    """What takes the component across open edges and creases from velocities at the targets of N segments.
+    """Matrices that remove the velocity across open edges and creases, at the targets of N segments.
 
-    It falls linearly to zero in strips along them, `STRIP` times `width` (that of the kernel) wide. f ends or jumps
-    there, so what flows through them would be missing. Weights of auxiliary points could prevent that as well, but only
-    over a whole kernel width, in which boundaries of what is seen lose their velocity too. A crease's strip is the
-    narrower the smaller the jump of the normal: on a mesh that approximates a smooth surface there is none.
+    The component across falls linearly to zero in a strip along the edge, `STRIP` times `width` (of the kernel) wide.
+    f ends or jumps at the edge, so a flux through it would be missing. Weights of auxiliary points could prevent the
+    flux as well, but only over a whole kernel width. There the boundaries of what is seen would lose their velocity,
+    too. The strip of a crease is in proportion to the jump of the normal. So a mesh that approximates a smooth surface
+    has practically no strips.
     """
     behind = faces.behind[ends.face]
     unit = faces.normal[ends.face]
     jump = norm(faces.normal[jnp.maximum(behind, 0)] - unit[:, None])
     jump = jnp.where(behind >= 0, jump, 1.0)
     strip = STRIP * width[:, None] * jnp.maximum(jump, 1e-6)
-    # Side k is opposite of corner k.
+    # Side k lies opposite corner k.
     start, end = jnp.roll(ends.corners, -1, axis=1), jnp.roll(ends.corners, -2, axis=1)
     lengths = norm(end - start)
     inverse = safe_divide(1.0, lengths)

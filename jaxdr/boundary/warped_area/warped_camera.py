@@ -1,8 +1,8 @@
 """The camera's segment with warped areas (Xu et al. 2023): `PathTracer(primary="warp")`.
 
-First hits are material points, and what no surface covers stays fixed on the film; over both, f is the pixel filter
-times what is sent to the camera, as in `warped_area`, with the camera for the apex. So the boundary of what the camera
-sees is that of occlusion alone, and no edge is looked for.
+First hits are material points. Film points that no surface covers stay fixed. Over both, f is the pixel filter times
+the radiance towards the camera. The method is that of `warped_area`, with the camera as the apex. So boundaries come
+from occlusion only, and no search for edges is needed.
 """
 
 import jax
@@ -42,13 +42,13 @@ def _lights(asked: Asked) -> str | None:
     if not asked.packed.light_count:
         return None
     return (
-        'render: silhouettes of what lights without area light up have no derivative with primary="warp"; take '
-        'lights with an area, or primary="fixed_ray"'
+        'render: silhouettes of surfaces that lights without area light up have no derivative with primary="warp"; '
+        'take lights with an area, or primary="fixed_ray"'
     )
 
 
 class WarpedCamera:
-    """Term of the camera's segment, by the estimator of those behind the first hit."""
+    """Term of the camera's segment, by the estimator for segments behind the first hit."""
 
     name = "warp"
     refusals = (
@@ -60,7 +60,7 @@ class WarpedCamera:
         self.warp = warp
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces | None:
-        """Raises ValueError for what it does not know."""
+        """State of the estimator; None if nothing moves. Raises ValueError for what is not covered."""
         if not any(context.moving.seen):
             return None
         packed = context.packed
@@ -68,7 +68,7 @@ class WarpedCamera:
         return self.warp.prepare(context, key)
 
     def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
-        """Nothing: what the paths found is differentiated."""
+        """No requests: the term differentiates the contributions that the paths found."""
         return None, key
 
     def image(self, context: Context, state: Faces, chunk: Chunk, held, answers) -> Float[Array, "H W 3"]:
@@ -90,14 +90,14 @@ def warped_camera_term(
 ) -> Float[Array, "N 3"]:
     """Boundary term of the camera's segments of N paths: zero in value, right in derivative.
 
-    `faces` are what `warp.prepare` found; `primary` is in material form, under a smooth filter.
+    `faces` is the result of `warp.prepare`. `primary` is in material form, with a smooth filter.
     """
     fixed, fixed_view = stop_gradient((packed, primary.view))
     ends = _ends(fixed, fixed_view, primary)
     f = _measure(fixed, fixed_view, record, ends)
     value = f(ends.target)
     lit = (value != 0).any(-1)
-    # A camera lies in no face that could hide anything.
+    # The camera lies in no face, so no face's plane hides anything.
     around = warp.around(fixed, True, fixed.environment is not None, settings.rays)._replace(horizon=False)
     apex = _apex(fixed, fixed_view, ends)
     velocities = hidden_velocities(fixed, faces, apex, ends, lit, around, key)
@@ -110,7 +110,7 @@ def warped_camera_term(
 
 
 def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEnds:
-    """From the camera to first hits, or where there are none to the sphere around it; detached."""
+    """Segments from the camera to first hits, or to a sphere around the camera on a miss; detached."""
     first, direction = stop_gradient((primary.first, primary.direction))
     apex = jnp.broadcast_to(view.position, direction.shape)
     missed = ~first.valid
@@ -127,7 +127,7 @@ def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEn
 
 
 def _apex(packed: PackedScene, view: View, ends: SegmentEnds) -> SurfacePoint:
-    """The camera in the form that `find_occluders` takes: in a plane behind everything that it sees."""
+    """The camera as a surface point for `find_occluders`: in a plane behind everything that it sees."""
     count = ends.infinite.shape[0]
     ones = jnp.ones(count, ends.apex.dtype)
     forward = jnp.broadcast_to(normalize(view.matrix[:, 2]), ends.apex.shape)
@@ -136,9 +136,9 @@ def _apex(packed: PackedScene, view: View, ends: SegmentEnds) -> SurfacePoint:
 
 
 def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentEnds) -> Measure:
-    """Pixel filter x film per area (on the sphere: of it) x radiance towards the camera, over the samples' density.
+    """Pixel filter x film area per surface area (or sphere area) x radiance towards the camera, over the samples' pdf.
 
-    The density is that of the filter: of the first two factors only their change is left.
+    The pdf is that of the filter. So the first two factors over the pdf are one in value; only their derivative counts.
     """
     count = ends.infinite.shape[0]
     far = ends.infinite[:, None]
@@ -171,14 +171,14 @@ def _measure(packed: PackedScene, view: View, record: PathRecord, ends: SegmentE
 
 
 def _pixel_centres(view: View, count: int) -> Float[Array, "N 2"]:
-    """Of N samples, those of a pixel in a row, as `primary_samples` has them."""
+    """Pixel centres of N samples, in the order of `primary_samples`: the samples of a pixel are in a row."""
     x0, y0, width, height = view.film.window
     row, column = jnp.divmod(jnp.arange(count) // (count // (width * height)), width)
     return jnp.stack([column + x0, row + y0], -1) + 0.5
 
 
 def _displacement(packed: PackedScene, view: View, far: Bool[Array, " C"], seen: Hidden) -> Float[Array, "C 3"]:
-    """As `divergence.displacement`, seen from a camera: on the sphere, points that are fixed on the film stay."""
+    """Like `divergence.displacement`, from a camera. On the sphere, points that are fixed on the film do not move."""
     apex = jnp.broadcast_to(view.position, seen.position.shape)
     moved = displacement(packed, apex, jnp.zeros_like(far), seen)
     if packed.environment is None:

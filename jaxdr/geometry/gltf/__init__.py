@@ -1,1 +1,1 @@
-"""glTF files as they are stored: `document`, `accessors`, `nodes`, `primitives`; `parts` is all their triangles."""
+"""Reading glTF files: `document`, `accessors`, `nodes`, `primitives`; `parts` has all triangles of a file."""

@@ -12,7 +12,7 @@ INDEX_TYPES = (5121, 5123, 5125)
 
 
 def read_accessor(document: Document, index: Any, place: str, *types: str) -> np.ndarray:
-    """The values [n, size] of an accessor, of one of the `types` ("VEC3", ...); normalised integers become floats."""
+    """The values [n, size] of an accessor of one of the `types` ("VEC3", ...). Normalised integers become floats."""
     accessor = document.item("accessors", index, place)
     with document.at(f"{place}: accessor {index}"):
         _check(accessor, types)
@@ -30,7 +30,7 @@ def read_indices(document: Document, index: Any, place: str) -> np.ndarray:
 
 
 def normalized(accessor: dict, values: np.ndarray) -> np.ndarray:
-    """Floats of integers that an accessor declares to be shares of their type's range; others as they are."""
+    """Floats for integers that an accessor declares to be shares of their type's range; other values unchanged."""
     if not accessor.get("normalized", False) or values.dtype.kind == "f":
         return values
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
@@ -59,7 +59,7 @@ def _stored(document: Document, accessor: dict, place: str) -> np.ndarray:
 
 
 def _with_sparse(document: Document, sparse: dict, values: np.ndarray, place: str) -> np.ndarray:
-    """The values with those rows replaced that a sparse accessor stores on their own."""
+    """The values, with the rows replaced that a sparse accessor stores separately."""
     count, rows, new = whole(sparse, "count"), sparse["indices"], sparse["values"]
     if whole(rows, "componentType") not in INDEX_TYPES:
         raise ValueError(f"sparse indices must be unsigned integers, not of componentType {rows['componentType']}")
@@ -76,7 +76,7 @@ def _with_sparse(document: Document, sparse: dict, values: np.ndarray, place: st
 
 
 def _array(data: bytes, dtype: np.dtype, shape: tuple[int, int], offset: int, stride: int | None) -> np.ndarray:
-    """Rows of a table in bytes. Raises ValueError where it is not all there."""
+    """Rows of a table in bytes. Raises ValueError if bytes are missing."""
     row = dtype.itemsize * shape[1]
     step = stride or row
     end = offset + step * (shape[0] - 1) + row

@@ -10,15 +10,15 @@ FILTERS = {"OCTAHEDRAL": "decode_filter_oct", "QUATERNION": "decode_filter_quat"
 
 
 def meshopt_extension(view: dict) -> dict | None:
-    """How a buffer view is compressed; None where it is not."""
+    """The meshopt extension of a buffer view; None if the view is not compressed."""
     extensions = view.get("extensions", {})
     return next((extensions[name] for name in MESHOPT if name in extensions), None)
 
 
 def meshopt_view(extension: dict, data: bytes) -> bytes:
-    """The bytes that a buffer view compressed by meshopt stands for."""
+    """The decompressed bytes of a buffer view that meshopt compressed. Raises ValueError if that is impossible."""
     try:
-        import meshoptimizer
+        import meshoptimizer  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ValueError(
             f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install "jaxdr[meshopt]" '
@@ -47,7 +47,7 @@ def has_draco() -> bool:
 
 
 def draco_mesh(extension: dict, data: bytes) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(attributes by name [n, size], faces [F, 3]) of a primitive's Draco data; integers are as they are stored."""
+    """(attributes by name [n, size], faces [F, 3]) of a primitive's Draco data; integers are not normalised."""
     import DracoPy
 
     mesh: Any = DracoPy.decode(data)

@@ -1,4 +1,4 @@
-"""A glTF file as it is stored: its JSON, its buffers, and the places that error messages name."""
+"""A glTF file: its JSON, its buffers, and errors that name the place in the file."""
 
 import base64
 import binascii
@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxdr.geometry.gltf.compression import meshopt_extension, meshopt_view
 
-# What a broken file makes NumPy, JSON and look-ups raise.
+# Exceptions that NumPy, JSON and look-ups raise for a damaged file.
 DAMAGE = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, struct.error, RuntimeError)
 KINDS = (
     *("accessors", "buffers", "bufferViews", "cameras", "images", "materials", "meshes", "nodes", "samplers", "scenes"),
@@ -29,7 +29,7 @@ class GltfError(ValueError):
 
 
 class Document:
-    """The JSON of a file, `header`, and its buffers, read when they are asked for."""
+    """The JSON of a file (`header`) and its buffers, which are read when they are needed."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -61,7 +61,7 @@ class Document:
 
     @contextlib.contextmanager
     def at(self, place: str) -> Iterator[None]:
-        """Give whatever a damaged file raises inside its place, unless it names one already."""
+        """Raise errors of the block again as `GltfError` with this place, unless they name a place already."""
         try:
             yield
         except GltfError:
@@ -78,14 +78,14 @@ class Document:
         return self.header.get(kind, [])
 
     def item(self, kind: str, index: Any, place: str) -> dict:
-        """Number `index` of such a list. `place` is what refers to it, for the error where there is none."""
+        """Item `index` of a top-level list. `place`, which refers to it, is for the error if there is no such item."""
         items = self.items(kind)
         if not isinstance(index, int) or not 0 <= index < len(items):
             raise self.error(place, f"refers to {_singular(kind)} {index}; there are {len(items)}")
         return items[index]
 
     def label(self, kind: str, index: int) -> str:
-        """What messages call an object: its kind, with its name or else its number."""
+        """The label of an object in messages: its kind, with its name or else its number."""
         name = self.items(kind)[index].get("name")
         return f"{_singular(kind)} {name!r}" if name else f"{_singular(kind)} {index}"
 
@@ -115,7 +115,7 @@ class Document:
                 elif index == 0 and self._chunk is not None:
                     data = self._chunk
                 else:
-                    raise self.error(label, "has no data: neither a uri, nor is it the binary chunk of a .glb")
+                    raise self.error(label, "has no data: neither a uri, nor the binary chunk of a .glb")
                 if len(data) < length:
                     raise self.error(label, f"has {len(data)} of its {length} bytes; the file is cut off")
                 self._buffers[index] = data[:length]

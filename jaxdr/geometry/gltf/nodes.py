@@ -1,4 +1,4 @@
-"""The tree of nodes of a glTF file: where each is in the world, and the instances it stands for."""
+"""The tree of nodes of a glTF file: their matrices to the world, and their instances."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ Matrix = Float[np.ndarray, "4 4"]
 
 @dataclasses.dataclass
 class Node:
-    """A node of the scene, with its node-to-world matrix; `label` is what messages call it."""
+    """A node of the scene, with its node-to-world matrix; `label` is its name in messages."""
 
     header: dict
     to_world: Matrix
@@ -24,7 +24,7 @@ class Node:
 
 
 def scene_nodes(document: Document, places: list[Matrix]) -> list[Node]:
-    """The visible nodes of the file's default scene, parents first; `places` are those of `world_matrices`."""
+    """The visible nodes of the file's default scene, parents first; `places` is the result of `world_matrices`."""
     nodes = document.items("nodes")
     if "scenes" in document.header:
         scene = document.item("scenes", document.header.get("scene", 0), "scene")
@@ -40,14 +40,14 @@ def scene_nodes(document: Document, places: list[Matrix]) -> list[Node]:
             raise document.error("scene", f"{document.label('nodes', index)} is in it twice")
         seen.add(index)
         if not header.get("extensions", {}).get(VISIBILITY, {}).get("visible", True):
-            continue  # with all below it
+            continue  # leave out the nodes below it as well
         found.append(Node(header, places[index], document.label("nodes", index)))
         waiting += reversed(header.get("children", []))
     return found
 
 
 def world_matrices(document: Document) -> list[Matrix]:
-    """The node-to-world matrices of all nodes. A node with two parents, or below itself, is an error."""
+    """The node-to-world matrices of all nodes. Raises `GltfError` for a node with two parents, or below itself."""
     nodes = document.items("nodes")
     parent: dict[int, int] = {}
     for index, node in enumerate(nodes):
@@ -70,7 +70,7 @@ def world_matrices(document: Document) -> list[Matrix]:
 
 
 def instance_matrices(document: Document, node: Node) -> Float[np.ndarray, "n 4 4"]:
-    """The mesh-to-world matrices of a node: one, or those of its instances (EXT_mesh_gpu_instancing)."""
+    """The mesh-to-world matrices of a node: one matrix, or one for each instance (EXT_mesh_gpu_instancing)."""
     extension = node.header.get("extensions", {}).get(INSTANCING)
     if extension is None:
         return node.to_world[None]
@@ -94,7 +94,7 @@ def instance_matrices(document: Document, node: Node) -> Float[np.ndarray, "n 4 
 def placements(
     translation: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"], scale: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Translation · rotation (quaternions x, y, z, w) · scale."""
+    """Matrices translation · rotation (quaternions x, y, z, w) · scale. Raises ValueError for zero quaternions."""
     length = np.linalg.norm(rotation, axis=1, keepdims=True)
     if not (length > 0).all():
         raise ValueError("a rotation is the zero quaternion")
@@ -113,7 +113,7 @@ def placements(
 
 
 def _own_matrices(document: Document) -> list[Matrix]:
-    """All nodes' `matrix` (stored by columns), or translation, rotation and scale."""
+    """The matrix of every node: its `matrix` (stored by columns), or its translation, rotation and scale."""
     nodes, parts = (
         document.items("nodes"),
         {"translation": (0.0, 0, 0), "rotation": (0.0, 0, 0, 1), "scale": (1.0, 1, 1)},

@@ -1,4 +1,4 @@
-"""All triangles of a glTF file, in the world, in the file's default pose."""
+"""All triangles of a glTF file in world space, in the file's default pose."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +12,13 @@ from jaxdr.geometry.gltf.document import Document
 from jaxdr.geometry.gltf.nodes import INSTANCING, VISIBILITY, instance_matrices, named, scene_nodes, world_matrices
 from jaxdr.geometry.gltf.primitives import is_triangles, joint_matrices, read_primitive, skinned
 
-QUANTIZATION = "KHR_mesh_quantization"  # accessors of any type are read
+QUANTIZATION = "KHR_mesh_quantization"  # needs no code: accessors of any type are read
 READ = (DRACO, *MESHOPT, INSTANCING, VISIBILITY, QUANTIZATION)
 NOT_OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 
 
 class StoredPart(NamedTuple):
-    """A primitive at a node: world positions, faces, UVs whose v goes up, and stored world normals of any length."""
+    """A primitive at a node: world positions, faces, UVs with v upwards, and stored world normals of any length."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -29,7 +29,7 @@ class StoredPart(NamedTuple):
 def read_stored_parts(path: Path) -> Iterator[StoredPart]:
     """The triangles of all primitives of all nodes and their instances; points and lines are left out.
 
-    Raises ValueError for a damaged file, with the place in it, and for required extensions that may change meshes.
+    Raises ValueError for a damaged file, with the place in it, and for unknown extensions that the file requires.
     """
     document = Document(path)
     with document.at("the JSON"):
@@ -56,7 +56,7 @@ def read_stored_parts(path: Path) -> Iterator[StoredPart]:
 
 
 def _placed(attributes: dict, positions: np.ndarray, faces: np.ndarray, matrix: np.ndarray) -> StoredPart:
-    """The vertices that faces use, in the world. A mirroring matrix turns the faces over."""
+    """The primitive in world space, with the vertices that its faces use. A matrix that mirrors reverses the faces."""
     used, faces = np.unique(faces, return_inverse=True)
     faces, linear, positions = faces.reshape(-1, 3), matrix[:3, :3], positions[used]
     uvs, normals = (None if name not in attributes else attributes[name][used] for name in ("TEXCOORD_0", "NORMAL"))

@@ -1,4 +1,4 @@
-"""Primitives of glTF meshes as they are stored: attributes at vertices and triangles, in the file's default pose."""
+"""Primitives of glTF meshes: triangles and attributes of their vertices, in the file's default pose."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ from jaxdr.geometry.gltf.accessors import normalized, read_accessor, read_indice
 from jaxdr.geometry.gltf.compression import DRACO, draco_mesh, has_draco
 from jaxdr.geometry.gltf.document import Document
 
-TRIANGLES, STRIP, FAN = 4, 5, 6  # the modes below are points and lines
-# What may be stored at vertices, up to a number after the name.
+TRIANGLES, STRIP, FAN = 4, 5, 6  # lower modes are points and lines
+# The types of attributes, by name without its number.
 TYPES = {
     "POSITION": ("VEC3",),
     "NORMAL": ("VEC3",),
@@ -25,7 +25,7 @@ TYPES = {
 
 @dataclasses.dataclass
 class Primitive:
-    """What a primitive stores: its `attributes` [V, k] by name, and `faces`; `label` is what messages call it."""
+    """A primitive: its `attributes` [V, k] by name, and its `faces`; `label` is its name in messages."""
 
     header: dict
     attributes: dict[str, np.ndarray]
@@ -68,7 +68,7 @@ def read_primitive(
 
 
 def triangles(indices: Int[np.ndarray, " n"], mode: int) -> Int[np.ndarray, "F 3"]:
-    """The faces of a list, a strip or a fan; those of strips and fans that only lead from one part to the next go."""
+    """The faces of a list, a strip or a fan. Degenerate faces, which only connect parts of a strip, are left out."""
     if mode == TRIANGLES:
         if len(indices) % 3:
             raise ValueError(f"has {len(indices)} corners of triangles, which is not a multiple of 3")
@@ -79,7 +79,7 @@ def triangles(indices: Int[np.ndarray, " n"], mode: int) -> Int[np.ndarray, "F 3
         faces = np.stack([indices[1:-1], indices[2:], np.full(len(indices) - 2, indices[0])], 1)
     else:
         faces = np.stack([indices[:-2], indices[1:-1], indices[2:]], 1)
-        faces[1::2, 1:] = faces[1::2, :0:-1]  # every second one turns the other way
+        faces[1::2, 1:] = faces[1::2, :0:-1]  # every second face has the opposite orientation
     distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     return faces[distinct]
 
@@ -92,7 +92,10 @@ def _attribute(document: Document, index: Any, name: str, place: str) -> np.ndar
 
 
 def _draco(document: Document, primitive: dict, label: str) -> tuple[dict, np.ndarray] | None:
-    """What Draco's data in a primitive says; None where there is none, or where the same data is there uncompressed."""
+    """(attributes, faces) of a primitive's Draco data; None without it.
+
+    Also None without DracoPy if the file has the same data uncompressed.
+    """
     extension = primitive.get("extensions", {}).get(DRACO)
     if extension is None:
         return None
@@ -106,14 +109,14 @@ def _draco(document: Document, primitive: dict, label: str) -> tuple[dict, np.nd
             )
         try:
             attributes, faces = draco_mesh(extension, document.view(extension["bufferView"], label))
-        except Exception as error:  # DracoPy's own, for damaged data
+        except Exception as error:  # DracoPy has its own exceptions for damaged data
             raise ValueError(f"its data can't be decoded ({error})") from error
         accessors = {name: document.item("accessors", primitive["attributes"][name], label) for name in attributes}
         return {name: normalized(accessors[name], values) for name, values in attributes.items()}, faces
 
 
 def _morph(document: Document, primitive: dict, found: dict, label: str, weights: Sequence[float | int] | None) -> None:
-    """Add the morph targets' offsets by their weights. Normals are computed from the vertices anyway."""
+    """Add the weighted offsets of the morph targets. Normals have none: they are computed from the vertices."""
     targets = primitive.get("targets", [])
     if not targets or weights is None or not any(weights):
         return
@@ -148,7 +151,7 @@ def skinned(document: Document, primitive: Primitive, joints: Float[np.ndarray, 
 
 
 def joint_matrices(document: Document, skin_index: Any, places: list, label: str) -> Float[np.ndarray, "n 4 4"]:
-    """The joint matrices of a skin, with its joints where their nodes are; `places` are the nodes' matrices."""
+    """The joint matrices of a skin, with the joints at their nodes; `places` are the matrices of all nodes."""
     skin = document.item("skins", skin_index, label)
     place = document.label("skins", skin_index)
     with document.at(place):

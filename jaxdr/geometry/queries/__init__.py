@@ -1,9 +1,9 @@
-"""Ray and edge queries: which face a ray hits, what is free, which edges lie near a point or cross a chord.
+"""Ray and edge queries: which face a ray hits, whether a ray is free, which edges lie near a point or cross a chord.
 
-The library calls `api`: it detaches the inputs, chooses an implementation, and batches under `vmap`. Questions and
-answers are the records of `records`; answers have no derivative, and the caller evaluates hits again in JAX. Behind the
-interface are `embree` (nearest hits and occlusion on CPUs), `warp` (all queries, on CPU and GPU) and `jax` (all of
-them, plain: the reference). `bvh_cache` keeps what the first two build, by the content of the geometry.
+The library calls `api`. It detaches the inputs, chooses an implementation, and batches under `vmap`. `records` has the
+types of inputs and answers. Answers have no derivative; the caller evaluates hits again in JAX. The implementations are
+`embree` (nearest hits and occlusion on CPUs), `warp` (all queries, on CPU and GPU) and `jax` (all queries in plain JAX,
+the reference). `bvh_cache` keeps the structures of the first two, by the content of the geometry.
 """
 
 from jaxdr.geometry.queries.api import ANSWER as ANSWER

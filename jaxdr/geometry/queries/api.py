@@ -1,10 +1,10 @@
-"""Ray queries: one interface, three implementations (`embree`, `warp`, `jax`), and `auto` for the first there is.
+"""Ray queries: one interface, three implementations (`embree`, `warp`, `jax`), and `auto` for the first available one.
 
-`embree` traces nearest hits and occlusion on the CPU, two to three times as fast as Warp, which does everything else.
+`embree` traces nearest hits and occlusion on the CPU, faster than Warp, which does everything else.
 
-Queries answer discrete questions in float32 (which face, which edge, occluded or not) and have no derivative: their
-inputs are detached here, and the caller re-evaluates the hit in JAX. Under `vmap` a batch of rays against one geometry
-becomes one larger batch of rays.
+Queries answer discrete questions in float32 (which face, which edge, occluded or not) and have no derivative. Their
+inputs are detached here, and the caller evaluates the hit again in JAX. Under `vmap` a batch of rays against one
+geometry becomes one larger batch of rays.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ from jaxdr.geometry.queries.records import (
 
 IMPLEMENTATIONS = ("embree", "warp", "jax")
 CHOICES = ("auto", *IMPLEMENTATIONS)
-ANSWER = "answer of a query"  # its name among the values that reverse mode may keep
+ANSWER = "answer of a query"  # the name of answers among the values that reverse mode may keep
 
 
 def _module(implementation: str) -> Any:
@@ -45,12 +45,12 @@ def _module(implementation: str) -> Any:
     if implementation == "jax":
         return jax_queries
     if implementation == "warp":
-        # Imported on use: a GPU that Warp does not know needs only `jax`.
+        # Imported here, because it fails on GPUs that Warp does not support; they use `jax`.
         from jaxdr.geometry.queries.warp import queries as warp_queries
 
         return warp_queries
     if implementation == "embree":
-        embree_scene.library()  # here, where an error reaches the caller
+        embree_scene.library()  # called here, because an error in a callback would not reach the caller
         from jaxdr.geometry.queries.embree import queries as embree_queries
 
         return embree_queries
@@ -68,28 +68,28 @@ def _discrete(records):
 
 
 def _asked(query: Callable, fixed: tuple, rows: tuple = (), **options: Any) -> Any:
-    """`query(*fixed, *rows, **options)` of detached arrays; see `batches.asked`."""
+    """`query(*fixed, *rows, **options)` with detached arrays; see `batches.asked`."""
     answers = asked(partial(query, **options), _discrete(fixed), _discrete(rows))
     return jax.tree.map(lambda answer: checkpoint_name(answer, ANSWER), answers)
 
 
 def rematerialised(function: Callable) -> Callable:
-    """The same function; reverse mode keeps its arguments and the answers of its queries, and computes the rest again.
+    """The same function. Reverse mode keeps its arguments and the answers of its queries, and computes the rest again.
 
-    For the body of a loop: XLA writes what is kept of every turn to memory, and compiles a kernel for each such array.
-    Arithmetic is faster done twice.
+    It is for bodies of loops. XLA writes every array that is kept to memory in every iteration, and compiles a kernel
+    for each. To repeat the arithmetic is faster.
     """
     return jax.checkpoint(function, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names(ANSWER))
 
 
 def closest_hit(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Hit:
-    """The nearest face on each ray; t counts in lengths of `direction`."""
+    """The nearest face on each ray; t is in lengths of `direction`."""
     face, t, barycentric = _asked(_module(implementation).closest_hit, (geometry,), (rays,))
     return Hit(face, t.astype(rays.reach.dtype), barycentric.astype(rays.reach.dtype))
 
 
 def occluded(geometry: Geometry, rays: Rays, implementation: str = "auto") -> Bool[Array, " N"]:
-    """Whether any face lies on each ray; a ray of no `reach` is free."""
+    """Whether any face lies on each ray; a ray of zero `reach` is free."""
     return _asked(_module(implementation).occluded, (geometry,), (rays,))
 
 
@@ -98,7 +98,7 @@ def projections(
 ) -> Projections:
     """All projections of points onto the faces of a shape, by its number in `face_shape`.
 
-    The nearest `capacity` of them and how many there are; but with `jax` a warning tells where there are more.
+    The nearest `capacity` projections are returned. If there are more, a warning says so, except with `jax`.
     """
     query = _module(implementation).projections
     return Projections(*_asked(query, (geometry, face_shape), (lines,), capacity=capacity))
@@ -107,7 +107,7 @@ def projections(
 def edge_tree(
     geometry: Geometry, edges: EdgeSet, counts: Sequence[int] | None = None, implementation: str = "auto"
 ) -> EdgeTree:
-    """The tree over edges for the present vertices, as `build_edge_tree` (the plain implementation) describes it."""
+    """The tree over edges for the current vertices, as described in `build_edge_tree`, the plain implementation."""
     vertices = geometry.vertices
     if implementation == "jax":
         return build_edge_tree(vertices, edges.ends, edges.opposite, edges.interior, edges.rank, counts)
@@ -127,10 +127,13 @@ def edge_candidates(
 ) -> Candidates:
     """Silhouette edges, seen from `apex`, whose projection onto the plane (target, normal) passes near `target`.
 
-    An edge counts for a segment when all its faces lie on one side of the plane through apex and edge and the target on
-    the other (or anywhere, with `both_sides`), it lies between the apex and the target's plane, and the foot of the
-    perpendicular from the target onto its projection is on the projection, less than the kernel radius away, see
-    `StripQuery`. `rank` of an edge is its radius.
+    An edge counts for a segment if all of these hold:
+
+    - All its faces lie on one side of the plane through apex and edge, and the target on the other (or anywhere, with
+      `both_sides`).
+    - It lies between the apex and the target's plane.
+    - The foot of the perpendicular from the target onto its projection is on the projection, less than the kernel
+      radius away; see `StripQuery`. The `rank` of an edge is its radius.
     """
     query = _module(implementation).edge_candidates
     options = {"capacity": capacity, "both_sides": both_sides}
@@ -149,7 +152,7 @@ def point_candidates(
 ) -> Candidates:
     """Points on silhouette edges whose projection from `apex` onto the plane (target, normal) is near `target`.
 
-    As `edge_candidates`, with a disc around the projected point in place of a strip along the projected edge.
+    Like `edge_candidates`, with a disc around the projected point instead of a strip along the projected edge.
     """
     query = _module(implementation).point_candidates
     options = {"capacity": capacity, "both_sides": both_sides}
@@ -168,22 +171,22 @@ def sector_crossings(
 ) -> SectorCrossings:
     """Where silhouettes, seen from `apex`, cross chords from `first` to `last` and bound what is visible of them.
 
-    All edges that cut the planar sector (apex, chord) are found; with quantitative invisibility (Appel 1967) the layers
-    of surface in front of the chord are counted from its point at the share `centre`, which should be a random one, in
-    both directions; a crossing counts where the number of layers changes between zero and more. For that surfaces may
-    be open or closed, several at an edge, nested or interpenetrating: what they hide of a chord is the union of their
-    shadows. Nothing but the faces of its `group` may pierce the chord itself; if something does, that is no edge and
-    missing, and crossings between it and the centre may be judged wrongly.
+    All edges that cut the planar sector (apex, chord) are found. Quantitative invisibility (Appel 1967) counts the
+    layers of surface in front of the chord, in both directions from its point at the fraction `centre`, which should be
+    random. A crossing counts if the number of layers changes between zero and more. Surfaces may be open or closed,
+    nested or interpenetrating, and several may meet at an edge: they hide the union of their shadows on the chord. Only
+    the faces of the chord's `group` may pierce the chord. If other faces do, this is no edge, so its crossing is
+    missing, and crossings between it and the centre may be wrong.
 
-    - `rank` of an edge: 0 for edges that are left out, up to `least_layer` for those that only hide others, above
-      for those that count. Where `needed` of a chord is larger than `least_layer` lower edges are not even looked at,
-      and a ray past each edge decides.
-    - `group` of a chord: the number in `face_group` of the plane that it lies in, whose faces hide nothing; `NO_GROUP`
-      for none; `UNBOUNDED` where the sector goes on beyond the chord: then all visible silhouettes in it count, hidden
-      ones being told by rays that stop short of the edge.
+    - `rank` of an edge: 0 leaves it out; up to `least_layer` it only hides other edges; above that it counts. If
+      `needed` of a chord is larger than `least_layer`, edges of lower rank are not looked at, and a ray past each edge
+      decides.
+    - `group` of a chord: the number in `face_group` of its plane, whose faces hide nothing; `NO_GROUP` for none;
+      `UNBOUNDED` if the sector goes on beyond the chord. Then all visible silhouettes in it count, and rays that stop
+      short of the edge find hidden ones.
 
-    `tree` is `edge_tree` of the same vertices and edges with `rank` for its radii. Inconsistent counts, which rounding
-    may cause, are resolved by rays past each edge.
+    The tree of `edges` is `edge_tree` of the same vertices and edges, with `rank` as radius. Rounding may make counts
+    inconsistent; then rays past each edge decide.
     """
     query = _module(implementation).sector_crossings
     fixed = geometry, edges, face_group, sectors, seed

@@ -1,7 +1,7 @@
-"""Queries for batches: `vmap` makes longer lists of them, and devices that share a batch answer their share of it.
+"""Queries for batches: `vmap` makes longer lists of queries, and each device answers its own part of a batch.
 
-A query is a call of another library, which XLA would repeat on every device. Of batches that are sharded over devices
-(`jit` of a `vmap` over sharded keys, say) each device asks for its own part.
+A query is a call of another library, which XLA would repeat on every device. If a batch is sharded over devices (for
+example `jit` of a `vmap` over sharded keys), each device calls the library for its own part.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from jaxdr import loops
 
 
 class _Query(NamedTuple):
-    """`function(*fixed, *rows)` of the leaves of `structure`; `is_row` says of each leaf whether it is a list."""
+    """`function(*fixed, *rows)` of the leaves of `structure`; `is_row` says which leaves belong to `rows`."""
 
     function: Callable
     structure: Any
@@ -25,9 +25,9 @@ class _Query(NamedTuple):
 
 
 def asked(query: Callable, fixed: tuple, rows: tuple = ()) -> Any:
-    """`query(*fixed, *rows)`, arrays in records. Under `vmap` batches of `rows` alone become longer ones.
+    """`query(*fixed, *rows)` of arrays in records. Under `vmap`, if only `rows` are batched, they become longer.
 
-    Other batches, and those of a query without `rows`, run one by one. Results have as many rows as `rows`, or none.
+    Other batches run one by one. Results have as many rows as `rows`, if there are any.
     """
     leaves, structure = jax.tree.flatten((fixed, rows))
     ends = len(jax.tree.leaves(fixed))
@@ -36,7 +36,7 @@ def asked(query: Callable, fixed: tuple, rows: tuple = ()) -> Any:
 
 
 def _call(query: _Query, batched: tuple[bool, ...]) -> Callable:
-    """The query as a function of its leaves; where `batched` they have an axis in front, and so have the results."""
+    """The query as a function of its leaves. `batched` leaves, and then the results, have an additional first axis."""
 
     def once(*leaves):
         fixed, rows = jax.tree.unflatten(query.structure, leaves)
@@ -64,7 +64,7 @@ def _call(query: _Query, batched: tuple[bool, ...]) -> Callable:
 
     @function.def_vmap
     def more(size, added, *leaves):
-        """Another axis in front; together with one that is there they are one."""
+        """Add another first axis, and merge it with the one that is there."""
         inner = next((leaf.shape[a] for leaf, a, b in zip(leaves, added, batched, strict=True) if b), 1)
         both = tuple(a or b for a, b in zip(added, batched, strict=True))
 
@@ -84,7 +84,7 @@ def _call(query: _Query, batched: tuple[bool, ...]) -> Callable:
 
 
 def _divided(function: Callable, batched: tuple[bool, ...]) -> Callable:
-    """The same function; devices that share the batch call it for their own part of it."""
+    """The same function, which each device calls for its own part of the batch."""
     divided = custom_partitioning(function)
 
     def partition(mesh, arguments, results):
@@ -94,7 +94,7 @@ def _divided(function: Callable, batched: tuple[bool, ...]) -> Callable:
         return mesh, function, jax.tree.map(lambda _: share, results), wanted
 
     def rule(mesh, arguments, results):
-        """Shardy's: the axis in front is one for all, and all others are whole on every device."""
+        """Shardy's rule: all arrays share the first axis, and other axes are whole on every device."""
         names = (f"a{i}" for i in range(1000))
         others = []
 
@@ -112,6 +112,6 @@ def _divided(function: Callable, batched: tuple[bool, ...]) -> Callable:
 
 
 def _first(sharding) -> Any:
-    """The mesh axes over which the axis in front is divided, or None."""
+    """The mesh axes over which the first axis is divided, or None."""
     spec = sharding.spec
     return spec[0] if len(spec) else None

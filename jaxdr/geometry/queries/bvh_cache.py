@@ -1,10 +1,10 @@
 """Acceleration structures kept between calls, found by the *content* of the arrays they were built from.
 
-A ray query is a pure function of its arrays. Building a BVH for every call would be slow, so built ones are kept and
-reused when every byte of the input agrees (one memory comparison, a few ms at a million triangles). Moved vertices,
-interleaved geometries and several threads therefore get their own hits by construction.
+A ray query is a pure function of its arrays. To build a BVH for every call would be slow. So BVHs are kept, and reused
+if every byte of the input agrees, which is one fast comparison of memory. So moved vertices, interleaved geometries and
+several threads always get their own hits.
 
-Where the arrays are (on the host, on a GPU) is the matter of `Arrays`.
+`Arrays` deals with the place of the arrays (on the host, on a GPU).
 """
 
 import contextlib
@@ -23,34 +23,37 @@ def _same(a: np.ndarray, b: np.ndarray) -> bool:
 
 @runtime_checkable
 class Arrays(Protocol):
-    """How a cache compares and keeps arrays, and when it may change what was built from them."""
+    """How a cache compares and copies arrays, and when it may change structures that were built from them."""
 
     def agree(self, kept: Sequence[Any], given: Sequence[Any]) -> Iterator[bool]:
         """Whether arrays are equal bit by bit, pair by pair."""
         ...
 
     def copies(self, given: Sequence[Any]) -> list[Any]:
-        """Copies that nobody else writes to."""
+        """Copies that no other code writes to."""
         ...
 
     def changes(self) -> contextlib.AbstractContextManager:
-        """Structures are built, refitted and dropped inside of it: nobody uses them then, and all are ready after."""
+        """A context in which structures are built, refitted and dropped.
+
+        Inside it no structure is in use. After it all are ready.
+        """
         ...
 
 
 class HostArrays:
-    """NumPy arrays, and structures whose users are done when they let go of the cache's lock."""
+    """NumPy arrays, and structures that are not in use when the cache's lock is free."""
 
     def agree(self, kept: Sequence[np.ndarray], given: Sequence[np.ndarray]) -> Iterator[bool]:
-        """Whether arrays are equal bit by bit; no more pairs are looked at than the caller asks for."""
+        """Whether arrays are equal bit by bit, lazily: only pairs that the caller asks for are compared."""
         return (_same(a, b) for a, b in zip(kept, given, strict=True))
 
     def copies(self, given: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Copies that nobody else writes to."""
+        """Copies that no other code writes to."""
         return [np.array(a) for a in given]
 
     def changes(self) -> contextlib.AbstractContextManager:
-        """Nothing to wait for."""
+        """An empty context: there is nothing to wait for."""
         return contextlib.nullcontext()
 
 
@@ -65,9 +68,10 @@ class _Entry:
 class BVHCache:
     """Least recently used acceleration structures.
 
-    `build(moving, topology)` makes one; `refit(structure, moving)` adapts one in place when only the `moving` arrays
-    changed. A structure is rebuilt after `max_refits`, since refitting keeps the tree of the old shape. Callers hold
-    `lock` from `find` to the end of the launch: with what `Arrays.changes` waits for, no structure in use is refitted.
+    `build(moving, topology)` makes a structure. `refit(structure, moving)` adapts it in place if only the `moving`
+    arrays have changed. After `max_refits` it is built anew, since refitting keeps the tree of the old shape. Callers
+    hold `lock` from `find` to the end of the launch. Together with `Arrays.changes` this ensures that no structure in
+    use is refitted.
     """
 
     def __init__(
@@ -100,7 +104,7 @@ class BVHCache:
         return entry.structure
 
     def _search(self, moving, topology) -> tuple[_Entry | None, list[_Entry]]:
-        """(the entry of these arrays if there is one, those of the same topology, the most recently used first)."""
+        """(the entry of these arrays if there is one, entries of the same topology, the most recently used first)."""
         kin = []
         for entry in reversed(self.entries):
             agree = self.arrays.agree([*entry.topology, *entry.moving], [*topology, *moving])
@@ -111,10 +115,10 @@ class BVHCache:
         return None, kin
 
     def _entry(self, kin: list[_Entry], moving, topology) -> _Entry:
-        """One for new content: the oldest of its `kin` refitted, where there are enough of them, or a new one."""
+        """An entry for new content: the oldest of its `kin`, refitted, if there are enough of them; else a new one."""
         if len(kin) >= self.per_topology:
             oldest = kin[-1]
-            self.entries.remove(oldest)  # before anything can fail: its structure no longer is that of its arrays
+            self.entries.remove(oldest)  # first of all: if the refit fails, the structure no longer fits its arrays
             if oldest.refits < self.max_refits and all(
                 a.shape == b.shape for a, b in zip(oldest.moving, moving, strict=True)
             ):
@@ -122,7 +126,7 @@ class BVHCache:
                 self.refit(oldest.structure, oldest.moving)
                 oldest.refits += 1
                 return oldest
-            del oldest, kin[:]  # the last that knew it: dropped here, where nobody uses it
+            del oldest, kin[:]  # the last references: the structure is dropped here, where it is not in use
         elif len(self.entries) >= self.capacity:
             del self.entries[0]
         moving, topology = self.arrays.copies(moving), self.arrays.copies(topology)

@@ -1,6 +1,6 @@
-"""What ray queries are asked and what they answer, as records of arrays; `api` says what each query does with them.
+"""Inputs and answers of ray queries, as records of arrays; `api` describes the queries.
 
-N rows of rays, segments or sectors; V vertices, F faces, E edges with up to K faces each.
+There are N rows of rays, segments or sectors; V vertices; F faces; E edges with up to K faces each.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ class Geometry(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Rays `origin + t direction`, 0 < t < `reach`; none where that is not positive."""
+    """Rays `origin + t direction`, 0 < t < `reach`. A row without positive reach has no ray."""
 
     origin: Float[Array, "N 3"]
     direction: Float[Array, "N 3"]
@@ -26,7 +26,7 @@ class Rays(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Lines through points along unit normals, no further than `depth` to both sides, and the `shape` that they cross.
+    """Lines through points along unit normals, up to `depth` to both sides, and the `shape` that they are to cross.
 
     A depth of zero leaves a point out.
     """
@@ -38,11 +38,11 @@ class Lines(NamedTuple):
 
 
 class EdgeSet(NamedTuple):
-    """Edges by the numbers of their ends, faces and third corners of these (`opposite`), both -1 padded.
+    """Edges by the numbers of their ends, their faces, and these faces' third corners (`opposite`); padded with -1.
 
-    `interior` edges have two faces that agree about the orientation; only where all their faces face alike are they
-    skipped. `rank` is how much an edge counts, 0 for not at all: its kernel radius, or what the query says. `tree` is
-    `queries.edge_tree` of the same.
+    `interior` edges have two faces that agree on the orientation. Only they can be skipped because both faces face a
+    point, or both face away. `rank` is the importance of an edge, 0 to leave it out: its kernel radius, or as the query
+    says. `tree` is `queries.edge_tree` of the same edges.
     """
 
     ends: Int[Array, "E 2"]
@@ -67,10 +67,10 @@ class EdgePoints(NamedTuple):
 
 
 class StripQuery(NamedTuple):
-    """Segments from `apex` to `target`, in the plane of unit `normal`, and how wide their kernels are.
+    """Segments from `apex` to `target`, the unit `normal` of the plane at the target, and the kernel radii.
 
-    That is r = radius * `scale` (scene units) at an edge, magnified by the projection but to no more than `widest` (to
-    none where that is zero). A scale of zero leaves a segment out.
+    The radius is r = rank * `scale` (scene units) at an edge. The projection magnifies it up to `widest`; if that is
+    smaller than r, the radius is r. A scale of zero leaves a segment out.
     """
 
     apex: Float[Array, "N 3"]
@@ -83,8 +83,8 @@ class StripQuery(NamedTuple):
 class SectorQuery(NamedTuple):
     """Planar sectors between an `apex` and a chord from `first` to `last`.
 
-    `centre`: the share of the chord from where layers are counted. `needed`: the rank from which on edges count, 0 to
-    leave a chord out. `group`: that of the faces that hide nothing, or `NO_GROUP`, `UNBOUNDED`.
+    `centre`: the fraction of the chord from which layers are counted. `needed`: the least rank of edges that count; 0
+    leaves a chord out. `group`: the group of the faces that hide nothing, or `NO_GROUP`, `UNBOUNDED`.
     """
 
     apex: Float[Array, "N 3"]
@@ -96,9 +96,9 @@ class SectorQuery(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """Nearest crossing: `face`, -1 for a miss; ray parameter `t`, huge for a miss; barycentric coordinates in the face.
+    """Nearest hit: `face`, -1 on a miss; ray parameter `t`, huge on a miss; barycentric coordinates in the face.
 
-    The coordinates are kept inside of the face; for a miss they are those of the middle of a face.
+    The coordinates are kept inside the face. On a miss they are those of the middle of a face.
     """
 
     face: Int[Array, " N"]
@@ -107,9 +107,9 @@ class Hit(NamedTuple):
 
 
 class Projections(NamedTuple):
-    """Where lines through points cross a shape: `face`, -1 for none, and signed `height` over the point.
+    """Where lines through points cross a shape: `face` (-1: none), and signed `height` over the point.
 
-    The nearest to the point, sorted; `count` counts all of them, also those beyond the capacity.
+    The crossings nearest to the point are kept, sorted. `count` counts all, also those beyond the capacity.
     """
 
     face: Int[Array, "N C"]
@@ -120,8 +120,8 @@ class Projections(NamedTuple):
 class Candidates(NamedTuple):
     """Compacted (segment, element) pairs; unused slots have `segment` -1.
 
-    `count` is the number of pairs found. When it exceeds the capacity the pairs are thinned at random without bias and
-    `weight` is the inverse of the survival probability, else 1; of two lists that were joined each pair has its own.
+    `count` is the number of pairs found. If it exceeds the capacity, the pairs are thinned at random without bias. Then
+    `weight` is the inverse of the survival probability, else 1. In two lists that were joined each pair has a weight.
     """
 
     segment: Int[Array, " C"]
@@ -131,10 +131,10 @@ class Candidates(NamedTuple):
 
 
 class SectorCrossings(NamedTuple):
-    """Compacted (chord, edge) pairs with the fraction of the way `along` the edge; unused slots have `chord` -1.
+    """Compacted (chord, edge) pairs with the fraction `along` the edge; unused slots have `chord` -1.
 
-    `weight` as in `Candidates`. `counts`: all crossings found, chords whose layers could not be counted consistently,
-    chords of too many crossings (`jax`: crossings left out), nodes of the tree visited, rays cast.
+    `weight` is as in `Candidates`. `counts`: all crossings found; chords with inconsistent layers; chords with too many
+    crossings for one walk (`jax`: crossings left out); nodes of the tree visited; rays cast.
     """
 
     chord: Int[Array, " C"]
@@ -144,8 +144,8 @@ class SectorCrossings(NamedTuple):
     weight: Float[Array, ""]
 
 
-# Groups of faces that a chord looks past, beside those of faces (0, 1, ...).
+# Further values of a chord's `group`, beside the groups of faces (0, 1, ...).
 NO_GROUP, UNBOUNDED = -1, -2
 
-# How far beside an edge visibility rays pass, as a share of the largest coordinate: some 100 float32 roundings.
+# Distance at which visibility rays pass an edge, as a share of the largest coordinate: about 100 float32 roundings.
 BESIDE = 1.2e-5

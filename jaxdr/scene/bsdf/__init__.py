@@ -1,4 +1,4 @@
-"""BSDFs, one model a file. Adding one: a file with a `BSDF` subclass, and its name here."""
+"""BSDFs, one file for each model. A new model is a file with a subclass of `BSDF`, and its name here."""
 
 from jaxdr.scene.bsdf.base import BSDF as BSDF
 from jaxdr.scene.bsdf.base import Adapter as Adapter

@@ -1,8 +1,8 @@
 """The interface of a BSDF, in the local frame of a surface point (z along the shading normal).
 
-All directions point away from the surface. A BSDF is written for points with a leading batch shape: fields carry
-one row for every point when its methods are called (they are gathered by shape, and textures looked up). Choices are
-static fields.
+All directions point away from the surface. A BSDF is written for points with a leading batch shape. When its methods
+are called, its fields have one row for every point: they are gathered by shape, and textures are looked up. Choices,
+such as a distribution, are static fields.
 """
 
 import abc
@@ -21,9 +21,10 @@ from jaxdr.geometry.vector import from_components, z_of
 class DeltaSample(NamedTuple):
     """One delta lobe of a BSDF: all light of one direction `wo` (unit), scattered into one direction.
 
-    `weight` (RGB, no unit) is the radiance that leaves towards wi over that which arrives from `wo`; `probability` that
-    this lobe is chosen, zero where the rest of the BSDF is (then `wo` and `weight` mean nothing). `wo` and `weight` are
-    differentiable in wi and in the fields; the estimate is weight / probability, with the probability detached.
+    `weight` (RGB, no unit) is the radiance that leaves towards wi over that which arrives from `wo`. `probability` is
+    that of choosing this lobe. It is zero where no delta lobe is chosen; then `wo` and `weight` mean nothing. `wo` and
+    `weight` are differentiable in wi and in the fields. The estimate is weight / probability, with the probability
+    detached.
     """
 
     wo: Float[Array, "*n 3"]
@@ -32,7 +33,7 @@ class DeltaSample(NamedTuple):
 
 
 class Rim(NamedTuple):
-    """Where the directions end that are sampled: `axis` · wo > `least`. The axis needs no length."""
+    """A bound of the sampled directions wo: `axis` · wo > `least`. The axis need not have unit length."""
 
     axis: Float[Array, "*n 3"]
     least: Float[Array, "*n"]
@@ -41,9 +42,10 @@ class Rim(NamedTuple):
 class BSDF(eqx.Module):
     """Bidirectional scattering distribution function of one surface.
 
-    `transmissive`: it tells the inside (wi.z < 0) from the outside and scatters through the surface; else it is black
-    from behind. `tangential`: the x axis has to be along increasing u (the texture coordinate); else it may be any
-    tangent. `inside`: the BSDFs that an `Adapter` is made of; only such may have any.
+    - `transmissive`: it tells the inside (wi.z < 0) from the outside, and may scatter light through the surface. Any
+      other BSDF is black from behind.
+    - `tangential`: its x axis has to be along increasing u (the texture coordinate). Otherwise it may be any tangent.
+    - `inside`: the BSDFs that an `Adapter` is made of; empty for every other BSDF.
     """
 
     transmissive: ClassVar[bool] = False
@@ -56,10 +58,10 @@ class BSDF(eqx.Module):
 
     @property
     def delta(self) -> bool:
-        """Whether it has delta lobes, as those with a `sample_delta` do.
+        """Whether it has delta lobes: it has some if it defines `sample_delta`.
 
-        `eval` and `pdf` leave them out, and `pdf` integrates to the probability that `sample_delta` chooses none of
-        them, or to less where sampling fails.
+        `eval` and `pdf` leave them out. `pdf` integrates to the probability that `sample_delta` chooses none of them,
+        or to less where sampling fails.
         """
         return type(self).sample_delta is not BSDF.sample_delta
 
@@ -67,7 +69,7 @@ class BSDF(eqx.Module):
     def eval(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """f_s(wi, wo) |cos wo|, RGB; `wi` towards the previous vertex, `wo` the sampled side. Unit: 1/sr.
 
-        For radiance that arrives from `wo`, as a path from the camera meets it: what is refracted is scaled by the
+        It is for radiance that arrives from `wo`, as on paths from the camera. Refracted radiance is scaled by the
         squared ratio of indices (Veach 1997, 5.2).
         """
 
@@ -77,9 +79,9 @@ class BSDF(eqx.Module):
 
     @abc.abstractmethod
     def sample(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
-        """Unit direction `wo` drawn from `pdf`; the zero vector, whose `pdf` is zero, where a sampler fails.
+        """Unit direction `wo` drawn from `pdf`. Where sampling fails it is the zero vector, whose `pdf` is zero.
 
-        Where `sample_delta` chooses a delta lobe for the same `u`, the direction means nothing.
+        The direction means nothing where `sample_delta` chooses a delta lobe for the same `u`.
         """
 
     def sample_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
@@ -87,33 +89,33 @@ class BSDF(eqx.Module):
         return no_delta(wi)
 
     def adjoint_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
-        """The delta lobe that `u` chooses for light that arrives from `wi`, as a path from an emitter meets it.
+        """The delta lobe that `u` chooses for light that arrives from `wi`, as on paths from an emitter.
 
         Direction and probability are those of `sample_delta`. `weight` is the radiance that leaves towards `wo` over
-        that which arrives from `wi`, times the solid angle at `wo` over that at `wi` which it comes from: of mirrors
-        the same, and what is refracted is not scaled by the squared ratio of indices but by that of the cosines
-        (Veach 1997, 5.2).
+        that which arrives from `wi`, times the solid angle at `wo` over the solid angle at `wi` that it comes from. For
+        mirrors that is the weight of `sample_delta`. Refracted light is scaled by the ratio of the cosines, not by the
+        squared ratio of indices (Veach 1997, 5.2).
         """
         return self.sample_delta(wi, u)
 
     def delta_reverses(self, wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
-        """Whether `sample_delta` from `wo` can choose the delta lobe back to `wi`, where it chose `wo` from `wi`."""
+        """Whether `sample_delta` at `wo` can choose the delta lobe to `wi`, if at `wi` it chose the one to `wo`."""
         return jnp.ones(wi.shape[:-1], bool)
 
     def lobe_width(self, wi: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
         """Angle (radians) over which `eval` and `pdf` change little around a sampled direction; at most 1.
 
-        A matter of noise alone: how far from sampled directions line sampling looks for silhouettes. A model with
-        several lobes gives the narrowest. Delta lobes don't count.
+        Line sampling looks for silhouettes within this angle of sampled directions. Only the noise depends on it. A
+        model with several lobes gives the width of the narrowest. Delta lobes don't count.
         """
         return jnp.ones(wi.shape[:-1], wi.dtype)
 
     def rims(self, wi: Float[Array, "*n 3"]) -> tuple[Rim, Rim]:
-        """Bounds of the directions beyond the surface for which `pdf` is positive; for models that are `transmissive`.
+        """Two bounds of the directions beyond the surface for which `pdf` is positive; for `transmissive` models.
 
-        Both hold as well as the horizon. At the first the density goes to zero, about linearly (a matter of noise
-        alone); at the second it may jump. Where there is more density than they say, light is lost. By default there
-        is nothing but the horizon.
+        `pdf` is positive only where both bounds hold, and the horizon too. At the first bound the density goes to zero,
+        about linearly; only the noise depends on that. At the second bound the density may jump. Light is lost if there
+        is density outside the bounds. By default there is no bound but the horizon.
         """
         z = z_of(wi)
         zero = jnp.zeros_like(z)
@@ -122,7 +124,7 @@ class BSDF(eqx.Module):
 
 
 class DeltaBSDF(BSDF):
-    """A BSDF of delta lobes alone."""
+    """A BSDF that has delta lobes only."""
 
     def eval(self, wi, wo):
         return jnp.zeros_like(wo)
@@ -139,7 +141,7 @@ class DeltaBSDF(BSDF):
 
 
 class Adapter(BSDF):
-    """A BSDF made of others, such as the one in a mask or both of a blend. What is not said here has to be written."""
+    """A BSDF made of others, such as a mask or a blend. Subclasses write the methods that are not defined here."""
 
     @property
     def inside(self) -> tuple[BSDF, ...]:
@@ -164,7 +166,7 @@ class Adapter(BSDF):
 
     @abc.abstractmethod
     def adjoint_delta(self, wi: Float[Array, "*n 3"], u: Float[Array, "*n 2"]) -> DeltaSample:
-        """The same for light that arrives from `wi`."""
+        """The delta lobe that `u` chooses for light that arrives from `wi`, if it chooses one."""
 
     def delta_reverses(self, wi, wo):
         reverses = [bsdf.delta_reverses(wi, wo) for bsdf in self.inside if bsdf.delta]
@@ -175,32 +177,32 @@ class Adapter(BSDF):
 
 
 def _bsdfs_in(model: BSDF) -> list[BSDF]:
-    """Those in the fields of a model, but not those inside of them."""
+    """The BSDFs in the fields of a model, but not those inside of these."""
     leaves = jax.tree.leaves(model, is_leaf=lambda part: isinstance(part, BSDF) and part is not model)
     return [leaf for leaf in leaves if isinstance(leaf, BSDF)]
 
 
 def only_delta(bsdf: BSDF) -> bool:
-    """Whether a BSDF, with those inside it, has delta lobes alone."""
+    """Whether a BSDF and those inside it have delta lobes only."""
     return isinstance(bsdf, DeltaBSDF) or (bool(bsdf.inside) and bsdf.delta and all(map(only_delta, bsdf.inside)))
 
 
 def has_lobe(bsdf: BSDF) -> bool:
-    """Whether a BSDF, or one inside it, has a lobe that may be narrow and is no delta lobe: it says how wide."""
+    """Whether a BSDF, or one inside it, has a lobe that may be narrow but is no delta lobe: it defines `lobe_width`."""
     if bsdf.inside:
         return any(map(has_lobe, bsdf.inside))
     return type(bsdf).lobe_width is not BSDF.lobe_width
 
 
 def spreads_through(bsdf: BSDF) -> bool:
-    """Whether a BSDF scatters light through the surface into more than single directions."""
+    """Whether a BSDF scatters light through the surface into a range of directions."""
     if bsdf.inside:
         return any(map(spreads_through, bsdf.inside))
     return bsdf.transmissive and not only_delta(bsdf)
 
 
 class TwoSided(eqx.Module):
-    """Adapter: the BSDF acts alike on both sides of the surface. It does not appear in names of parameters.
+    """Adapter that makes a BSDF act alike on both sides of the surface. Names of parameters do not mention it.
 
     Raises ValueError for a BSDF that lets light through, or is two-sided already.
     """
@@ -220,10 +222,10 @@ def both_above(wi: Float[Array, "*n 3"], wo: Float[Array, "*n 3"]) -> Bool[Array
 
 
 def mirror(wi: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """`wi` mirrored at the normal."""
+    """The mirror direction of `wi` about the normal."""
     return wi * jnp.asarray([-1.0, -1.0, 1.0], wi.dtype)
 
 
 def no_delta(wi: Float[Array, "*n 3"]) -> DeltaSample:
-    """No delta lobe chosen."""
+    """What `sample_delta` returns where it chooses no delta lobe."""
     return DeltaSample(wi, jnp.zeros_like(wi), jnp.zeros(wi.shape[:-1], wi.dtype))

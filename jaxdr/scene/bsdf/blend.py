@@ -1,4 +1,4 @@
-"""Two materials in one."""
+"""A mixture of two BSDFs."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from jaxdr.scene.bsdf.normal_map import TurnedNormal
 from jaxdr.scene.bsdf.parameters import Number, Value, number
 from jaxdr.scene.sampling import choose
 
-LEAST = 0.05  # probability of sampling either: at a weight of 0 or 1 the other one has a derivative as well
+LEAST = 0.05  # least probability of sampling either: even at a weight of 0 or 1 both have a derivative
 
 
 class Blend(Adapter):
@@ -35,7 +35,7 @@ class Blend(Adapter):
                 )
             setattr(self, name, bsdf)
         if self.first.delta and self.second.delta and (_turns(self.first) or _turns(self.second)):
-            # Which of the two lobes a direction belongs to would have to be known (`delta_reverses`).
+            # `delta_reverses` would have to know which of the two lobes a direction belongs to.
             raise ValueError(
                 "Blend: two mirrors or smooth glasses can't have normal or bump maps of their own; put the map around "
                 "the Blend"
@@ -55,7 +55,7 @@ class Blend(Adapter):
         return jnp.where(second[..., None], two, one)
 
     def _sample(self, bsdf: BSDF, wi, u):
-        """A direction of one of the two; where that is black but the other is not, the zero vector."""
+        """A direction drawn from one of the two; the zero vector where that one is black but the other may not be."""
         wo = bsdf.sample(wi, u)
         if bsdf.transmissive or not self.transmissive:
             return wo
@@ -68,7 +68,7 @@ class Blend(Adapter):
         return self._either(wi, u, lambda bsdf: bsdf.adjoint_delta)
 
     def _either(self, wi, u, method: Callable[[BSDF], Callable[..., DeltaSample]]) -> DeltaSample:
-        """A delta lobe of the one that `u` chooses."""
+        """A delta lobe of the BSDF that `u` chooses."""
         chance = self._chance()
         second, left = choose(u, chance)
         one, two = method(self.first)(wi, left), method(self.second)(wi, left)
@@ -78,10 +78,10 @@ class Blend(Adapter):
         return DeltaSample(wo, weight, probability)
 
     def _chance(self):
-        """Of the second."""
+        """Probability of sampling the second."""
         return LEAST + (1.0 - 2.0 * LEAST) * self.weight
 
 
 def _turns(bsdf: BSDF) -> bool:
-    """Whether normals are turned somewhere inside."""
+    """Whether a BSDF, or one inside it, turns normals."""
     return isinstance(bsdf, TurnedNormal) or any(map(_turns, bsdf.inside))

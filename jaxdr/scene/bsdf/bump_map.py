@@ -1,4 +1,4 @@
-"""Normals from a texture of heights."""
+"""Bump map: normals from a texture of heights."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,12 +15,12 @@ class BumpMap(TurnedNormal):
     """A BSDF whose normal is turned at every point, as if the surface had the `height` of a texture (`bumpmap`).
 
     `height` is a bilinear `Bitmap` of one channel. Its values times `scale` are heights in scene units, along the
-    normal. Only the normal changes, not the surface. Normals that face away, shadows and two-sided BSDFs are those of
-    `NormalMap`, and so is the jump that has no derivative.
+    normal. Only the normal changes, not the surface. Normals that face away, shadowing and two-sided BSDFs are treated
+    as in `NormalMap`. The jump that `NormalMap` tells of has no derivative here either.
 
     The slope is the difference of heights over one texel. So it is continuous, and has derivatives by the texture and
-    by the surface. Mitsuba 3 takes the slope of the bilinear patch, which jumps at the centres of texels: magnified,
-    its bumps have facets, and these are their mean over a texel.
+    by the surface. Mitsuba 3 takes the slope of the bilinear patch, which jumps at the centres of texels. So its bumps
+    show facets when magnified. The slope here is the mean of that slope over one texel.
 
     Raises ValueError for a height that is no bilinear Bitmap of one channel.
     """

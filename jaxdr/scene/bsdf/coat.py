@@ -1,4 +1,4 @@
-"""What a rough dielectric coat lets through and reflects inside: integrals over its facets, read from tables.
+"""Transmittance and internal reflectance of a rough dielectric coat: integrals over its facets, read from tables.
 
 The tables are in `coat.npz`; `python -m jaxdr.scene.bsdf.coat` computes them anew.
 """
@@ -18,8 +18,8 @@ from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, reflect, refract
 
 FILE = Path(__file__).with_name("coat.npz")
-# Axes of the tables, even in the square roots of alpha and cosine (there is a boundary layer where both are small) and
-# in 1 / eta: the lowest and the highest value, and the number of nodes.
+# Axes of the tables: lowest value, highest value, number of nodes. Nodes are equidistant in 1 / eta and in the square
+# roots of alpha and of the cosine: there is a boundary layer where both of these are small.
 ALPHA, INVERSE_ETA, COSINE = (1e-4, 1.0, 20), (0.4, 1.0, 9), (0.0, 1.0, 32)
 HIGHEST_ETA = 1.0 / INVERSE_ETA[0]
 
@@ -29,7 +29,8 @@ def transmittance(
 ) -> Float[Array, "*n"]:
     """Share of the light at `cosine` ≥ 0 to the normal that a coat refracts, scattered once; `eta` in [1, 2.5].
 
-    The integral of Walter et al. 2007, Eq. 21, over outgoing directions (without the scaling of radiance), within 0.01.
+    It is the integral of Walter et al. 2007, Eq. 21, over outgoing directions, without the scaling of radiance. The
+    error is below 0.01.
     """
     places = _place(ALPHA, _root(alpha)), _place(INVERSE_ETA, 1.0 / eta), _place(COSINE, _root(cosine))
     return _interpolate(_table(f"transmittance {distribution}"), places)
@@ -38,7 +39,7 @@ def transmittance(
 def internal_reflectance(distribution: str, alpha: Float[Array, "*#n"], eta: Float[Array, "*#n"]) -> Float[Array, "*n"]:
     """Share of diffuse light from inside that a coat reflects, scattered once; `eta` in [1, 2.5].
 
-    The integral of Walter et al. 2007, Eq. 20, over both hemispheres.
+    It is the integral of Walter et al. 2007, Eq. 20, over the directions of both arriving and reflected light.
     """
     places = _place(ALPHA, _root(alpha)), _place(INVERSE_ETA, 1.0 / eta)
     return _interpolate(_table(f"internal reflectance {distribution}"), places)
@@ -62,7 +63,7 @@ def _ends(axis):
 
 
 def _place(axis, value):
-    """(index of the node before, share of the way to the next one); the last interval goes on beyond the table."""
+    """(index of the node before, share of the way to the next one); end intervals are extrapolated beyond the table."""
     low, high, count = _ends(axis)
     place = (value - low) / (high - low) * (count - 1)
     node = jnp.clip(jnp.floor(place), 0, count - 2)
@@ -86,8 +87,9 @@ def _interpolate(table, places):
 def compute_transmittance(distribution: str, alpha, eta, cosine, nodes=(40, 24)) -> Float[Array, "*n 2"]:
     """(refracted, reflected) share of light at `cosine` > 0, by quadrature over visible facets.
 
-    `eta` is the index beyond the coat over the one on this side. Nodes of Gauss and Legendre in both random numbers,
-    denser at the ends, where the slopes are large; by symmetry only half of the second number's range is needed.
+    `eta` is the index beyond the coat over the one on this side. The quadrature is Gauss-Legendre in both random
+    numbers, with denser nodes at the ends, where the slopes are large. By symmetry only half of the range of the second
+    number is needed.
     """
     axes = []
     for count in nodes:
@@ -111,7 +113,7 @@ def compute_transmittance(distribution: str, alpha, eta, cosine, nodes=(40, 24))
 
 
 def compute_tables() -> dict[str, Any]:
-    """All tables, float32, computed in float64 in about a minute."""
+    """All tables, in float32, computed in float64. It takes about a minute."""
     tables: dict[str, Any] = {}
     nodes, weights = np.polynomial.legendre.leggauss(300)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights

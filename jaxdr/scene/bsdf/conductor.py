@@ -1,4 +1,4 @@
-"""Smooth metal: a mirror."""
+"""Smooth metal, which reflects as a mirror."""
 
 import jax.numpy as jnp
 

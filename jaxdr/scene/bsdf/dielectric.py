@@ -1,4 +1,4 @@
-"""Smooth glass: a mirror and refraction."""
+"""Smooth glass, which reflects as a mirror and refracts."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,7 +11,7 @@ from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
 
 
 class SmoothInterface(DeltaBSDF):
-    """Parameters of smooth dielectrics, one lobe on either side; the normal points to the exterior.
+    """Parameters of smooth dielectrics, which have one delta lobe on either side. The normal points to the outside.
 
     `eta` = int_ior / ext_ior; each of the two is a number or a name ("bk7", "water", …). `specular_reflectance` and
     `specular_transmittance` (RGB in [0, 1]) scale the two lobes.

@@ -13,7 +13,8 @@ from jaxdr.scene.sampling import cosine_hemisphere
 class Diffuse(BSDF):
     """Lambertian reflection; black from behind.
 
-    `reflectance` is RGB in [0, 1]; a number means grey. Raises ValueError for values outside.
+    `reflectance` is RGB; a number means grey. It is in [0, 1] for a surface that conserves energy. Raises ValueError
+    for values that are negative or not finite.
     """
 
     reflectance: Color

@@ -1,6 +1,6 @@
 """Fresnel equations for unpolarised light, and refractive indices by name.
 
-`eta` of a dielectric is its interior index over its exterior one; the normal points to the exterior.
+`eta` of a dielectric is its interior index over its exterior one. The normal points to the exterior.
 """
 
 from typing import NamedTuple
@@ -12,10 +12,11 @@ from jaxdr.geometry.vector import from_components
 
 
 class Interface(NamedTuple):
-    """What happens at a dielectric interface.
+    """Reflection and refraction of a ray at a dielectric interface.
 
-    `reflectance` in [0, 1]; `cos_t` ≥ 0 of the transmitted ray, zero under total internal reflection; `eta_ti` = index
-    on the side of the incoming ray over that of the other side.
+    - `reflectance`, in [0, 1].
+    - `cos_t` ≥ 0: cosine of the refracted ray to the normal, zero under total internal reflection.
+    - `eta_ti`: index on the side of the incoming ray over the index on the other side.
     """
 
     reflectance: Float[Array, "*n"]
@@ -26,8 +27,8 @@ class Interface(NamedTuple):
 def fresnel_dielectric(cosine: Float[Array, "*#n"], eta: Float[Array, "*#n"]) -> Interface:
     """Reflectance and Snell's law for a ray that arrives at signed `cosine` to the normal (negative: from inside).
 
-    Differentiable in both; the derivative of `cos_t` is infinite where total internal reflection begins, and zero
-    beyond. (Walter et al. 2007, Eq. 22, is the same in other variables.)
+    It is differentiable in both. The derivative of `cos_t` is infinite where total internal reflection begins, and zero
+    beyond. Walter et al. 2007, Eq. 22, is the same in other variables.
     """
     eta_ti = jnp.where(cosine >= 0, 1.0 / eta, eta)
     cos_i = jnp.abs(cosine)
@@ -54,7 +55,8 @@ def fresnel_conductor(
     imaginary = eta * k
     squared = real * real + 4.0 * imaginary * imaginary
     modulus = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
-    # a + i b = sqrt(real + 2 i imaginary): of the two roots the larger one is taken, for float32 and for derivatives.
+    # a + i b = sqrt(real + 2 i imaginary). The larger of |a| and |b| is computed by a square root, and `a` from it. So
+    # it is accurate in float32, and has finite derivatives.
     larger2 = 0.5 * (modulus + jnp.abs(real))
     positive = larger2 > 0
     larger = jnp.sqrt(jnp.where(positive, larger2, 1.0))
@@ -73,9 +75,10 @@ def _ratio(a, b):
 
 
 def diffuse_reflectance(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """∫ F cos dω / π: share of diffuse light that a smooth interface reflects, lit from where `eta` is the far index.
+    """∫ F cos dω / π: share of diffuse light that a smooth interface reflects.
 
-    Fit of d'Eon and Irving 2011 for eta > 1 (0.2 % up to eta = 10); below 1 what reciprocity makes of it.
+    `eta` is the index on the far side over that on the side of the light. For eta > 1 it is the fit of d'Eon and Irving
+    2011, within 0.2 % up to eta = 10. For eta < 1 it follows from that by reciprocity.
     """
     dense = eta >= 1
     n = jnp.where(dense, eta, 1.0 / eta)

@@ -15,8 +15,8 @@ class Mask(Adapter):
     """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
 
     `opacity` is in [0, 1], and may be a texture. Both sides have the holes. For a two-sided BSDF write
-    `TwoSided(Mask(opacity, bsdf))`. Holes are sampled in proportion to 1 - opacity. So at an opacity of exactly 1 the
-    derivative by it is missed, and at exactly 0 the derivative of the BSDF inside.
+    `TwoSided(Mask(opacity, bsdf))`. Holes are sampled with probability 1 - opacity. So the derivative by the opacity is
+    missed where it is exactly 1. The derivative of the BSDF inside is missed where the opacity is exactly 0.
 
     Raises ValueError for a two-sided BSDF inside, and values out of range.
     """
@@ -48,7 +48,7 @@ class Mask(Adapter):
         return self._through_or(self.bsdf.adjoint_delta, wi, u)
 
     def _through_or(self, sample: Callable[..., DeltaSample], wi, u) -> DeltaSample:
-        """A hole, or a delta lobe of the BSDF inside."""
+        """The delta lobe of a hole, or one of the BSDF inside."""
         hole, left = choose(u, 1.0 - self.opacity)
         share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
         through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones(wi.shape[:-1], wi.dtype))

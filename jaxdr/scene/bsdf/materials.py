@@ -1,8 +1,8 @@
 """Refractive indices of materials by name."""
 
-# (eta, k), linear sRGB: the measured spectra that Mitsuba 3 ships (from the Luxpop database, after Palik and others) as
-# its RGB variants use them; read from Mitsuba 3.9.1.
-# Some are no metals. Those that are clear (k = 0) are dielectrics that nothing passes.
+# (eta, k) in linear sRGB. They are the measured spectra that Mitsuba 3 ships (from the Luxpop database, after Palik and
+# others), converted as by its RGB variants; read from Mitsuba 3.9.1.
+# Some are not metals. Clear ones (k = 0) reflect as dielectrics do, but no light passes them.
 METALS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "a-C": ((2.94405, 2.22714, 1.96816), (0.887465, 0.799299, 0.81529)),
     "Ag": ((0.155276, 0.116728, 0.138388), (4.82835, 3.12222, 2.1469)),

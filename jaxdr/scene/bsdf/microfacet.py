@@ -1,7 +1,7 @@
 """Microfacet distributions (GGX, Beckmann) in the local frame, with Smith's separable masking.
 
-Normal densities D are per solid angle of microfacet normals m and satisfy ∫ D(m) cos(m) dm = 1. Masking is returned
-over the cosine, G1(v) / |cos v|, which stays finite at grazing angles, where models divide by that cosine.
+The density D of microfacet normals m is per solid angle, with ∫ D(m) cos(m) dm = 1. Masking is returned divided by the
+cosine, as G1(v) / |cos v|. Models need this quotient, and it stays finite at grazing angles.
 """
 
 import math
@@ -16,17 +16,18 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.geometry.vector import components, dot, from_components, norm, normalize, scale, z_of
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 
-NEWTON_STEPS = 5  # the worst angle takes four to the rounding of float32
+NEWTON_STEPS = 5  # at the worst angle four steps converge to the rounding of float32
 
-# Roughness of facets: one number for all directions, or (along the x axis, along the y axis).
+# Roughness of facets: one number for all directions, or two, (along the x axis, along the y axis).
 Alpha = Float[Array, "*#n"] | tuple[Float[Array, "*#n"], Float[Array, "*#n"]]
 
 
 class Distribution(NamedTuple):
     """One distribution of microfacet normals; `alpha` is its roughness (an `Alpha`).
 
-    `density(m, alpha)` = D(m), 1/sr, for unit m with m.z ≥ 0. `masking(v, alpha)` = G1(v) / |v.z| for unit v on either
-    side. `sample(v, alpha, u)`: unit m with density D(m) G1(v) max(0, v·m) / v.z (visible normals), for v.z > 0.
+    - `density(m, alpha)` = D(m), in 1/sr, for unit m with m.z ≥ 0.
+    - `masking(v, alpha)` = G1(v) / |v.z| for unit v on either side.
+    - `sample(v, alpha, u)`: visible normals, that is, unit m with density D(m) G1(v) max(0, v·m) / v.z, for v.z > 0.
     """
 
     density: Callable
@@ -35,20 +36,20 @@ class Distribution(NamedTuple):
 
 
 def _axes(alpha: Alpha) -> tuple[Float[Array, "*#n"], Float[Array, "*#n"]]:
-    """Roughness along x and along y; the same array twice where there is but one."""
+    """Roughness along x and along y; the same array twice if there is only one."""
     return alpha if isinstance(alpha, tuple) else (alpha, alpha)
 
 
 def _spread(alpha: Alpha, t: Float[Array, "*#n"]) -> Float[Array, "*#n"]:
-    """Product of both roughnesses, each times `t`."""
+    """Product of both roughnesses, each multiplied by `t`."""
     along, across = _axes(alpha)
     return jnp.square(along * t) if along is across else (along * t) * (across * t)
 
 
 def _ggx_density(m: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
-    """Walter et al. 2007, Eq. 33, written with x and y: 1 - cos² would lose all digits for small alpha in float32.
+    """Walter et al. 2007, Eq. 33; with two roughnesses Heitz 2018, Eq. 1.
 
-    With two roughnesses Heitz 2018, Eq. 1.
+    It is written with x and y, because 1 - cos² would lose all digits in float32 for small alpha.
     """
     x, y, z = components(m)
     along, across = _axes(alpha)
@@ -58,7 +59,7 @@ def _ggx_density(m: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
 
 
 def _ggx_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
-    """Walter et al. 2007, Eq. 34, over the cosine."""
+    """Walter et al. 2007, Eq. 34, divided by the cosine."""
     x, y, z = components(v)
     along, across = _axes(alpha)
     x, y = along * x, across * y
@@ -66,12 +67,12 @@ def _ggx_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
 
 
 def _ggx_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
-    """Heitz 2018's density by the simpler map of Dupuy and Benyoub 2023: a spherical cap, shifted by v."""
+    """Visible normals (Heitz 2018) by the simpler map of Dupuy and Benyoub 2023: a spherical cap, shifted by v."""
     first, second = components(u)
     x, y, z = components(v)
     angle = 2 * math.pi * second
     up = 1.0 + z
-    raised = (1.0 - first) * up  # of the sum below, without its cancellation
+    raised = (1.0 - first) * up  # z of the cap plus z of v, without the cancellation of that sum
     radius = jnp.sqrt(first * up * (2.0 - first * up))
     return from_components(radius * jnp.cos(angle) + x, radius * jnp.sin(angle) + y, raised)
 
@@ -89,9 +90,9 @@ def _beckmann_density(m: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*
 
 
 def _beckmann_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n"]:
-    """Smith's exact integral over the cosine (Walter et al. 2007, before Eq. 27).
+    """Smith's exact integral, divided by the cosine (Walter et al. 2007, before Eq. 27).
 
-    Mitsuba takes the rational approximation, which is up to 0.4 % off, and so is the density of its sampler.
+    Mitsuba uses the rational approximation of Eq. 27. It is off by up to 0.4 %, and so is the density of its sampler.
     """
     x, y, z = components(v)
     along, across = _axes(alpha)
@@ -108,22 +109,22 @@ def _beckmann_masking(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*
 
 
 def _beckmann_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
-    """Heitz and d'Eon 2014 with the inversion of Jakob 2014: Newton's method for erf(slope)."""
+    """Visible normals (Heitz and d'Eon 2014) by the inversion of Jakob 2014: Newton's method for erf(slope)."""
     first, second = components(u)
     x, y, cos = components(v)
-    cos = jnp.abs(cos)  # from below any unit vector will do, but no NaN
+    cos = jnp.abs(cos)  # for v from below the result means nothing, but it must not be NaN
     sin = norm(from_components(x, y))
     tilted = sin > 0
     sin_or_one = jnp.where(tilted, sin, 1.0)
     cos_phi, sin_phi = jnp.where(tilted, x, 1.0) / sin_or_one, jnp.where(tilted, y, 0.0) / sin_or_one
-    steepest = jnp.where(tilted, cos / sin_or_one, 10.0)  # slope of normals perpendicular to v; 10 stands for infinity
+    steepest = jnp.where(tilted, cos / sin_or_one, 10.0)  # slope of normals at right angles to v; 10 means infinity
     steepest = jnp.minimum(steepest, 10.0)
     one = 1.0 - jnp.finfo(v.dtype).epsneg
     top = jnp.minimum(erf(steepest), one)
     share = first * (cos * (1.0 + top) + sin * jnp.exp(-jnp.square(steepest)) / math.sqrt(math.pi))
 
     def residual(x):
-        """(distribution function of slopes at erf(slope) = x, less the share; its derivative), times cos."""
+        """(cumulative distribution of slopes at erf(slope) = x, minus the share; its derivative), up to a factor."""
         slope = erf_inv(x)
         value = cos * (1.0 + x) + sin * jnp.exp(-slope * slope) / math.sqrt(math.pi) - share
         return value, cos - slope * sin
@@ -146,14 +147,17 @@ def _beckmann_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Flo
 
 
 def _stretch(v: Float[Array, "*#n 3"], alpha: Alpha) -> Float[Array, "*#n 3"]:
-    """Scale x and y by alpha: directions to the space where alpha is 1, and normals back from it. Unit vectors."""
+    """Unit vectors with x and y scaled by alpha.
+
+    It takes directions to the space where alpha is 1, and normals back from there.
+    """
     x, y, z = components(v)
     along, across = _axes(alpha)
     return normalize(from_components(along * x, across * y, z))
 
 
 def _stretched(visible: Callable) -> Callable:
-    """Samples visible normals of any roughness by `visible`: those at roughness 1, of any length."""
+    """Sampler of visible normals of any roughness, from one for roughness 1 whose normals may have any length."""
 
     def sample(v: Float[Array, "*#n 3"], alpha: Alpha, u: Float[Array, "*#n 2"]) -> Float[Array, "*#n 3"]:
         return _stretch(visible(_stretch(v, alpha), u), alpha)
@@ -168,14 +172,14 @@ DISTRIBUTIONS = {
 
 
 def reflect(wi: Float[Array, "*#n 3"], m: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
-    """`wi` mirrored at the plane with unit normal m."""
+    """The mirror direction of `wi` about the unit normal m."""
     return scale(m, 2.0 * dot(wi, m)) - wi
 
 
 def refract(
     wi: Float[Array, "*#n 3"], m: Float[Array, "*#n 3"], eta: Float[Array, "*#n"]
 ) -> tuple[Float[Array, "*n 3"], Bool[Array, "*n"]]:
-    """`wi` refracted at a facet with unit normal m on its side, and whether it is not reflected totally.
+    """(`wi` refracted at a facet with unit normal m on its side, whether there is no total internal reflection).
 
     `eta` is the index beyond the facet over that on the side of wi (Walter et al. 2007, Eq. 40).
     """
@@ -186,7 +190,7 @@ def refract(
 
 
 def mirrored_width(alpha: Alpha) -> Float[Array, "*n"]:
-    """Width (radians, at most 1) of the lobe that facets of roughness alpha reflect: mirroring doubles their angles."""
+    """Width (radians, at most 1) of the lobe that facets of roughness alpha reflect. Reflection doubles angles."""
     return jnp.minimum(2.0 * narrowest(alpha), 1.0)
 
 
@@ -196,7 +200,7 @@ def along_and_across(alpha: Float[Array, "*n"], alpha_v: Float[Array, "*n"] | No
 
 
 def narrowest(alpha: Alpha) -> Float[Array, "*n"]:
-    """The lesser of two roughnesses."""
+    """The smaller roughness."""
     along, across = _axes(alpha)
     return along if along is across else jnp.minimum(along, across)
 
@@ -204,8 +208,9 @@ def narrowest(alpha: Alpha) -> Float[Array, "*n"]:
 class Reflection(NamedTuple):
     """Microfacet reflection without its Fresnel factor (Walter et al. 2007, Eq. 20), zero where it is impossible.
 
-    `value` = D G1(wi) G1(wo) / (4 |cos wi|), 1/sr, counts |cos wo|; `pdf` is the density (1/sr) of directions mirrored
-    at visible normals; `cosine` = wi·h, between wi and the half-vector.
+    - `value` = D G1(wi) G1(wo) / (4 |cos wi|), in 1/sr: the factor |cos wo| is in it.
+    - `pdf`: density (1/sr) of directions mirrored at visible normals.
+    - `cosine` = wi·h, between wi and the half-vector.
     """
 
     value: Float[Array, "*n"]
@@ -246,10 +251,11 @@ def transmission(
     wo: Float[Array, "*n 3"],
     eta: Float[Array, "*#n"],
 ) -> Transmission:
-    """Refraction by facets, zero where impossible; wi above the surface, `eta` the index beyond it over this one's.
+    """Refraction by facets, zero where it is impossible.
 
-    `value` is Walter et al. 2007, Eq. 21, times |cos wo| and, for radiance, 1 / eta²; `pdf` is Eq. 17 times the
-    density of visible normals.
+    wi is above the surface. `eta` is the index beyond the surface over the index on the side of wi. `value` is Walter
+    et al. 2007, Eq. 21, times |cos wo|, and times 1 / eta² since it is for radiance. `pdf` is Eq. 17 times the density
+    of visible normals.
     """
     model = DISTRIBUTIONS[distribution]
     up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
@@ -260,7 +266,7 @@ def transmission(
     active &= length2 > 0
     m = scale(normalize(half), jnp.where(z_of(half) < 0, -1.0, 1.0).astype(wi.dtype))
     cos_i, cos_o = dot(wi, m), -dot(wo, m)
-    active &= (cos_i > 0) & (cos_o > 0)  # a facet is seen from the sides that the surface is seen from
+    active &= (cos_i > 0) & (cos_o > 0)  # wi sees the front of the facet as of the surface, and wo the back
     m = jnp.where(active[..., None], m, up)
     density = model.density(m, alpha) * model.masking(wi, alpha) * cos_i * cos_o
     density = density / jnp.where(active, length2, 1.0)

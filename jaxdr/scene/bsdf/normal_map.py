@@ -1,4 +1,4 @@
-"""Normals that are turned at every point."""
+"""Normal map, and what it shares with the bump map: shading normals that differ at every point."""
 
 import abc
 
@@ -24,8 +24,8 @@ from jaxdr.scene.bsdf.parameters import Color, Value, rgb
 class TurnedNormal(Adapter):
     """Adapter: a BSDF whose normal is turned at every point.
 
-    A normal that faces away from the viewer is turned half around z. Light is shadowed at grazing angles as by a rough
-    surface (Estevez et al. 2019).
+    A normal that faces away from the viewer is rotated by half a turn around z. Light is shadowed at grazing angles as
+    by a rough surface (Estevez et al. 2019).
     """
 
     bsdf: eqx.AbstractVar[BSDF]
@@ -66,7 +66,7 @@ class TurnedNormal(Adapter):
         frame = self._frame(wi)
         inside = self.bsdf.adjoint_delta(frame.to_local(wi), u)
         wo = frame.to_surface(inside.wo)
-        # Radiance is scattered from wi to wo in wo's frame.
+        # The light goes from wi to wo, so the viewer is at wo, and wi is the direction that is shadowed.
         weight = scale(inside.weight, frame.shadowing(wi))
         return DeltaSample(wo, jnp.where(self.delta_reverses(wi, wo)[..., None], weight, 0.0), inside.probability)
 
@@ -85,9 +85,9 @@ class NormalMap(TurnedNormal):
     """A BSDF whose normal is turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
 
     `normal` is RGB in [0, 1] and stores (n + 1) / 2; read it by `Bitmap.from_file` with `raw`. n is in the frame of the
-    surface: x along increasing u, z along the shading normal, y completes them. A normal that faces away from the
-    viewer is turned half around z. Light is shadowed at grazing angles as by a rough surface (Estevez et al. 2019). For
-    a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
+    surface: x along increasing u, z along the shading normal, y at right angles to both. A normal that faces away from
+    the viewer is rotated by half a turn around z. Light is shadowed at grazing angles as by a rough surface (Estevez et
+    al. 2019). For a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
 
     Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
     has no derivative.
@@ -107,7 +107,7 @@ class NormalMap(TurnedNormal):
 
 
 def one_sided(bsdf: BSDF | TwoSided, adapter: str, first: str) -> BSDF:
-    """The BSDF for an adapter; ValueError says where `TwoSided` belongs."""
+    """The BSDF for an adapter. Raises ValueError for a two-sided one, and says where `TwoSided` belongs."""
     if not isinstance(bsdf, BSDF):
         inside = type(bsdf).__name__
         raise ValueError(f"{adapter}: bsdf can't be a {inside}; a two-sided one is TwoSided({adapter}({first}, bsdf))")
@@ -115,7 +115,7 @@ def one_sided(bsdf: BSDF | TwoSided, adapter: str, first: str) -> BSDF:
 
 
 class _Frame:
-    """The frame around turned normals, in that of the surface; with `along_u` its x axis is close to the surface's."""
+    """A frame whose z axis is the turned normal. With `along_u` its x axis is close to that of the surface."""
 
     def __init__(self, n: Float[Array, "*#n 3"], wi: Float[Array, "*#n 3"], along_u: bool):
         self.turned = z_of(wi) * dot(wi, n) <= 0
@@ -126,25 +126,25 @@ class _Frame:
         self.axes = Frame(s, t, self.normal)
 
     def to_local(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """From the frame of the surface."""
+        """Directions from the frame of the surface to this one."""
         return self.axes.to_local(w)
 
     def to_surface(self, v: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """To the frame of the surface."""
+        """Directions from this frame to that of the surface."""
         return self.axes.to_world(v)
 
     def keeps_side(self, w: Float[Array, "*n 3"]):
-        """Whether directions are on the same side of the surface as of the turned normal."""
+        """Whether directions are on the same side by the surface's normal and by the turned normal."""
         return z_of(w) * dot(w, self.normal) > 0
 
     def shadowing(self, w: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """Estevez et al. 2019, Eq. 2 and 3: GGX masking, rougher the more the normal is turned."""
+        """GGX masking whose roughness grows with the angle of the turned normal (Estevez et al. 2019, Eq. 2 and 3)."""
         alpha2 = jnp.minimum(0.125 * _tangent2(self.normal), 1.0)
         return 2.0 / (1.0 + jnp.sqrt(1.0 + alpha2 * _tangent2(w)))
 
 
 def _tangents(normal):
-    """Two tangents to unit normals: the first is along x, less its part along the normal; the second completes them."""
+    """Two tangents to unit normals. The first is the x axis without its part along the normal; the second follows."""
     x, y, z = components(normal)
     along = from_components(1.0 - x * x, -x * y, -x * z)
     known = dot(along, along) > 0  # not where the normal is the x axis
@@ -153,6 +153,6 @@ def _tangents(normal):
 
 
 def _tangent2(w):
-    """Squared tangent of the angle to z; large, but finite, across it."""
+    """Squared tangent of the angle to z; large, but finite, at a right angle."""
     cosine2 = jnp.maximum(jnp.square(z_of(w)), 1e-12)
     return jnp.maximum(1.0 - cosine2, 0.0) / cosine2

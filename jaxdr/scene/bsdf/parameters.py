@@ -1,7 +1,8 @@
-"""Parameters of BSDFs and area emitters: their shapes and ranges, checked when a model is made.
+"""Parameters of BSDFs and area emitters. Their shapes and ranges are checked when a model is made.
 
-Traced values have no range to check. Each may be a texture instead. The points' own values take its place before a BSDF
-is evaluated: `Color` and `Number` are fields that models compute with, `Value` what such a field is made of.
+The range of traced values can't be checked. Each parameter may be a texture. Before a BSDF is evaluated, the values at
+the points take the place of the texture. `Color` and `Number` are types of fields, which models compute with. `Value`
+is the type of what the user gives for such a field.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -26,11 +27,11 @@ else:
     Number = Float[Array, "*n"] | Texture
     Value = object  # NumPy's ArrayLike is written for static checkers
 
-SMOOTHEST = 1e-4  # alpha; half-vectors in float32 are too coarse for less
+SMOOTHEST = 1e-4  # least alpha: half-vectors in float32 are too coarse for less
 
 
 def number(value, name: str, low: float, high: float) -> Number:
-    """A number in [low, high], or a texture of such; ValueError names the parameter otherwise."""
+    """A number in [low, high], or a texture of numbers. Raises ValueError, with the parameter's name, otherwise."""
     if isinstance(value, Texture):
         return _texture(value, name, 1, low, high)
     array = as_array(value)
@@ -41,7 +42,7 @@ def number(value, name: str, low: float, high: float) -> Number:
 
 
 def rgb(value, name: str, low: float = 0.0, high: float = 1.0) -> Color:
-    """A number or three numbers in [low, high], or a texture of such; ValueError names the parameter otherwise."""
+    """RGB from one number or three in [low, high], or a texture. Raises ValueError, with its name, otherwise."""
     if isinstance(value, Texture):
         return _texture(value, name, 3, low, high)
     array = as_rgb(value, name)
@@ -98,7 +99,7 @@ def _index(value, name) -> Float[Array, ""]:
 
 
 def complex_index(material, eta, k, model: str) -> tuple[Color, Color]:
-    """(eta, k), RGB, of a named metal or as given; of a perfect mirror when nothing is given."""
+    """(eta, k), RGB, as given or of a named metal; those of a perfect mirror if nothing is given."""
     if (eta is None) != (k is None):
         raise ValueError(f"{model}: give both eta and k, or neither")
     if eta is not None:

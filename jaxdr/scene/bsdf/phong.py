@@ -17,9 +17,9 @@ from jaxdr.scene.textures import Texture
 class Phong(BSDF):
     """Phong's model in its reciprocal, energy-conserving form (Lafortune and Willems 1994); black from behind.
 
-    f_s = `diffuse_reflectance` / pi + `specular_reflectance` (n + 2) / (2 pi) cos^n a, with n the `exponent` and a the
-    angle between the mirror direction and the other one (Mitsuba 0.x: `phong`). At normal incidence the reflectances
-    are the shares that both parts reflect; at grazing angles the lobe loses what is below the horizon.
+    f_s = `diffuse_reflectance` / pi + `specular_reflectance` (n + 2) / (2 pi) cos^n a. n is the `exponent`. a is the
+    angle between wo and the mirror direction of wi (Mitsuba 0.x: `phong`). At normal incidence the reflectances are the
+    shares of light that the two parts reflect. At grazing angles the part of the lobe below the horizon is lost.
 
     Raises ValueError where the sum of the reflectances may be above 1, or for a negative exponent.
     """
@@ -77,7 +77,7 @@ class Phong(BSDF):
 
 
 def most(diffuse: Color, specular: Color) -> float | None:
-    """The largest sum of two reflectances, at worst; None where traced ones have no value."""
+    """Upper bound of the sum of two reflectances at any point; None where a traced one has no value."""
     tops = [_top(color) for color in (diffuse, specular)]
     return None if tops[0] is None or tops[1] is None else float((tops[0] + tops[1]).max())
 

@@ -18,10 +18,10 @@ class Plastic(BSDF):
     """A diffuse base under a smooth clear coat; black from behind (Mitsuba 3's `plastic`).
 
     - `diffuse_reflectance` (RGB in [0, 1]): of the base.
-    - `int_ior`, `ext_ior`: indices of the coat and outside of it, each a number or a name; `eta` is their ratio.
+    - `int_ior`, `ext_ior`: index of the coat and index outside, each a number or a name; `eta` is their ratio.
     - `specular_reflectance` (RGB in [0, 1]): scales the reflection of the coat.
-    - `nonlinear`: light bounces between base and coat any number of times. With it, that shifts colours; without it,
-      every colour gains as much as white would.
+    - `nonlinear`: whether the bounces between base and coat change colours. Without it, every colour gains as much by
+      them as white would.
 
     Raises ValueError for an unknown name, and values out of range.
     """
@@ -73,14 +73,14 @@ class Plastic(BSDF):
 
 
 def coated(base: Float[Array, "*#n 3"], internal: Float[Array, "*#n"], nonlinear: bool) -> Float[Array, "*n 3"]:
-    """Reflectance of a diffuse base with all reflections between it and a coat, which reflects the share `internal`."""
+    """Reflectance of a diffuse base with all bounces between it and a coat, which reflects the share `internal`."""
     return base / (1.0 - scale(base, internal)) if nonlinear else scale(base, 1.0 / (1.0 - internal))
 
 
 def coat_probability(
     reflectance: Float[Array, "*#n"], specular: Float[Array, "*#n 3"], diffuse: Float[Array, "*#n 3"]
 ) -> Float[Array, "*n"]:
-    """Probability of sampling the coat rather than the base, by what the two reflect."""
+    """Probability of sampling the coat rather than the base, in proportion to what the two reflect."""
     coat, base = reflectance * specular.mean(-1), (1.0 - reflectance) * diffuse.mean(-1)
     total = coat + base
     return jnp.where(total > 0, coat / jnp.where(total > 0, total, 1.0), 0.5)

@@ -1,4 +1,4 @@
-"""Disney's principled model. A lobe that is not asked for is not in the program."""
+"""Disney's principled model. Lobes whose parameters are not given are not in the compiled program."""
 
 import math
 
@@ -24,10 +24,10 @@ from jaxdr.scene.bsdf.rough_dielectric import reflection_probability, refraction
 from jaxdr.scene.color import luminance
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
-SHARPEST = 1e-3  # alpha, as in Mitsuba
-LEAST_SPECULAR = 1e-3  # of what transmits: facets between equal indices don't refract
-COAT_ALPHAS = 0.1, 0.001  # of a clear coat without gloss and with all of it (Burley 2012)
-GRAZING = 1e-6  # cosine; quotients by less have derivatives that overflow float32
+SHARPEST = 1e-3  # least alpha, as in Mitsuba
+LEAST_SPECULAR = 1e-3  # with `spec_trans`: facets between equal indices don't refract
+COAT_ALPHAS = 0.1, 0.001  # alpha of a clear coat at gloss 0 and at gloss 1 (Burley 2012)
+GRAZING = 1e-6  # least cosine to divide by: below it derivatives of the quotient overflow float32
 COAT_SHARE, COAT_FRESNEL, COAT_MASKING = 0.25, 0.04, 0.25
 
 OPTIONAL = (
@@ -39,23 +39,23 @@ OPTIONAL = (
 class Principled(BSDF):
     """Disney's principled model and the material of glTF files (Burley 2012 and 2015, as Mitsuba 3's `principled`).
 
-    What is not metal has the exact Fresnel term. All parameters are in [0, 1], and all but `base_color` (RGB) are
-    numbers. The facets are GGX with alpha = `roughness`^2, at least 0.001. At normal incidence 0.08 x `specular` is
-    reflected: the default 0.5 gives glTF's 4 %. Where `specular` is exactly zero its derivative is taken as zero, since
-    that of the index is infinite.
+    All parameters are in [0, 1], and all but `base_color` (RGB) are numbers. The part that is not metal has the exact
+    Fresnel term. The facets are GGX with alpha = `roughness`^2, at least 0.001. At normal incidence 0.08 x `specular`
+    is reflected: the default 0.5 gives glTF's 4 %. Where `specular` is exactly zero, its derivative is taken as zero,
+    since the derivative of the index is infinite there.
 
-    The other lobes are there where their parameter is given, even as 0:
+    The model has the other lobes only if their parameter is given, even as 0:
 
     - `anisotropic`: facets are rougher along increasing u. The surface needs UVs.
-    - `spec_tint`: the reflection of what is not metal takes on the base colour.
-    - `sheen` at grazing angles, white or, with `sheen_tint`, of the base colour.
-    - `clearcoat`: a second, narrow reflection; the narrower the more `clearcoat_gloss` it has.
-    - `spec_trans`: what is not metal is rough glass instead of diffuse. `specular` is then at least 0.001. Only such a
-      surface has an inside; any other is black from behind.
+    - `spec_tint`: the reflection of the part that is not metal takes on the base colour.
+    - `sheen`: a lobe at grazing angles. It is white, or takes on the base colour by `sheen_tint`.
+    - `clearcoat`: a second, narrow reflection. The larger `clearcoat_gloss`, the narrower it is.
+    - `spec_trans`: the part that is not metal is rough glass instead of diffuse. `specular` is then at least 0.001.
+      Only such a surface has an inside; any other is black from behind.
     - `flatness`: the diffuse lobe becomes that of thin skin or wax.
 
-    Sheen, a clear coat and their sum with the diffuse lobe don't conserve energy exactly, as in Burley's model.
-    Raises ValueError for `sheen_tint` without `sheen` and `clearcoat_gloss` without `clearcoat`.
+    As in Burley's model, sheen, clear coat and their sum with the diffuse lobe don't conserve energy exactly.
+    Raises ValueError for values out of range, `sheen_tint` without `sheen`, and `clearcoat_gloss` without `clearcoat`.
     """
 
     base_color: Color
@@ -179,7 +179,7 @@ class Principled(BSDF):
         return wo if self.spec_trans is None else scale(wo, side)
 
     def lobe_width(self, wi):
-        """Of the narrowest lobe, whatever share of the light it reflects."""
+        """The width of the narrowest lobe, whatever share of the light it scatters."""
         width = mirrored_width(self._alpha())
         if self.clearcoat is not None:
             width = jnp.minimum(width, mirrored_width(self._coat_alpha()))
@@ -192,7 +192,7 @@ class Principled(BSDF):
         return super().rims(wi) if self.spec_trans is None else refraction_rims(wi, self._eta())
 
     def _seen_from_above(self, wi, wo):
-        """(wi, wo, index beyond the surface over this one's); mirrored where wi is below and there is an inside."""
+        """(wi, wo, index beyond the surface over that on wi's side); mirrored if wi is below and there is an inside."""
         eta = self._eta()
         if self.spec_trans is None:
             return wi, wo, eta
@@ -201,7 +201,7 @@ class Principled(BSDF):
         return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / eta, eta)
 
     def _fresnel(self, facets: Reflection, dielectric, eta) -> Float[Array, "*n 3"]:
-        """Of the front: Schlick's for metal and for what is tinted, exact for the rest."""
+        """Fresnel term of the front: Schlick's for metal and for the tinted share, exact for the rest."""
         schlick = schlick_weight(facets.cosine)
         metal = self.base_color + scale(1.0 - self.base_color, schlick)
         grey = (1.0 - self.metallic) * dielectric
@@ -213,7 +213,7 @@ class Principled(BSDF):
         return scale(metal, self.metallic) + from_components(grey, grey, grey) + tinted
 
     def _diffuse(self, facets: Reflection, wi, wo, above) -> Float[Array, "*n"]:
-        """Burley 2012, 5.3: a lobe with retro-reflection, by the factor 1 + `extreme` at grazing angles."""
+        """The diffuse lobe with retro-reflection: a factor 1 + `extreme` at grazing angles (Burley 2012, 5.3)."""
         retro = 2.0 * self.roughness * facets.cosine * facets.cosine
         extreme = retro - 0.5
         at_wi, at_wo = schlick_weight(z_of(wi)), schlick_weight(z_of(wo))
@@ -230,7 +230,7 @@ class Principled(BSDF):
         return jnp.where(above, share * diffuse * z_of(wo) / math.pi, 0.0)
 
     def _tint(self) -> Float[Array, "*n 3"]:
-        """The base colour at luminance 1; white of black."""
+        """The base colour scaled to luminance 1; white for black."""
         brightness = luminance(self.base_color)
         lit = brightness > 0
         tint = scale(self.base_color, 1.0 / jnp.where(lit, brightness, 1.0))
@@ -242,7 +242,7 @@ class Principled(BSDF):
         return 1.0 + scale(self._tint() - 1.0, self.sheen_tint)
 
     def _coat(self, wi, wo, above) -> Reflection:
-        """The clear coat without its weight: GTR1 facets, sampled without regard to what is visible (Burley 2012)."""
+        """The clear coat without its weight: GTR1 facets, sampled by all normals, not by visible ones (Burley 2012)."""
         above = above & (dot(wi + wo, wi + wo) > 0)
         up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
         wi, wo = jnp.where(above[..., None], wi, up), jnp.where(above[..., None], wo, up)
@@ -277,13 +277,13 @@ class Principled(BSDF):
         return 2.0 / (1.0 - jnp.where(positive, jnp.sqrt(jnp.where(positive, amplitude, 1.0)), 0.0)) - 1.0
 
     def _facet_probability(self) -> Float[Array, "*n"]:
-        """Of the front: facets have weight 1, the diffuse lobe and the coat what they are worth."""
+        """Probability of facets on the front. They have weight 1; the diffuse lobe and the coat have their weights."""
         if self.spec_trans is None and self.clearcoat is None:
             return 1.0 / (2.0 - self.metallic)
         return 1.0 / (1.0 + self._diffuse_weight() + self._coat_weight())
 
     def _coat_probability(self) -> Float[Array, "*n"]:
-        """Of the coat, where facets are not chosen."""
+        """Probability of the coat where facets are not chosen."""
         coat, diffuse = self._coat_weight(), self._diffuse_weight()
         total = coat + diffuse
         return jnp.where(total > 0, coat / jnp.where(total > 0, total, 1.0), 0.5)
@@ -295,7 +295,7 @@ class Principled(BSDF):
         return 0.0 if self.clearcoat is None else COAT_SHARE * self.clearcoat
 
     def _reflection_probability(self, wi, eta, front) -> Float[Array, "*n"]:
-        """Of facets: what is not refracted. The inside has nothing but glass."""
+        """Probability that facets reflect rather than refract. On the inside there is only glass."""
         assert self.spec_trans is not None
         through = 1.0 - reflection_probability(self._alpha(), wi, eta)
         glass = (1.0 - self.metallic) * self.spec_trans
@@ -313,14 +313,14 @@ def _root(color: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
 
 
 def _coat_density(alpha: Float[Array, "*#n"], m: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """GTR1 (Burley 2012, Eq. 4), 1/sr; written with x and y, as for GGX."""
+    """GTR1 (Burley 2012, Eq. 4), in 1/sr; written with x and y for the reason given in `microfacet._ggx_density`."""
     x, y, z = components(m)
     alpha2 = alpha * alpha
     return (alpha2 - 1.0) / (math.pi * jnp.log(alpha2) * (x * x + y * y + alpha2 * z * z))
 
 
 def _sample_coat(alpha: Float[Array, "*#n"], u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
-    """Normals with density D cos (Burley 2012, Eq. 5)."""
+    """Normals with density D cos, in 1/sr (Burley 2012, Eq. 5)."""
     first, second = components(u)
     alpha2 = alpha * alpha
     sin2 = (jnp.power(alpha2, 1.0 - first) - alpha2) / (1.0 - alpha2)

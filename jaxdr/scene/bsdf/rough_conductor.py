@@ -23,10 +23,10 @@ class RoughConductor(BSDF):
     """Rough metal: microfacets that are small mirrors (Walter et al. 2007, Eq. 20); black from behind.
 
     - `alpha`: roughness of the facets, the same in all directions.
-    - `alpha_v`: if given, `alpha` is the roughness along increasing u, and this the one across. Such a surface needs
-      UVs.
-    - `distribution`: of the facets, "ggx" or "beckmann".
-    - `material`, `eta`, `k`, `specular_reflectance`: as of `Conductor`.
+    - `alpha_v`: if given, `alpha` is the roughness along increasing u, and `alpha_v` the one across. Such a surface
+      needs UVs.
+    - `distribution`: that of the facets, "ggx" or "beckmann".
+    - `material`, `eta`, `k`, `specular_reflectance`: those of `Conductor`.
 
     Light scattered between facets is lost, as in Mitsuba 3. Raises ValueError as `Conductor` does, and for an unknown
     distribution.

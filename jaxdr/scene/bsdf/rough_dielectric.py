@@ -34,9 +34,10 @@ from jaxdr.scene.bsdf.parameters import (
 )
 from jaxdr.scene.sampling import choose
 
-# Uniform numbers of the facets that decide how often reflection is chosen; half of them, by symmetry.
+# Uniform numbers of a few facets, whose reflectance decides how often reflection is chosen. By symmetry half the range
+# of the second number is enough.
 PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
-LEAST = 0.05  # probability of either lobe: the pilots may all see total internal reflection where other facets don't
+LEAST = 0.05  # least probability of either lobe: all pilots may reflect totally where other facets don't
 
 
 class RoughDielectric(BSDF):
@@ -101,13 +102,13 @@ class RoughDielectric(BSDF):
         m = DISTRIBUTIONS[self.distribution].sample(wi, self._facets(), left)
         mirrored = reflect(wi, m)
         refracted, passes = refract(wi, m, eta)
-        # A facet may send light to the wrong side: that light is lost, and the other lobe's density is not its own.
+        # A facet may send light to the wrong side of the surface. Such a sample fails: `pdf` does not count it.
         valid = jnp.where(reflects, z_of(mirrored) > 0, passes & (z_of(refracted) < 0))
         wo = scale(jnp.where(reflects[..., None], mirrored, refracted), side)
         return jnp.where(valid[..., None], wo, 0.0)
 
     def lobe_width(self, wi):
-        """Of the narrower lobe: a facet turned by an angle turns refracted light by |1 - eta_i / eta_t| times that."""
+        """The width of the narrower lobe. Turning a facet turns refracted light by |1 - eta_i / eta_t| as much."""
         relative = jnp.where(z_of(wi) > 0, 1.0 / self.eta, self.eta)
         alpha = self._facets()
         return jnp.minimum(mirrored_width(alpha), narrowest(alpha) * jnp.abs(1.0 - relative))
@@ -119,7 +120,7 @@ class RoughDielectric(BSDF):
         return along_and_across(self.alpha, self.alpha_v)
 
     def _seen_from_above(self, wi, wo):
-        """(wi, wo, index beyond the surface over that on wi's side); both mirrored at the point where wi is below."""
+        """(wi, wo, index beyond the surface over that on wi's side); both directions are negated where wi is below."""
         below = z_of(wi) < 0
         side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)
         return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / self.eta, self.eta)
@@ -129,7 +130,7 @@ class RoughDielectric(BSDF):
 
 
 def reflection_probability(alpha: Alpha, wi: Float[Array, "*n 3"], eta: Float[Array, "*#n"]) -> Float[Array, "*n"]:
-    """Mean Fresnel reflectance of a few visible facets (of GGX: it need not be exact), kept away from 0 and 1."""
+    """Mean Fresnel reflectance of a few visible facets, kept away from 0 and 1. It need not be exact: GGX is enough."""
     pilots = jnp.asarray(PILOTS, wi.dtype)
     above = (z_of(wi) > 0)[..., None]  # the zero vector and grazing directions see no facets
     wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
@@ -139,13 +140,14 @@ def reflection_probability(alpha: Alpha, wi: Float[Array, "*n 3"], eta: Float[Ar
 
 
 def refraction_rims(wi: Float[Array, "*n 3"], eta: Float[Array, "*#n"]) -> tuple[Rim, Rim]:
-    """Of directions that facets refract (`BSDF.rims`); `eta` is the index inside over the one outside.
+    """Bounds of the directions that facets refract to (`BSDF.rims`); `eta` is the index inside over the one outside.
 
-    A cone around -wi, where facets are seen edge-on from one side; and where facets would have to face down.
+    The first bound is a cone around -wi: on it facets are seen edge-on from one side. Beyond the second bound facets
+    would have to face down.
     """
     side = jnp.where(z_of(wi) < 0, -1.0, 1.0).astype(wi.dtype)
     eta = jnp.where(z_of(wi) < 0, 1.0 / eta, eta)
-    # A facet's normal is along ± (wi + eta wo), by Snell's law; minus where it is eta wo that is longer.
+    # By Snell's law the normal of a facet is along ± (wi + eta wo), with minus where eta wo is the longer of the two.
     sign = jnp.where(eta > 1, -1.0, 1.0).astype(wi.dtype)
     up = scale(jnp.asarray([0.0, 0.0, 1.0], wi.dtype), side * sign)
     return Rim(-wi, jnp.minimum(eta, 1.0 / eta)), Rim(up, -sign * jnp.abs(z_of(wi)) / eta)

@@ -21,8 +21,8 @@ class RoughPlastic(BSDF):
     """A diffuse base under a rough clear coat; black from behind (Mitsuba 3's `roughplastic`).
 
     `alpha` and `distribution` are those of `RoughConductor`, for the coat. int_ior / ext_ior is in [1, 2.5]. The other
-    parameters are those of `Plastic`. What the coat lets in, lets out and reflects back inside are integrals over its
-    facets (`jaxdr.scene.bsdf.coat`). Mitsuba's own integrals are 2 % off for small alpha.
+    parameters are those of `Plastic`. The shares of light that the coat lets in, lets out and reflects back inside are
+    integrals over its facets (`jaxdr.scene.bsdf.coat`). Mitsuba's own integrals are 2 % off for small alpha.
 
     Raises ValueError as `Plastic` does, and for an unknown distribution.
     """
@@ -72,7 +72,7 @@ class RoughPlastic(BSDF):
         return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
 
     def lobe_width(self, wi):
-        """Of the coat, whatever share of the light it reflects."""
+        """The width of the coat's lobe, whatever share of the light it reflects."""
         return jnp.broadcast_to(mirrored_width(self.alpha), wi.shape[:-1])
 
     def _transmittance(self, w) -> Float[Array, "*n"]:

@@ -11,8 +11,8 @@ from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 class ThinDielectric(SmoothInterface):
     """A thin pane of glass: it reflects, and lets the rest go straight on.
 
-    It stands for two parallel interfaces with nothing between them. With the reflectance R of one, 2 R / (1 + R) is
-    reflected: all orders of internal reflection are summed. Parameters and errors are those of `Dielectric`.
+    It stands for two parallel interfaces at the same place. If one of them reflects the share R, the pane reflects
+    2 R / (1 + R): all orders of internal reflection are summed. Parameters and errors are those of `Dielectric`.
     """
 
     def sample_delta(self, wi, u):

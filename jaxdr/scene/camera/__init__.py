@@ -1,4 +1,4 @@
-"""Cameras, one a file. Adding one: a file with a `Camera` subclass, and its name here."""
+"""Cameras, one file for each. A new camera is a file with a subclass of `Camera`, and its name here."""
 
 from jaxdr.scene.camera.base import Camera as Camera
 from jaxdr.scene.camera.base import look_at as look_at

@@ -1,4 +1,4 @@
-"""The interface of a camera, and what constructors check."""
+"""The interface of a camera, and the checks that constructors of cameras share."""
 
 import abc
 
@@ -13,13 +13,13 @@ from jaxdr.scene.film import Film
 
 
 class Camera(eqx.Module):
-    """From film points to rays, and back from world points to film points (pixels).
+    """A camera maps film points (pixels) to rays, and world points back to film points.
 
-    Float fields are parameters of the scene, `camera.to_world` [4, 4] (camera to world) among them. Camera rays see
-    what lies at depths from `near_clip` to `far_clip`, in units of the camera's frame along its axis.
+    Its float fields are parameters of the scene, such as `camera.to_world` [4, 4] (camera to world). It sees what lies
+    at depths from `near_clip` to `far_clip`, in units of its frame along its axis.
 
-    A camera is one `View`, or with an `aperture` one for every point of its lens: then samples see through lens points
-    of their own.
+    A camera without an `aperture` is one `View`. A camera with one has a view for every point of its lens, and each
+    sample sees through its own lens point.
     """
 
     to_world: eqx.AbstractVar[Float[Array, "4 4"]]
@@ -30,17 +30,18 @@ class Camera(eqx.Module):
 
     @abc.abstractmethod
     def view(self, u: Float[Array, "n 2"] | None = None) -> View:
-        """What is seen from the centre of the aperture, or from points of the lens chosen by uniform numbers `u`."""
+        """The view from the centre of the aperture, or the views from lens points drawn by uniform numbers `u`."""
 
     def blur(self, local: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """How far (pixels) points of the frame move on the film as the view goes from an aperture's centre to its rim.
+        """How far (pixels) points in the frame move on the film as the lens point goes from the centre to the rim.
 
-        Signed: along with the lens point, or against it. To points in between they move in proportion.
+        It is positive for points closer than the plane of focus, and negative for points beyond it. For lens points in
+        between they move in proportion.
         """
         raise NotImplementedError(f"{type(self).__name__} has no aperture")
 
     def turns(self, points: Float[Array, "*n 3"], normal: Float[Array, "*n 3"]) -> Bool[Array, "*n"]:
-        """Whether surfaces with these normals are seen from both sides, from different points of an aperture."""
+        """Whether some lens points see the front, and others the back, of surfaces with these normals."""
         raise NotImplementedError(f"{type(self).__name__} has no aperture")
 
     def rays(self, film_points: Float[Array, "*n 2"]) -> tuple[Float[Array, "*#n 3"], Float[Array, "*n 3"]]:
@@ -61,9 +62,9 @@ class Camera(eqx.Module):
 
 
 def look_at(origin, target, up) -> Float[np.ndarray, "4 4"]:
-    """Camera-to-world matrix that looks from `origin` to `target`; columns left, up, forward, origin (Mitsuba's).
+    """Camera-to-world matrix that looks from `origin` to `target`. Columns are left, up, forward, origin (Mitsuba's).
 
-    Raises ValueError when origin and target coincide or `up` is parallel to the line between them.
+    Raises ValueError if origin and target coincide, or if `up` is parallel to the line between them.
     """
     origin, target, up = (np.asarray(v, float) for v in (origin, target, up))
     forward = target - origin
@@ -77,14 +78,14 @@ def look_at(origin, target, up) -> Float[np.ndarray, "4 4"]:
 
 
 def concrete(value: object) -> np.ndarray | None:
-    """The value on the host; None while it is traced."""
+    """The value on the host; None for a traced value."""
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
 def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
-    """`to_world` as an array; ValueError unless it is an affine 4 x 4 matrix that can be inverted.
+    """`to_world` as an array. Raises ValueError unless it is an affine 4 x 4 matrix that can be inverted.
 
-    Without `scales` all axes must have one length and be orthogonal. Of a traced matrix only the shape is checked.
+    Without `scales` all axes must be orthogonal and have the same length. Only the shape of a traced matrix is checked.
     """
     matrix = as_array(to_world)
     if matrix.shape != (4, 4):
@@ -104,7 +105,7 @@ def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
 
 
 def checked_clip(name: str, near_clip: float, far_clip: float) -> tuple[float, float]:
-    """Both as numbers; ValueError unless 0 < near_clip < far_clip."""
+    """Both planes as numbers. Raises ValueError unless 0 < near_clip < far_clip."""
     near, far = float(near_clip), float(far_clip)
     if not 0 < near < far:
         raise ValueError(f"{name}: need 0 < near_clip < far_clip, got {near_clip} and {far_clip}")

@@ -13,10 +13,10 @@ class Orthographic(Camera):
     """A camera with parallel rays. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
 
     The film covers x from -1 to 1 in the frame, and y in proportion to its height. `to_world` [4, 4] (camera to world)
-    may scale, axis by axis: so it says how much of the world the film shows.
+    may scale each axis by its own factor. The scale says how much of the world the film shows.
 
     Nothing is seen that is nearer than `near_clip` or farther than `far_clip` along the axis (units of the frame). Keep
-    moving surfaces away from those planes: the cut has no derivative.
+    moving surfaces away from those planes: the motion of the cut has no derivative.
 
     Raises ValueError for a matrix that can't be inverted, and unless 0 < near_clip < far_clip.
     """

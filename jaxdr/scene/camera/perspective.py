@@ -12,9 +12,10 @@ class Perspective(PinholeCamera):
     - `principal_point` [2]: moves the image to the left and up, by shares of the film's width and height (Mitsuba's
       `principal_point_offset_x`, `_y`).
     - `near_clip`, `far_clip`: nothing nearer or farther along the axis is seen (units of the frame). Keep moving
-      surfaces away from those planes: the cut has no derivative.
+      surfaces away from those planes: the motion of the cut has no derivative.
 
-    Raises ValueError for a matrix that shears, fov outside (0, 180), and unless 0 < near_clip < far_clip.
+    Raises ValueError for a matrix that shears, fov outside (0, 180), an unknown `fov_axis`, a `principal_point` that is
+    not two numbers, and unless 0 < near_clip < far_clip.
     """
 
     aperture = False

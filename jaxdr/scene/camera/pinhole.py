@@ -1,4 +1,4 @@
-"""What cameras with a field of view share."""
+"""The base class of cameras with a field of view."""
 
 import math
 
@@ -15,7 +15,7 @@ FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
 
 class PinholeCamera(Camera):
-    """Central projection: see `Perspective`."""
+    """A camera with central projection. Its parameters are those of `Perspective`."""
 
     to_world: Float[Array, "4 4"]
     fov: Float[Array, ""]
@@ -50,7 +50,7 @@ class PinholeCamera(Camera):
 
     @property
     def pixels_per_tangent(self) -> Float[Array, ""]:
-        """Focal length in pixels: film distance from the principal point per unit tangent."""
+        """Focal length in pixels: film distance from the principal point per tangent of the angle to the axis."""
         film = self.film
         axis = self.fov_axis
         if axis in ("smaller", "larger"):

@@ -16,9 +16,9 @@ class ThinLens(PinholeCamera):
     """A `Perspective` camera with a lens: sharp at the depth `focus_distance`, blurred elsewhere.
 
     The lens is a disk across the axis, of radius `aperture_radius`. Both lengths are in units of the camera's frame,
-    and parameters of the scene. The other parameters are those of `Perspective`, seen from the lens's centre. Each
-    sample sees through one point of the lens, uniform in area, that stays fixed on it (Mitsuba's `thinlens`; Cook et
-    al. 1984). The image does not get brighter with the aperture.
+    and parameters of the scene. The other parameters are those of a `Perspective` camera at the centre of the lens.
+    Each sample sees through one point of the lens, drawn uniformly in area (Mitsuba's `thinlens`; Cook et al. 1984).
+    That point stays fixed on the lens as the radius changes. A larger aperture does not make the image brighter.
 
     Raises ValueError as `Perspective` does, and unless radius and distance are positive.
     """
@@ -52,7 +52,7 @@ class ThinLens(PinholeCamera):
         central = super().view()
         if u is None:
             return central
-        # A pinhole at the lens point; its image is shifted so that nothing moves at the depth of focus.
+        # A pinhole at the lens point. Its image is shifted so that points at the depth of focus stay in place.
         lens = self.aperture_radius * uniform_disk(u)
         position = central.position + lens @ central.matrix[:, :2].T
         centre = central.centre - central.pixels * lens / self.focus_distance
@@ -63,6 +63,7 @@ class ThinLens(PinholeCamera):
         return reach * (1.0 / z_of(local) - 1.0 / self.focus_distance)
 
     def turns(self, points, normal):
-        # Of the plane's height over the lens points: the centre's, and how much it varies over the disk.
+        # A surface turns where its plane meets the lens: the distance of the centre from the plane is no more than the
+        # largest change of that distance over the lens.
         height = dot(points - self.position, normal)
         return jnp.abs(height) <= self.aperture_radius * norm(normal @ self.to_world[:3, :2])

@@ -1,7 +1,7 @@
 """Views: projections of the world onto the film, through a pinhole or in parallel.
 
-A camera without an aperture is one view; one with a lens is a view for every point of the lens, row by row. All lengths
-on the film are in pixels. The frame of a view looks along +z, x to the left and y up, as in Mitsuba.
+A camera without an aperture is one view. A camera with a lens has a view for every point of the lens, one in each row.
+All lengths on the film are in pixels. The frame of a view looks along +z, with x to the left and y up, as in Mitsuba.
 """
 
 import abc
@@ -17,16 +17,16 @@ from jaxdr.scene.film import Film
 
 
 class View(eqx.Module):
-    """A frame in the world, and how it is projected onto the film.
+    """A frame in the world, and its projection onto the film.
 
-    - `matrix` [3, 3]: takes directions of the frame to the world.
+    - `matrix` [3, 3]: maps directions of the frame to the world.
     - `position`: origin of the frame.
     - `pixels`: pixels per unit of x / z (pinhole) or of x (parallel).
     - `centre`: film point of the frame's axis.
-    - `near`, `far`: depths z between which things are seen. Rays start on the plane z = 0.
+    - `near`, `far`: the depths z between which things are seen. Rays start on the plane z = 0.
     - `film`: that of the camera.
 
-    `position` and `centre` may have one row for every point, or film point, that the methods are called with.
+    `position` and `centre` may have one row for every point, or film point, that the methods get.
     """
 
     matrix: Float[Array, "3 3"]
@@ -39,18 +39,18 @@ class View(eqx.Module):
 
     @property
     def _cofactors(self) -> Float[Array, "3 3"]:
-        """Vector products of two of the axes: y x z, z x x, x x y."""
+        """Cross products of the axes, two by two: y × z, z × x, x × y."""
         axes = self.matrix.T
         return cross(jnp.roll(axes, -1, 0), jnp.roll(axes, 1, 0))
 
     @property
     def determinant(self) -> Float[Array, ""]:
-        """World volume per volume of the frame, signed."""
+        """Determinant of `matrix`: signed world volume per unit volume of the frame."""
         return jnp.vdot(self.matrix[:, 0], self._cofactors[0])
 
     @property
     def inverse(self) -> Float[Array, "3 3"]:
-        """Takes directions of the world to the frame."""
+        """Inverse of `matrix`: it maps directions of the world to the frame."""
         cofactors = self._cofactors
         return cofactors / jnp.vdot(self.matrix[:, 0], cofactors[0])
 
@@ -59,19 +59,19 @@ class View(eqx.Module):
         return transform(self.inverse, points - self.position)
 
     def project(self, points: Float[Array, "*#n 3"]) -> Float[Array, "*#n 2"]:
-        """Film points of world points; those in front of a pinhole."""
+        """Film points of world points. For a pinhole the points have to be in front of it."""
         return self.project_local(self.local(points))
 
     def clipped(
         self, origin: Float[Array, "*#n 3"], direction: Float[Array, "*n 3"]
     ) -> tuple[Float[Array, "*n 3"], Float[Array, "*n"]]:
-        """Where unit rays enter what is seen, and how far it reaches from there; detached."""
+        """(points where unit rays meet the near plane, distances from there to the far plane); detached."""
         origin, direction = stop_gradient((origin, direction))
         depth = direction @ stop_gradient(self.inverse[2])
         return origin + scale(direction, self.near / depth), (self.far - self.near) / depth
 
     def row(self, index: Int[Array, " m"]) -> "View":
-        """The views of some rows, where every row has its own."""
+        """The views of some rows; this view if all rows share it."""
         if self.position.ndim == 1:
             return self
         return replace(self, position=self.position[index], centre=self.centre[index])
@@ -82,11 +82,11 @@ class View(eqx.Module):
 
     @abc.abstractmethod
     def project_local(self, local: Float[Array, "*#n 3"]) -> Float[Array, "*#n 2"]:
-        """Film points of points in the frame; those in front of a pinhole."""
+        """Film points of points in the frame. For a pinhole the points have to be in front of it."""
 
     @abc.abstractmethod
     def homogeneous(self, local: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """Denominator of the projection: equal steps on the film are equal steps of (x, y, z, 1) over it."""
+        """Denominator w of the projection: along a line, (x, y, z, 1) / w is linear in the position on the film."""
 
     @abc.abstractmethod
     def towards(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -94,11 +94,11 @@ class View(eqx.Module):
 
     @abc.abstractmethod
     def film_area(self, local: Float[Array, "*n 3"], normal: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """Square pixels of film per area of surface (scene units), at points in the frame with unit world normals."""
+        """Square pixels of film per area of surface (square scene units), at frame points with unit world normals."""
 
     @abc.abstractmethod
     def pixel_size(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """Length (scene units) across the ray that a pixel covers at world points."""
+        """Side (scene units), across the ray, of what a pixel covers at world points."""
 
 
 class PinholeView(View):
@@ -121,7 +121,8 @@ class PinholeView(View):
         return normalize(self.position - points)
 
     def film_area(self, local, normal):
-        # |n · (x - o)| / depth^3 times the squared focal length, in the frame: n turns with the inverse of `matrix`.
+        # The squared focal length times |n · (x - o)| / depth^3, in the frame. There the normal, times its area, is
+        # `matrix`.T @ n / |determinant|.
         facing = jnp.abs(dot(transform(self.matrix.T, normal), local))
         return self.pixels**2 * facing / (jnp.abs(self.determinant) * z_of(local) ** 3)
 
@@ -152,6 +153,6 @@ class ParallelView(View):
         return self.pixels**2 * facing / jnp.abs(self.determinant)
 
     def pixel_size(self, points):
-        # Where x and y are scaled apart, the side of a square of the same area.
+        # Where x and y have different scales, it is the side of a square of the same area.
         x, y, _ = self.matrix.T
         return jnp.broadcast_to(jnp.sqrt(norm(cross(x, y))) / self.pixels, points.shape[:-1])

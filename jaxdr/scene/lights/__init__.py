@@ -1,4 +1,4 @@
-"""Lights without area, one model a file. Adding one: a file with a `DeltaLight` subclass, and its name here."""
+"""Lights without area, one file for each. A new light is a file with a subclass of `DeltaLight`, and its name here."""
 
 from jaxdr.scene.lights.base import DeltaLight as DeltaLight
 from jaxdr.scene.lights.directional import DirectionalLight as DirectionalLight

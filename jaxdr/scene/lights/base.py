@@ -1,4 +1,4 @@
-"""The interface of a light without area: it shines from a point, or from one direction."""
+"""The interface of lights without area, which shine from a point or from one direction."""
 
 import abc
 import math
@@ -16,9 +16,10 @@ from jaxdr.scene.sampling import uniform_sphere
 class DeltaLight(eqx.Module):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
-    A light is `infinite` if it shines from infinitely far away, in one direction. Its methods are called with fields
-    that hold one row for each point, since `PackedScene` gathers them by light. With `stackable` off, and where there
-    are borders, the fields stay as they are. Shadows move with all that `place` and `borders` depend on.
+    A light is `infinite` if it shines from infinitely far away, in one direction. When its methods are called, its
+    fields have one row for each point, since `PackedScene` gathers them by light. The fields stay as they are if
+    `stackable` is off, or if the light has borders. Shadows move with every parameter that `place` or `borders`
+    depends on.
     """
 
     infinite: ClassVar[bool] = False
@@ -26,23 +27,23 @@ class DeltaLight(eqx.Module):
 
     @abc.abstractmethod
     def place(self) -> Float[Array, "*#n 3"]:
-        """Position (world); where `infinite` the unit direction towards the light."""
+        """World position; for an `infinite` light the unit direction towards it."""
 
     @abc.abstractmethod
     def intensity_in(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*#n 3"]:
         """RGB intensity (W / sr) in unit world directions away from the light; its irradiance (W / m^2) if `infinite`.
 
-        Continuous in the direction but for `borders`.
+        It is continuous in the direction, except at `borders`.
         """
 
     @abc.abstractmethod
     def power(self, radius: Float[Array, ""]) -> Float[Array, ""]:
-        """Luminance of the power (W) that a scene of this radius receives, about; of one light."""
+        """Approximate luminance of the power (W) that a scene of this radius receives from one light."""
 
     def sample(self, u: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
-        """Unit world directions away from the light, drawn from `pdf`; detached. Light paths leave in them.
+        """Unit world directions away from the light, drawn from `pdf`; detached. Light paths start in them.
 
-        By default all directions are as likely. Not for `infinite` ones, whose direction is given.
+        By default all directions are equally likely. `infinite` lights have only one direction, and don't use this.
         """
         return uniform_sphere(u)
 
@@ -52,14 +53,14 @@ class DeltaLight(eqx.Module):
 
     @abc.abstractmethod
     def borders(self) -> Float[Array, "K 3 3"] | None:
-        """World points on the border of what is lit, where that ends abruptly: both ends of K lines and a point inside.
+        """Where the light ends abruptly: K triples of world points, the two ends of a border line and a point inside.
 
-        None for a light that fades or shines to all sides.
+        None for a light that fades out, or that shines in all directions.
         """
 
 
 def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:
-    """Three numbers; ValueError names the parameter otherwise."""
+    """An array of three numbers. Raises ValueError, with the parameter's name, for another shape."""
     array = as_array(value)
     if array.shape != (3,):
         raise ValueError(f"{name} must be three numbers, got shape {array.shape}")

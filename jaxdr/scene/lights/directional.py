@@ -15,7 +15,7 @@ class DirectionalLight(DeltaLight):
     """Parallel light that travels along `direction`, like the sun's.
 
     `direction` may have any length but zero. `irradiance` is RGB, in W / m^2 on a plane across the direction. Raises
-    ValueError for a direction of zero length.
+    ValueError for a direction of zero length, and for another shape of either.
     """
 
     direction: Float[Array, "*n 3"]
@@ -39,5 +39,5 @@ class DirectionalLight(DeltaLight):
         return self.irradiance
 
     def power(self, radius):
-        # As an environment whose mean radiance has this irradiance, see `emitter_powers`.
+        # As an environment of the same mean radiance, irradiance / 4 pi; see `emitter_choice`.
         return 0.25 * radius**2 * jnp.maximum(luminance(self.irradiance), 0.0)

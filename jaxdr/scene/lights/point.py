@@ -11,7 +11,7 @@ from jaxdr.scene.lights.base import DeltaLight, vector
 
 
 class PointLight(DeltaLight):
-    """A point that shines alike in all directions.
+    """A point that shines equally in all directions.
 
     - `position` [3]: world space, scene units.
     - `intensity`: RGB, W / sr; a number means grey.

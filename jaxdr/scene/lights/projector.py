@@ -1,4 +1,4 @@
-"""An image thrown into the scene from a point."""
+"""A projector: a light at a point that throws an image into the scene."""
 
 import math
 from typing import Literal
@@ -21,14 +21,15 @@ WRAPS = ("clamp", "repeat")
 
 
 class Projector(DeltaLight):
-    """Throws an image [H, W, 3] along +z of its frame, with x to the left and y up: a pinhole camera in reverse.
+    """A pinhole camera in reverse: it throws an image [H, W, 3] along +z of its frame, with x to the left and y up.
 
     `to_world` [4, 4] has no scale. `fov` is in degrees along `fov_axis`, as for `Perspective`. A white diffuse screen
     across the axis at distance 1 has the radiance `scale` x `irradiance`. (That is Mitsuba's convention: the true
-    irradiance is pi times that.) Values are interpolated between texel centres. Beyond the outer centres the image goes
-    on as `wrap` says: "clamp", or "repeat" (Mitsuba's default, in which opposite borders meet within half a texel).
+    irradiance is pi times that.) Values are interpolated between texel centres. `wrap` says how the image goes on
+    beyond the outer centres: "clamp", or "repeat" (Mitsuba's default, which mixes opposite borders within half a
+    texel).
 
-    Raises ValueError for an image that is not RGB, an unknown `wrap` or axis, or a matrix of another shape.
+    Raises ValueError for an image that is not RGB, an unknown `wrap` or axis, or another shape of a parameter.
     """
 
     irradiance: Float[Array, "H W 3"]
@@ -65,7 +66,7 @@ class Projector(DeltaLight):
 
     @property
     def camera(self) -> Perspective:
-        """The camera whose reciprocal it is; its film points are texels."""
+        """The pinhole camera that this projector reverses. Its pixels are the texels of the image."""
         height, width, _ = self.irradiance.shape
         return Perspective(self.to_world, self.fov, Film(width, height), self.fov_axis)
 
@@ -81,7 +82,7 @@ class Projector(DeltaLight):
         size = jnp.asarray([width, height], point.dtype)
         inside = ahead & ((point >= 0) & (point <= size)).all(-1)
         value = bilinear(self.irradiance, jnp.where(inside[..., None], point, 0.5 * size), self.wrap)
-        # The image is per area of the screen at distance 1; cos^3 of that is a solid angle.
+        # The image is per area of the screen at distance 1; that area times cos^3 is a solid angle.
         value = scale(value, math.pi * self.scale / z_of(local) ** 3)
         return jnp.where(inside[..., None], value, 0.0)
 
@@ -118,7 +119,7 @@ class Projector(DeltaLight):
 
 
 def bilinear(image: Float[Array, "H W 3"], point: Float[Array, "*n 2"], wrap: str) -> Float[Array, "*n 3"]:
-    """Values of an image at points, in texels from its top left; beyond the outer centres as `wrap` says."""
+    """Values of an image at points, in texels from its top left. `wrap` says what lies beyond the outer centres."""
     height, width, _ = image.shape
     low = jnp.floor(stop_gradient(point) - 0.5)
     along = point - 0.5 - low

@@ -17,7 +17,7 @@ from jaxdr.scene.lights.projector import bilinear
 
 
 class Cone(DeltaLight):
-    """What lights in a cone share: see `SpotLight`."""
+    """The base class of lights that shine into a cone. Its parameters are those of `SpotLight`."""
 
     position: Float[Array, "*n 3"]
     direction: Float[Array, "*n 3"]
@@ -51,7 +51,7 @@ class Cone(DeltaLight):
         return None
 
     def within(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """Intensity of the cone alone."""
+        """RGB intensity (W / sr) of the cone without a texture."""
         cutoff, beam = jnp.deg2rad(self.cutoff_angle), jnp.deg2rad(self.beam_width)
         cosine = dot(direction, normalize(self.direction))
         within, lit = cosine >= jnp.cos(beam), cosine > jnp.cos(cutoff)
@@ -67,7 +67,7 @@ class Cone(DeltaLight):
 
     def sample(self, u):
         axis = stop_gradient(normalize(self.direction))
-        # 1 - cos, exact for narrow cones.
+        # `height` is 1 - cos, which is accurate for narrow cones.
         first, second = components(u)
         height = first * self._opening()
         radius, angle = jnp.sqrt(height * (2.0 - height)), 2.0 * math.pi * second
@@ -109,11 +109,11 @@ class SpotLight(Cone):
 
 
 class TexturedSpotLight(Cone):
-    """A spot whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
+    """A spot light whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
 
-    - `texture` [H, W, 3]: linear RGB. Values are interpolated between texel centres and repeat beyond.
-    - `up` [3]: turns the image, of any length. The frame has z along `direction` and y along `up`, without the part of
-      `up` along the direction. x completes it to a right-handed frame.
+    - `texture` [H, W, 3]: linear RGB. Values are interpolated between texel centres, and repeat beyond the image.
+    - `up` [3], of any length: says how the image is turned. The frame has z along `direction`, y along the part of `up`
+      across the direction, and x so that it is right-handed.
     - The other parameters are those of `SpotLight`, with a cutoff angle below 90 degrees.
 
     Think of a screen across the axis. The cone meets it in a circle, and the image fills the square around that circle.

@@ -1,4 +1,4 @@
-"""Textures, one model a file. Adding one: a file with a `Texture` subclass, and its name here."""
+"""Textures, one file for each model. A new texture is a file with a subclass of `Texture`, and its name here."""
 
 from jaxdr.scene.textures.base import Texture as Texture
 from jaxdr.scene.textures.base import TexturePoint as TexturePoint

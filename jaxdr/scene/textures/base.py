@@ -1,6 +1,7 @@
-"""The interface of a texture: values that vary over a surface, in the place of a constant of a BSDF or an emitter.
+"""The interface of textures: values that vary over a surface, in place of a constant of a BSDF or an emitter.
 
-The path tracer looks the values up where it meets a surface; BSDFs are evaluated with them and never see a texture.
+The path tracer looks up the values where it meets a surface. BSDFs are evaluated with these values, and never see a
+texture.
 """
 
 import abc
@@ -25,8 +26,8 @@ class TexturePoint(NamedTuple):
     - `barycentric`: coordinates in the face.
     - `vertices`: rows of the corners of the face in the vertices of its own mesh.
     - `face`: row of the face in the faces of its own mesh. Only where a texture of the scene uses it.
-    - `axes` (`uses_slopes`): dp/du · x, dp/dv · x and dp/dv · y of the position p, in the frame of the surface, whose x
-      axis is along increasing u. They are zero where the UVs tell no directions.
+    - `axes`: dp/du · x, dp/dv · x and dp/dv · y of the position p, in the frame of the surface, whose x axis is along
+      increasing u. They are zero where the UVs define no directions. Only where a texture of the scene `uses_slopes`.
     """
 
     uv: Float[Array, "N 2"] | None
@@ -39,8 +40,9 @@ class TexturePoint(NamedTuple):
 class Texture(eqx.Module):
     """Values over a surface, one number or RGB at each point. The base class of textures.
 
-    `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex or, with
-    `uses_faces`, for every face. `uses_slopes`: whether it needs the lengths that u and v stand for.
+    - `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex or, with
+      `uses_faces`, for every face.
+    - `uses_slopes`: whether it needs the lengths on the surface that u and v stand for.
     """
 
     uses_uv: ClassVar[bool] = True
@@ -49,24 +51,24 @@ class Texture(eqx.Module):
 
     @property
     def parts(self) -> tuple["Texture", ...]:
-        """The textures that it is made of: itself where it is not made of others."""
+        """The textures that it is made of; only itself if it is not made of others."""
         return (self,)
 
     @property
     @abc.abstractmethod
     def continuous(self) -> bool:
-        """Whether values change continuously inside a face. Where they jump and that moves, derivatives miss it."""
+        """Whether values are continuous inside each face. If they are not, derivatives miss the motion of the jumps."""
 
     @abc.abstractmethod
     def data(self) -> tuple[Float[Array, "..."], ...]:
-        """The arrays whose values, in the last axis, are looked up and mixed: of 1 (a number) or 3 channels (RGB)."""
+        """The arrays whose values are looked up and mixed. Their last axis has 1 channel (a number) or 3 (RGB)."""
 
     @abc.abstractmethod
     def lookup(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N C"]:
-        """Values at points. Every array of this texture has a leading axis: `row` says which one counts at a point."""
+        """Values at points. All arrays of this texture have a leading axis; `row` is the index along it, by point."""
 
     def fitted(self, channels: int, name: str) -> "Texture":
-        """The texture with this number of channels: numbers become grey. ValueError names the parameter otherwise."""
+        """The texture with 1 or 3 channels: numbers become grey. Raises ValueError where RGB would become a number."""
         data = self.data()
         if all(array.shape[-1] == channels for array in data):
             return self
@@ -76,14 +78,14 @@ class Texture(eqx.Module):
         return eqx.tree_at(lambda texture: texture.data(), self, tuple(grey))
 
     def extremes(self) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]] | None:
-        """Bounds of the values of each channel: the least and the greatest; None where a traced one has no value."""
+        """(lowest, highest) value of each channel, or bounds of these; None if an array is traced."""
         if any(isinstance(array, Tracer) for array in self.data()):
             return None
         rows = np.concatenate([np.asarray(array).reshape(-1, array.shape[-1]) for array in self.data()])
         return rows.min(0), rows.max(0)
 
     def check_range(self, name: str, low: float, high: float) -> None:
-        """Raise ValueError that names the parameter where a value is outside of [low, high]; traced ones pass."""
+        """Raises ValueError, with the parameter's name, if a value is outside of [low, high]. Traced ones pass."""
         if (known := self.extremes()) is None:
             return
         least, most = float(known[0].min()), float(known[1].max())
@@ -93,12 +95,12 @@ class Texture(eqx.Module):
             raise ValueError(f"{name} must be {expected}, and the texture has values from {least:g} to {most:g}")
 
     def times(self, factor: ArrayLike) -> "Texture":
-        """The texture with all its values times a number, or numbers times RGB."""
+        """The texture with all its values multiplied by a number, or by one factor for each channel."""
         scaled = tuple(as_array(on_host(array) * np.asarray(factor, array.dtype)) for array in self.data())
         return eqx.tree_at(lambda texture: texture.data(), self, scaled)
 
     def values(self, row: Int[Array, " N"], point: TexturePoint) -> Float[Array, "N *C"]:
-        """What takes the texture's place at every point: numbers [N] or RGB [N, 3]."""
+        """The values that take the place of the texture at every point: numbers [N] or RGB [N, 3]."""
         found = self.lookup(row, point)
         return components(found)[0] if found.shape[-1] == 1 else found
 
@@ -110,7 +112,10 @@ def textures_in(tree: Any) -> list[tuple[str, Texture]]:
 
 
 def channels_last(value: ArrayLike, name: str, axes: int) -> Float[Array, "..."]:
-    """Float array of numbers or RGB at `axes` indices, channels last; ValueError names the parameter otherwise."""
+    """A float array with `axes` axes and then one for 1 or 3 channels, which a number may leave out.
+
+    Raises ValueError, with the parameter's name, for another shape, and for integers unless `axes` is 0.
+    """
     array = as_array(value, None)
     if not jnp.issubdtype(array.dtype, jnp.floating) and axes:
         raise ValueError(f"{name} must be floats, linear, got {array.dtype}")
@@ -123,9 +128,9 @@ def channels_last(value: ArrayLike, name: str, axes: int) -> Float[Array, "..."]
 
 
 class ImageTexture(Texture):
-    """A texture in the plane of an image, placed by an affine map of the UVs, `to_uv` (None: as they are).
+    """A texture in the plane of an image.
 
-    `to_uv` [2, 3]: (u', v') = `to_uv` @ (u, v, 1).
+    `to_uv` [2, 3] is an affine map of the UVs: (u', v') = `to_uv` @ (u, v, 1). None leaves them as they are.
     """
 
     to_uv: eqx.AbstractVar[Float[Array, "*k 2 3"] | None]
@@ -140,7 +145,10 @@ class ImageTexture(Texture):
 
 
 def affine(to_uv: ArrayLike | None, name: str) -> Float[Array, "2 3"] | None:
-    """An affine map of the plane, from [2, 3] or [3, 3] with the last row 0 0 1."""
+    """An affine map of the plane [2, 3], from that shape or from [3, 3] with the last row 0 0 1.
+
+    Raises ValueError for another shape or another last row.
+    """
     if to_uv is None:
         return None
     matrix = on_host(as_array(to_uv))

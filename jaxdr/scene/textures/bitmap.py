@@ -16,7 +16,7 @@ WRAPS = ("repeat", "mirror", "clamp")
 
 
 class PixelTexture(ImageTexture):
-    """What textures made of pixels share: see `Bitmap`."""
+    """The base class of textures made of pixels. Its parameters are those of `Bitmap`."""
 
     pixels: Float[Array, "*k H W C"]
     to_uv: Float[Array, "*k 2 3"] | None
@@ -68,8 +68,9 @@ class Bitmap(PixelTexture):
 
     Values belong to the centres of pixels, as in Mitsuba 3's `bitmap`.
 
-    - `filter`: "bilinear" interpolates. "nearest" takes the nearest pixel's value, so that values jump inside faces.
-    - `wrap`: what is outside of [0, 1]^2: "repeat", "mirror" or "clamp"; a pair where it differs along u and v.
+    - `filter`: "bilinear" interpolates. "nearest" takes the value of the nearest pixel, so that values jump inside
+      faces.
+    - `wrap`: how the image goes on outside of [0, 1]^2: "repeat", "mirror" or "clamp", or a pair of these for u and v.
     - `to_uv` [2, 3] or [3, 3]: maps the UVs before the image is looked up.
 
     Raises ValueError for another shape, for integers (`Bitmap.from_file` reads images), and for an unknown `filter` or
@@ -92,9 +93,9 @@ class Bitmap(PixelTexture):
     ) -> "Bitmap":
         """The texture of an image file that `load_image` reads; `settings` are those of `Bitmap`.
 
-        PNG and JPEG hold sRGB, which is made linear: right for colours. For roughness, opacity and normals `raw` leaves
-        their numbers as they are. `channel` takes one alone (0 red … 3 alpha); without it alpha is dropped.
-        Raises ValueError that names the file for one that can't be read, or has no such channel.
+        PNG and JPEG files hold sRGB, which is made linear. That is right for colours. For roughness, opacity and
+        normals `raw` leaves the numbers as they are. `channel` takes a single channel (0 red … 3 alpha); without it,
+        alpha is dropped. Raises ValueError, with the file's name, for a file that can't be read or has no such channel.
         """
         image = load_image(path, raw=raw)
         if channel is None:
@@ -113,7 +114,7 @@ class Bitmap(PixelTexture):
 
 
 def _wrapped(index, size: int, wrap: str):
-    """Row or column of the image that an index without limits stands for."""
+    """The row or column of the image for any index, also one beyond its borders."""
     index = index.astype(jnp.int32)
     if wrap == "clamp":
         return jnp.clip(index, 0, size - 1)

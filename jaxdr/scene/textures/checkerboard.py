@@ -1,4 +1,4 @@
-"""A board of two colours."""
+"""A checkerboard of two colours."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,8 +11,8 @@ from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
 class Checkerboard(ImageTexture):
     """A checkerboard of two by two fields over UVs in [0, 1]^2, repeated beyond (Mitsuba 3's `checkerboard`).
 
-    `color0` is at the upper left and lower right, `color1` at the others. Both are numbers, or both RGB. `to_uv` [2, 3]
-    or [3, 3] maps the UVs first. Raises ValueError for another shape.
+    `color0` is at the upper left and lower right, `color1` at the other two. Each is a number or RGB. `to_uv` [2, 3] or
+    [3, 3] maps the UVs first. Raises ValueError for another shape.
     """
 
     color0: Float[Array, "*k C"]

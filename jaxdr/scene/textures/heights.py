@@ -1,4 +1,4 @@
-"""Heights over a surface, looked up as slopes."""
+"""A texture of heights over a surface, which is looked up as slopes."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,9 +10,9 @@ from jaxdr.scene.textures.bitmap import Bitmap, PixelTexture
 
 
 class Heights(PixelTexture):
-    """A bilinear image [H, W, 1] of heights whose look-up gives their slope along the x and the y axis of the surface.
+    """A bilinear image [H, W, 1] of heights. A look-up gives their slopes along the x and the y axis of the surface.
 
-    The slope is the difference of heights half a texel to both sides, which is continuous.
+    A slope is the difference of the heights half a texel away to both sides. It is continuous.
     """
 
     uses_slopes = True
@@ -22,7 +22,7 @@ class Heights(PixelTexture):
 
     @staticmethod
     def of(texture: Texture, name: str) -> "Heights":
-        """The same image; ValueError names the parameter where it has no slope at every point."""
+        """The same image as heights. Raises ValueError, with the parameter's name, unless it has slopes everywhere."""
         if not isinstance(texture, Bitmap) or not texture.continuous:
             raise ValueError(f"{name} must be a bilinear Bitmap: other heights have steps or no slope")
         if texture.pixels.shape[-1] != 1:
@@ -30,7 +30,7 @@ class Heights(PixelTexture):
         return Heights(texture.pixels, wrap=texture.wrap, to_uv=texture.to_uv)
 
     def lookup(self, row, point):
-        """Slopes [N, 2], heights over scene units."""
+        """Slopes [N, 2]: change of height per length on the surface (scene units)."""
         assert point.axes is not None
         height, width = self.pixels.shape[-3:-1]
         across, down = self.image_point(row, point)
@@ -53,5 +53,5 @@ class Heights(PixelTexture):
 
 
 def _lines(matrix: Float[Array, "N 2 3"]) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
-    """Both rows of matrices."""
+    """The first and the second rows of matrices."""
     return matrix[:, 0], matrix[:, 1]

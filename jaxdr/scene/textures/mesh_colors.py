@@ -1,4 +1,4 @@
-"""One value for every vertex or every face of a mesh."""
+"""Textures with one value for every vertex, or for every face, of a mesh."""
 
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
@@ -8,7 +8,7 @@ from jaxdr.scene.textures.base import Texture, channels_last
 
 
 class MeshColors(Texture):
-    """`colors` [n] or [n, C] (C = 1 or 3) in the order of a mesh's vertices or faces."""
+    """`colors` [n] or [n, C] (C = 1 or 3), in the order of the vertices or of the faces of a mesh."""
 
     colors: Float[Array, "*k n C"]
     uses_uv = False
@@ -38,7 +38,7 @@ class VertexColors(MeshColors):
 
 
 class FaceColors(MeshColors):
-    """A colour for each face, the same all over it: `colors` [F] or [F, C] (C = 1 or 3), linear floats.
+    """A colour for each face, constant over the face: `colors` [F] or [F, C] (C = 1 or 3), linear floats.
 
     Raises ValueError for another shape. F is the number of faces of the mesh, which `Scene` checks.
     """

@@ -1,4 +1,4 @@
-"""Two textures times each other."""
+"""The product of two textures."""
 
 import numpy as np
 

@@ -12,7 +12,7 @@ from jaxdr.integrators.base import prepare_terms, term_images
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import pack
 from jaxdr.transport.path import PathSettings, trace_paths
-from jaxdr.transport.primary import primary_samples
+from jaxdr.transport.primary import Form, primary_samples
 
 KEY = jax.random.key(3)
 SETTINGS = PathSettings(3, True, "auto")
@@ -39,9 +39,9 @@ def derivative(terms):
     @jax.jit
     def images(t):
         packed = pack(of.replace({"box.vertices": vertices + t * jnp.asarray([1.0, 0.3, 0.1])}))
-        context = Context(packed, moving, SETTINGS, "fixed", 1.0)
+        context = Context(packed, moving, SETTINGS, Form.FIXED, 1.0)
         prepared = prepare_terms(context, terms, key_terms)
-        primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, SETTINGS.rays, "fixed")
+        primary = primary_samples(packed, jnp.arange(SAMPLES), key_film, SETTINGS.rays, Form.FIXED)
         record = trace_paths(packed, primary.first, primary.direction, primary.u, key_path, SETTINGS)
         weight = jnp.full(SAMPLES, 1.0 / SAMPLES)
         chunk = Chunk(jnp.arange(SAMPLES), weight, primary, record, key_radiance)

@@ -141,7 +141,7 @@ def test_what_is_said(scene_file):
         load_mitsuba(scene_file(SCENE % MIXTURE % ("2, 2", 2 * PLAIN)))
     one = '<bsdf type="blendbsdf"><float name="weight" value="0.2"/><bsdf type="twosided"><bsdf type="phong"/></bsdf>'
     one += '<bsdf type="plastic"/></bsdf>'
-    with pytest.raises(ValueError, match="of a blend one BSDF is twosided and another is not"):
+    with pytest.raises(ValueError, match="one BSDF of the blend is twosided and another is not"):
         load_mitsuba(scene_file(SCENE % one))
 
 

@@ -1,4 +1,4 @@
-"""Warp kernels for the CPU that trace packets of 16 rays with Embree, by the addresses of its functions.
+"""Warp kernels for the CPU that trace packets of 16 rays with Embree, whose functions they call by address.
 
 The structure in the snippets is RTCRayHit16 of Embree 4, which begins with RTCRay16.
 """
@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False})  # answers are discrete: no de
 
 PACKET = 16
 
-# `valid` lanes are -1. Lanes behind the last ray are copies of the first one that nobody looks at.
+# `valid` lanes are -1. Lanes after the last ray are copies of the first ray, and are not used.
 _FILL = """
     struct alignas(64) RayHit16 {
         float ox[16], oy[16], oz[16], tnear[16], dx[16], dy[16], dz[16], time[16], tfar[16];

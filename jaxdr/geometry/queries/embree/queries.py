@@ -1,6 +1,6 @@
-"""Nearest hits and occlusion by Embree on the CPU, called as `warp.queries`; all other queries are Warp's own.
+"""Nearest hits and occlusion by Embree on the CPU, with the interface of `warp.queries`.
 
-On other devices these two are Warp's as well.
+All other queries, and these two on other devices, are Warp's own.
 """
 
 from jaxdr.geometry.queries.bvh_cache import BVHCache

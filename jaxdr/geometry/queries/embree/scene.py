@@ -1,7 +1,7 @@
-"""Triangle meshes in Embree, by the library that the package `embreex` brings along (its C interface, through ctypes).
+"""Triangle meshes in Embree, by its library in the package `embreex` (the C interface, through ctypes).
 
-`embreex` itself traces one ray at a time and holds Python's lock. Packets are traced by kernels of our own instead,
-which call the functions of the library at the addresses given here.
+`embreex` itself traces one ray at a time and holds Python's lock. Instead, our own kernels trace packets: they call the
+library's functions at the addresses given here.
 """
 
 import ctypes
@@ -12,8 +12,8 @@ import numpy as np
 
 TRIANGLES, INDICES, VERTICES = 0, 0, 1  # RTCGeometryType, RTCBufferType
 UINT3, FLOAT3 = 0x5003, 0x9003  # RTCFormat
-# RTCSceneFlags: rays don't slip between neighbouring faces, but for a few that go exactly through a vertex: of 14,400
-# aimed at the vertices and edges of a torus from inside, 5 do, and 602 without it.
+# RTCSceneFlags: with this flag rays don't slip between neighbouring faces, except very few that go exactly through a
+# vertex.
 ROBUST = 4
 MEDIUM, REFIT = 1, 3  # RTCBuildQuality
 MAJOR = 1  # RTCDeviceProperty: the version's first number
@@ -21,11 +21,11 @@ VERSION = 4  # the packets' layout in memory is that of this version
 
 
 class _Library:
-    """The functions that are called from Python, the addresses of those that kernels call, and a device."""
+    """The functions that Python calls, the addresses of functions that kernels call, and a device."""
 
     def __init__(self):
         try:
-            module = importlib.import_module("embreex.rtcore")  # a handle on it finds what it is linked with
+            module = importlib.import_module("embreex.rtcore")  # its handle also finds the functions of Embree
         except ImportError as error:
             raise ImportError('rays="embree" needs the package embreex: pip install "embreex>=4.4"') from error
 
@@ -47,12 +47,12 @@ class _Library:
 
 @functools.cache
 def library() -> _Library:
-    """Embree; raises ImportError without the package `embreex`, or with one of another version."""
+    """Embree's library. Raises ImportError if the package `embreex` is missing or has another version of Embree."""
     return _Library()
 
 
 def available() -> bool:
-    """Whether the package is there, and of the right version."""
+    """Whether the package is installed in the right version."""
     try:
         library()
     except ImportError:

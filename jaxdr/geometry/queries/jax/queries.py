@@ -1,6 +1,6 @@
-"""Ray queries in plain JAX: a reference for tests, for tiny scenes, and for devices that Warp does not know.
+"""Ray queries in plain JAX: a reference for tests, for tiny scenes, and for devices that Warp does not support.
 
-Faces (edges) are visited in blocks by a loop, so memory is rays x block and not rays x faces.
+A loop visits faces or edges in blocks, so memory is rays x block and not rays x faces.
 """
 
 import jax
@@ -25,7 +25,7 @@ def _blocks(*arrays):
 def _edge_function(p, q, i, j):
     """Twice the signed area of the triangle (0, p, q) in the plane across the ray, in the order of the vertex indices.
 
-    Both faces of an edge then get the same number up to its sign, whatever the rounding: no ray slips between them.
+    Then both faces of an edge get the same number up to its sign, also after rounding: no ray slips between them.
     """
     swap = i > j
     first, second = jnp.where(swap[..., None], q, p), jnp.where(swap[..., None], p, q)
@@ -33,10 +33,10 @@ def _edge_function(p, q, i, j):
 
 
 def _crossings(vertices, faces, origin, direction, reach):
-    """(t [N, BLOCK] of every ray with every face of a block, MISS where there is none; areas opposite its corners).
+    """(t [N, BLOCK] of every ray with every face of a block, MISS without a hit; areas opposite its corners).
 
-    Watertight (Woop et al. 2013): corners are sheared into the plane across the ray one by one, so that the faces
-    around a vertex agree where it is, and then it is a question of the plane.
+    It is watertight (Woop et al. 2013). Corners are sheared into the plane across the ray one by one, so the faces
+    around a vertex agree on its place. The test itself is done in this plane.
     """
     corners = vertices[faces]  # [B, 3, 3]
     largest = jnp.argmax(jnp.abs(direction), axis=1)
@@ -127,9 +127,9 @@ def _nearest(crossings, blocks, lines, capacity):
 
 
 def _side_of_faces(vertices, opposite, p0, p1, plane, apex):
-    """[N, B]: +1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0.
+    """[N, B]: +1 or -1 if all faces of an edge lie on this side of the plane through apex and edge, else 0.
 
-    Faces that the apex lies in, up to rounding, are on neither side.
+    Faces that contain the apex, up to rounding, are on neither side.
     """
     largest = jnp.maximum(jnp.abs(p0).max(-1)[None], jnp.abs(apex).max(-1)[:, None])
     rounding = 5e-7 * largest + 1e-6 * norm(p0[None] - apex[:, None])
@@ -154,7 +154,7 @@ def _reach(radius, magnification, widest):
 
 
 def _gather(near, count, segment, element, index, source):
-    """Append the pairs of a block to the compacted lists; what exceeds the capacity is counted but not stored."""
+    """Append the pairs of a block to the compacted lists. Pairs beyond the capacity are counted but not stored."""
     near = near & (index == source)[None]
     position = count + jnp.cumsum(near.reshape(-1)).reshape(near.shape) - 1
     slot = jnp.where(near, position, segment.shape[0])
@@ -165,7 +165,7 @@ def _gather(near, count, segment, element, index, source):
 
 
 def _candidates(near_block, blocks, seed, capacity):
-    """Compact the pairs of all blocks; on overflow do it again with unbiased random thinning."""
+    """Compact the pairs of all blocks. If they exceed the capacity, do it again with unbiased random thinning."""
 
     def run(probability):
         def visit(state, block):
@@ -190,7 +190,7 @@ def _candidates(near_block, blocks, seed, capacity):
 
 
 def edge_candidates(geometry, edges, strips, seed, capacity, both_sides):
-    """(segment, edge, count, weight): see `queries.edge_candidates`. Every edge is tried: no tree."""
+    """(segment, edge, count, weight): see `queries.edge_candidates`. Every edge is tried, without a tree."""
     vertices, (apex, target, normal, scale, widest) = geometry.vertices, strips
     height = dot(normal, target - apex)
     b, n = target[:, None], normal[:, None]

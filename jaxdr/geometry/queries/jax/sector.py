@@ -1,6 +1,6 @@
-"""Silhouettes that cut planar sectors, in plain JAX: every edge is tried, every crossing resolved by a ray of its own.
+"""Silhouettes that cut planar sectors, in plain JAX: every edge is tried, and a ray decides on every crossing.
 
-For tests, tiny scenes and devices that Warp does not know.
+For tests, tiny scenes and devices that Warp does not support.
 """
 
 import jax
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxdr.geometry.queries.records import BESIDE
 from jaxdr.geometry.vector import dot, normalize
 
-MOST = 48  # crossings of one chord
+MOST = 48  # crossings of one chord; more are left out
 BATCH = 64  # chords at once
 
 
@@ -47,7 +47,7 @@ def sector_crossings(geometry, edge_set, face_group, sectors, seed, least_layer,
         negative = exists & (along != ahead[edge_faces])
         one_sided = ~positive.any(-1) | ~negative.any(-1)
         own = (exists & (face_group[edge_faces] == group)).any(-1) & (group >= 0)
-        found = crosses & (one_sided | (group < -2)) & ~own & (rank >= needed) & (needed > 0)
+        found = crosses & one_sided & ~own & (rank >= needed) & (needed > 0)
         count = found.sum()
         chosen = jnp.argsort(~found, stable=True)[:most]
         found = found[chosen]

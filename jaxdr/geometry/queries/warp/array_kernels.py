@@ -1,4 +1,4 @@
-"""Warp kernels over whole arrays, in place of NumPy on a GPU: whether two are equal, how large their numbers are."""
+"""Warp kernels over whole arrays, which replace NumPy on a GPU: equality of arrays, and the size of their numbers."""
 
 import warp as wp
 
@@ -9,22 +9,22 @@ wp.set_module_options({"enable_backward": False})
 def find_difference(
     start: int, kept: wp.array(dtype=int), given: wp.array(dtype=int), pair: int, differ: wp.array(dtype=int)
 ):
-    """Set number `pair` of `differ` where two arrays of words are not equal bit by bit."""
+    """Set entry `pair` of `differ` if two arrays of words are not equal bit by bit."""
     i = start + wp.tid()
     if kept[i] != given[i]:
-        differ[pair] = 1  # all that write here write the same
+        differ[pair] = 1  # all threads that write here write the same number
 
 
 @wp.kernel
 def find_largest(start: int, numbers: wp.array(dtype=float), largest: wp.array(dtype=float)):
-    """The largest absolute value."""
+    """Find the largest absolute value of an array."""
     size = wp.abs(numbers[start + wp.tid()])
-    if size > largest[0]:  # few are, so few wait for each other
+    if size > largest[0]:  # true for few threads, so few wait for each other
         wp.atomic_max(largest, 0, size)
 
 
 @wp.kernel
 def count_above(start: int, numbers: wp.array(dtype=int), limit: int, count: wp.array(dtype=int)):
-    """How many numbers exceed a limit."""
+    """Count the numbers that exceed a limit."""
     if numbers[start + wp.tid()] > limit:
         wp.atomic_add(count, 0, 1)

@@ -1,14 +1,15 @@
-"""Arrays on a GPU, as a cache of structures compares and keeps them, and when structures there may change.
+"""Arrays on a GPU: how a cache of structures compares and copies them, and when structures there may change.
 
 All of it also runs on Warp's CPU device, where it is tested.
 
-What Warp guarantees (1.19), and what follows:
+Warp (1.19) guarantees little, so two rules follow:
 
-- A callback from JAX works on XLA's stream, and kernels that it launched may still wait when it returns. A lock does
-  not tell whether a structure is in use: before one is refitted or dropped, all streams of the device are waited for.
-- Memory is freed in the order of the default stream. That one waits for streams like Warp's own, and not for XLA's, so
-  memory that kernels on XLA's stream still use could be given to others. Structures, and the scratch memory of their
-  construction, therefore are made on a stream of Warp's own, and finished before others see them.
+- A callback from JAX works on XLA's stream. Kernels that it launched may still be waiting when it returns. So a lock
+  does not tell whether a structure is in use. Before a structure is refitted or dropped, wait for all streams of the
+  device.
+- Memory is freed in the order of the default stream. This stream waits for streams like Warp's own, but not for XLA's.
+  So memory that kernels on XLA's stream still use could be given to other arrays. Therefore structures, and the scratch
+  memory of their construction, are made on a stream of Warp's own, and finished before other code sees them.
 """
 
 import contextlib
@@ -21,14 +22,14 @@ from jaxdr.geometry.queries.warp.launch import launch
 
 
 class DeviceArrays:
-    """Warp arrays, compared where they are: one number an array comes back to the host."""
+    """Warp arrays, compared on their device: for each array one number comes back to the host."""
 
     def __init__(self, device):
         self.device = device
         self.stream = None if device.is_cpu else wp.Stream(device)
 
     def agree(self, kept: Sequence[wp.array], given: Sequence[wp.array]) -> Iterator[bool]:
-        """Whether arrays are equal bit by bit, pair by pair; shapes and types are looked at first."""
+        """Whether arrays are equal bit by bit, pair by pair; shapes and types are compared first."""
         alike = [a.shape == b.shape and a.dtype == b.dtype for a, b in zip(kept, given, strict=True)]
         if not any(alike):
             return iter(alike)
@@ -39,14 +40,14 @@ class DeviceArrays:
         return (like and not found for like, found in zip(alike, differ.numpy(), strict=True))
 
     def copies(self, given: Sequence[wp.array]) -> list[wp.array]:
-        """Copies that nobody else writes to."""
+        """Copies that no other code writes to."""
         return [wp.clone(a) for a in given]
 
     @contextlib.contextmanager
     def changes(self) -> Iterator[None]:
-        """Waits for all kernels on the device, and in the end for what was launched inside.
+        """A context that first waits for all kernels on the device, and in the end for kernels launched inside.
 
-        Copies made inside are part of it: what they are made of is there when it begins.
+        Copies may be made inside: their sources are complete when it begins.
         """
         if self.stream is None:
             yield
@@ -63,7 +64,7 @@ def largest(array: wp.array) -> float:
     """The largest absolute value in an array of float vectors; waits for the device."""
     numbers = _as(array, float)
     found = wp.zeros(1, dtype=float, device=array.device)
-    # At once: threads of a CPU have no atomic maximum.
+    # In one slice: on a CPU the maximum is not atomic between threads.
     launch(kernels.find_largest, numbers.size, [], [numbers, found], array.device, each=max(1, numbers.size))
     return float(found.numpy()[0])
 

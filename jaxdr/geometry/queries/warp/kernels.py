@@ -1,4 +1,4 @@
-"""Warp kernels behind the ray queries. They answer discrete questions only: which face, which edge, occluded or not.
+"""Warp kernels of the ray queries. They answer discrete questions only: which face, which edge, occluded or not.
 
 Every kernel works on the slice that starts at `start`, so that a CPU launch can be split over threads.
 """
@@ -52,9 +52,9 @@ def occluded(
 
 @wp.func
 def directed_volume(d: wp.vec3d, p: wp.vec3d, q: wp.vec3d, i: int, j: int):
-    """Signed volume of the ray with edge (p, q), evaluated in the order of the vertex indices: both faces agree on it.
+    """Signed volume of the ray with edge (p, q). The order of the vertex indices makes both faces agree on it.
 
-    In double precision, so that the faces around a vertex agree as well.
+    Double precision makes the faces around a vertex agree as well.
     """
     if i < j:
         return wp.dot(d, wp.cross(p, q))
@@ -63,7 +63,7 @@ def directed_volume(d: wp.vec3d, p: wp.vec3d, q: wp.vec3d, i: int, j: int):
 
 @wp.func
 def crossing(geometry: Geometry, f: int, o: wp.vec3d, d: wp.vec3d):
-    """Ray parameter where the line (o, d) crosses a face, MISS where it does not."""
+    """Ray parameter where the line (o, d) crosses a face; MISS if it does not."""
     v = geometry.faces[f]
     a = wp.vec3d(geometry.vertices[v[0]]) - o
     b = wp.vec3d(geometry.vertices[v[1]]) - o
@@ -81,7 +81,7 @@ def crossing(geometry: Geometry, f: int, o: wp.vec3d, d: wp.vec3d):
 
 @wp.func
 def keep_nearest(face: wp.array2d(dtype=int), at: wp.array2d(dtype=float), i: int, found: int, f: int, t: float):
-    """Insert face `f` at `t` into row `i`, sorted by |t|, of which `found` were there; the nearest are kept."""
+    """Insert face `f` at `t` into row `i`, sorted by |t|, after `found` faces so far; the nearest are kept."""
     capacity = face.shape[1]
     slot = wp.min(found, capacity)
     while slot > 0 and wp.abs(at[i, slot - 1]) > wp.abs(t):
@@ -137,10 +137,10 @@ def all_on_one_side(
     plane: wp.vec3,
     apex: wp.vec3,
 ):
-    """+1 or -1 when all faces of an edge lie on that side of the plane through apex and edge, else 0.
+    """+1 or -1 if all faces of an edge lie on this side of the plane through apex and edge, else 0.
 
-    Faces that the apex lies in, up to rounding, are on neither side: the horizon of the face that a segment leaves
-    is where the next face bends away.
+    Faces that contain the apex, up to rounding, are on neither side: such a face has its horizon where the next face
+    bends away.
     """
     rounding = 5.0e-7 * wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(apex))) + 1.0e-6 * wp.length(p0 - apex)
     limit = rounding * wp.length(p1 - p0)
@@ -159,7 +159,7 @@ def all_on_one_side(
 
 @wp.func
 def keeps(segment: int, element: int, seed: int, probability: float):
-    """Unbiased thinning: whether this (segment, element) pair survives; a hash, so the choice is reproducible."""
+    """Unbiased thinning: whether this (segment, element) pair survives. It is a hash, so the choice is reproducible."""
     if probability >= 1.0:
         return True
     return wp.randf(wp.rand_init(seed + 977 * element, segment)) < probability
@@ -222,8 +222,9 @@ def near_silhouette(
 def faces_all_alike(to_center: wp.vec3, size: float, axis: wp.vec3, cosine: float):
     """Whether all faces at the edges of a node face the apex, or all face away: then it holds no silhouette.
 
-    The node, of radius `size`, spans the angle beta around its centre; all faces face alike when axis and view are more
-    than alpha + beta off a right angle, alpha the half-angle of the cone of their normals.
+    The node, of radius `size`, spans the angle beta around its centre. Let alpha be the half-angle of the cone of the
+    faces' normals. All faces face alike if the angle between axis and view differs from 90 degrees by more than
+    alpha + beta.
     """
     clear2 = wp.dot(to_center, to_center) - size * size
     if cosine <= 0.0 or clear2 <= 0.0:
@@ -237,7 +238,7 @@ def faces_all_alike(to_center: wp.vec3, size: float, axis: wp.vec3, cosine: floa
 
 @wp.func
 def part(row: wp.vec4):
-    """The first three numbers."""
+    """The first three numbers of a row."""
     return wp.vec3(row[0], row[1], row[2])
 
 
@@ -254,10 +255,10 @@ def may_hold_silhouettes(
     length: float,
     widest: float,
 ):
-    """Whether a node of the edge tree reaches into a segment's kernel and its faces do not all face alike.
+    """Whether a node of the edge tree reaches into a segment's kernel, and its faces do not all face alike.
 
-    The kernel around the segment (apex, unit `along`, `length`) is as wide as a kernel of radius `radius` at the edge,
-    but never wider than `widest` at the far end: a cone near the apex, a tube further on.
+    The kernel around the segment (apex, unit `along`, `length`) has the radius `radius` at an edge, but at most
+    `widest` after projection to the far end. So it is a cone near the apex, and a tube further on.
     """
     to_center = center - apex
     t = wp.dot(to_center, along)
@@ -291,9 +292,9 @@ def edge_candidates(
 ):
     """Silhouette edges whose projection from the apex onto the target's plane passes within the kernel radius.
 
-    `rank` (radius) of an edge <= 0 leaves the edge out; `scale` of a segment <= 0 leaves the segment out.
-    `options` = [seed, both_sides]; `found` = [kept, all]. The tree is walked without a stack: from node n (counted from
-    1, children 2n and 2n + 1) the next subtree is that of n + 1 without its trailing zeros.
+    An edge of `rank` (radius) <= 0 is left out, as is a segment of `scale` <= 0. `options` = [seed, both_sides];
+    `found` = [kept, all]. The tree is walked without a stack. Nodes are numbered from 1, and the children of n are 2n
+    and 2n + 1. After the subtree of n comes that of n + 1 divided by 2 until it is odd.
     """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:
@@ -380,7 +381,7 @@ def point_candidates(
 ):
     """Points on silhouette edges whose projection onto the target's plane lies in the disc around the target.
 
-    `options` and `found` as in `edge_candidates`.
+    `options` and `found` are as in `edge_candidates`.
     """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:

@@ -1,4 +1,4 @@
-"""Running Warp kernels from JAX: batches sliced over threads on CPU, whole on CUDA; lists of results of unknown length.
+"""Running Warp kernels: batches are sliced over threads on CPUs and whole on CUDA; lists of results of unknown length.
 
 Every kernel works on the slice that starts at its argument `start`, so that a CPU launch can be split over threads.
 """
@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import numpy as np
 import warp as wp
 
-# Those of this process: schedulers and containers give it a part of the machine.
+# The cores of this process, which may be fewer than the machine has.
 THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-# Slices are a fixed number of rays, not a share: results come back in the same order on any number of threads.
+# Rays in a slice. The number is fixed, so that results have the same order with any number of threads.
 SLICE = 8192
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
@@ -26,7 +26,7 @@ def on_host(array: wp.array) -> np.ndarray:
 
 
 def _load(kernel, device) -> None:
-    """Compile or load a kernel's module, before threads launch it; programs may run side by side, too."""
+    """Compile or load a kernel's module before threads launch it; the lock is for programs that run in parallel."""
     with _loading:
         wp.load_module(kernel.module, device=device)
 
@@ -51,25 +51,24 @@ def launch(kernel, count: int, leading: list, rest: list, device, each: int = SL
 
 
 def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: int, device):
-    """Run a kernel that appends rows to `lists` and thin the rows without bias if there are more than fit.
+    """Run a kernel that appends rows to `lists`, and thin the rows without bias if there are more than fit.
 
-    The kernel's arguments are `(*leading, start, *rest, probability, *lists, found)`; it adds to `found`, an array of
-    `counts` whole numbers, how many rows it kept and how many there are, and whatever else it counts. The first list
-    holds row numbers; unused slots of it are -1. On a GPU the host waits for `found`: whether to thin, and to warn, is
-    decided there. The thinning probability depends on the number of rows
-    alone, not on which of them survive, so weighting the survivors by its inverse is unbiased; eight standard
-    deviations of slack keep them within the capacity. Returns (found, 1 / probability).
+    The kernel's arguments are `(*leading, start, *rest, probability, *lists, found)`. It adds to `found`, an array of
+    `counts` whole numbers: the rows it kept, all rows, and other counts. The first list holds row numbers, -1 in unused
+    slots. On a GPU the host waits for `found`, because the host decides whether to thin and to warn. The probability of
+    a row to survive depends on the number of rows only. So weighting the survivors by its inverse is unbiased. Eight
+    standard deviations of slack keep them within the capacity. Returns (found, 1 / probability).
     """
     capacity, probability = lists[0].shape[0], 1.0
     found = _run(kernel, leading, rest, total, probability, lists, counts, device)
     if found[0] > capacity:
         every = int(found[1])
         probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
-        # A power of two: Python shows a warning once a place and text, and the number differs from call to call.
+        # Round to a power of two. The exact number differs from call to call, and Python shows each new text again.
         enough = 1 << (every // capacity).bit_length()
         warnings.warn(
             f"jaxdr: the silhouettes near {total} segments exceed the capacity of {capacity} and were thinned without "
-            f"bias. {enough} times the capacity, or less reach, avoids it.",
+            f"bias. {enough} times the capacity, or a smaller reach, avoids it.",
             stacklevel=2,
         )
         kept = _run(kernel, leading, rest, total, probability, lists, counts, device)[0]
@@ -99,7 +98,7 @@ def _run(kernel, leading, rest, total, probability, lists, counts, device) -> np
         kept = min(int(found.numpy()[0]), capacity)
         return [a.numpy()[:kept] for a in out], found.numpy()
 
-    # Each slice fills its own list and the lists are joined in order: the result does not depend on timing.
+    # Each slice fills its own lists, which are joined in order. So the result does not depend on timing.
     parts = list(_pool.map(run, range(0, total, SLICE)))
     for index, target in enumerate(lists):
         joined = np.concatenate([part[0][index] for part in parts])[:capacity] if parts else np.zeros(0)

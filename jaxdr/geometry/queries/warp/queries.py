@@ -1,7 +1,7 @@
 """Ray queries by Warp, on CPU (batches sliced over threads) and CUDA, called from JAX through `warp.jax_callable`.
 
-The functions below receive the geometry with every call and look its BVH up by content (see `bvh_cache`), so a
-query is a pure function of its arguments. They do host work and therefore run outside CUDA graphs.
+The functions receive the geometry with every call, and look up its BVH by content (see `bvh_cache`). So a query is a
+pure function of its arguments. The functions do host work, so they run outside CUDA graphs.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)
 
 @contextlib.contextmanager
 def structure(kind: str, device, moving: list, topology: list):
-    """The id of a structure over arrays, nobody else's as long as it is in use."""
+    """The id of a structure over arrays. Inside the context no other code changes the structure."""
     cache = structure_cache(kind, device)
     if isinstance(cache.arrays, HostArrays):
         moving, topology = [on_host(a) for a in moving], [on_host(a) for a in topology]
@@ -35,7 +35,7 @@ def structure(kind: str, device, moving: list, topology: list):
 
 
 def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
-    """`closest_hit` and `occluded`, by `trace(kernel, geometry, rays, outputs)` for the kernels of those names."""
+    """`closest_hit` and `occluded`, which call `trace(kernel, geometry, rays, outputs)` with kernels of these names."""
 
     def closest_hit_of(geometry, rays, face, t, barycentric):
         trace("closest_hit", geometry, rays, [face, t, barycentric])
@@ -61,7 +61,7 @@ def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
 
 
 def trace(kernel: str, geometry, rays, outputs: list) -> None:
-    """Run one of the two kernels."""
+    """Run the kernel "closest_hit" or "occluded"."""
     device = geometry.vertices.device
     with structure("mesh", device, [geometry.vertices], [geometry.faces]) as mesh:
         launch(getattr(kernels, kernel), rays.reach.shape[0], [mesh], [rays, *outputs], device)
@@ -80,7 +80,7 @@ def _projections(geometry, face_shape, lines, face, height, count):
     if over:
         warnings.warn(
             f"jaxdr: {over} of {lines_there} auxiliary points have more projections onto their shape than the "
-            f"{face.shape[1]} that there is room for; the furthest were left out. More room avoids it.",
+            f"{face.shape[1]} that fit; the furthest were left out. More room avoids it.",
             stacklevel=2,
         )
 
@@ -100,14 +100,14 @@ def _edge_tree(slots, geometry, edges, table, scratch):
     device, count = table.device, table.shape[0]
     nodes = wp.array(ptr=scratch.ptr, dtype=tree_kernels.Node, shape=count, device=device)
     first = count // 2
-    table.zero_()  # row 0 is no node
+    table.zero_()  # row 0 is not a node
     launch(tree_kernels.tree_leaves, first, [], [slots, geometry, edges, nodes, table], device)
     while first > 1:
         first //= 2
         launch(tree_kernels.tree_parents, first, [], [first, nodes, table], device)
 
 
-# Memory for the nodes as they are merged is JAX's as well: it stays until kernels on JAX's stream are done with it.
+# JAX also allocates the scratch memory for nodes, so it stays until kernels on JAX's stream have finished.
 _edge_tree_call = Call(
     _edge_tree, [Numbers, records.Geometry, records.EdgeSet], [wp.array2d(dtype=wp.vec4), REAL_ROWS], tree_kernels
 )
@@ -147,8 +147,8 @@ def _sector_crossings(geometry, edges, tree, face_group, sectors, options, segme
         found, inverse = compact(sector_kernels.sector_crossings, [bvh], rest, total, lists, 6, device)
     if found[2] > 1e-3 * found[5]:
         warnings.warn(
-            f"jaxdr: before some of {total} chords surfaces could not be counted (something that pierces an emitter, "
-            "or rounding); rays past each edge decided there",
+            f"jaxdr: in front of some of {total} chords surfaces could not be counted (something pierces an emitter, "
+            "or rounding); there rays past each edge decided",
             stacklevel=2,
         )
     _counted(found[1:], inverse, counts, weight)

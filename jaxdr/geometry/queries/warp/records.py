@@ -1,4 +1,4 @@
-"""The records of `queries` as Warp's kernels see them, and kernels as functions of JAX arrays in such records."""
+"""The records of `queries` as Warp structs, and kernels as functions of JAX arrays in such records."""
 
 import inspect
 from collections.abc import Callable
@@ -73,7 +73,7 @@ Numbers = wp.array(dtype=int)
 
 
 def _arrays(kind) -> list:
-    """[(field, type)] of a struct; of an array itself."""
+    """[(field, type)] of a struct; for an array, one entry with its type."""
     return [("array", kind)] if isinstance(kind, wp.array) else [(name, v.type) for name, v in kind.vars.items()]
 
 
@@ -89,8 +89,9 @@ def _filled(kind, arrays):
 class Call:
     """`body(*records, *outputs)`, host work that launches kernels, as a function of records of JAX arrays.
 
-    `inputs` are the records' structs (or types of single arrays), `outputs` the types of arrays. A record may have more
-    fields than its struct, which takes those of its names. `kernels` is the Python module of the kernels.
+    `inputs` are the structs of the records (or types of single arrays), `outputs` the types of the output arrays. A
+    record may have more fields than its struct, which takes fields by name. `kernels` is the Python module of the
+    kernels.
     """
 
     def __init__(self, body: Callable, inputs: list, outputs: list, kernels):
@@ -106,7 +107,7 @@ class Call:
         function.__signature__ = inspect.Signature(parameters)  # ty: ignore[unresolved-attribute]
         function.__annotations__ = types
         function.__name__ = function.__qualname__ = body.__name__
-        function.__module__ = kernels.__name__  # Warp loads the module of the function: let it be the kernels' own
+        function.__module__ = kernels.__name__  # Warp loads the function's module, which should be that of the kernels
         self.call = jax_callable(function, num_outputs=len(outputs), graph_mode=JaxCallableGraphMode.NONE)
 
     def __call__(self, *records, dims: list):
@@ -115,7 +116,7 @@ class Call:
         for kind, record in zip(self.inputs, records, strict=True):
             single = isinstance(kind, wp.array)
             arrays += [record] if single else [getattr(record, name) for name in kind.vars]
-        # Warp numbers the traced calls and writes the number into the program, which would defeat JAX's compilation
-        # cache. It only tells static arguments apart, and there are none.
+        # Warp numbers the traced calls and writes the number into the program. This would defeat JAX's compilation
+        # cache. The number only tells static arguments apart, and there are none.
         self.call.call_id = 0
         return self.call(*arrays, output_dims=dict(zip(self.outputs, dims, strict=True)))

@@ -1,9 +1,9 @@
 """Warp kernel that finds where silhouettes cut planar sectors, and which of the crossings bound what is visible.
 
-Everything that decides about visibility is the sign of a number that belongs to one face (does it face the apex) or one
-vertex (on which side of the sector's plane does it lie), computed once in double precision from the vertices in stored
-order. So neighbouring faces and edges agree on them, and layers are counted as on a closed curve even where a mesh
-folds within rounding.
+Only signs decide about visibility: of a number for each face (does it face the apex), and of a number for each vertex
+(on which side of the sector's plane is it). These numbers are computed in double precision from the vertices in stored
+order. So neighbouring faces and edges agree on them, and the counts of layers are consistent, even where a mesh folds
+within rounding.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ from jaxdr.geometry.queries.warp.records import EdgeSet, EdgeTree, Geometry, Sec
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
 
 LEAF = wp.constant(edge_tree.LEAF)
-MOST = 32  # crossings of one chord that are sorted at once; more take another walk each
+MOST = 32  # crossings of a chord that are sorted in one walk; more crossings need more walks
 BESIDE = wp.constant(records.BESIDE)
 
 _Places = wp.types.vector(length=MOST, dtype=wp.float64)
@@ -26,7 +26,7 @@ _Capacity = wp.constant(MOST)
 
 @wp.func
 def oriented_volume(geometry: Geometry, face: int, apex: wp.vec3d):
-    """Six times the volume over a face, seen from the apex: its sign tells which side of the face the apex is on."""
+    """Six times the signed volume of apex and face. Its sign tells on which side of the face the apex is."""
     v = geometry.faces[face]
     p = wp.vec3d(geometry.vertices[v[0]]) - apex
     q = wp.vec3d(geometry.vertices[v[1]]) - apex
@@ -73,7 +73,7 @@ def layers(
     reach: float,
     most: int,
 ):
-    """How many faces a ray crosses before `reach`, those of one group left out; counting stops at `most`."""
+    """How many faces a ray crosses before `reach`, without those of one group; counting stops at `most`."""
     o = wp.vec3d(origin)
     d = wp.vec3d(direction)
     zero = wp.float64(0.0)
@@ -86,7 +86,7 @@ def layers(
             a = wp.vec3d(geometry.vertices[v[0]]) - o
             b = wp.vec3d(geometry.vertices[v[1]]) - o
             c = wp.vec3d(geometry.vertices[v[2]]) - o
-            # Edge by edge in the order of the vertices, so that both faces at an edge agree.
+            # In the order of the edge's vertices, so that both faces at an edge agree.
             u0 = wp.where(v[1] < v[2], wp.dot(d, wp.cross(b, c)), -wp.dot(d, wp.cross(c, b)))
             u1 = wp.where(v[2] < v[0], wp.dot(d, wp.cross(c, a)), -wp.dot(d, wp.cross(a, c)))
             u2 = wp.where(v[0] < v[1], wp.dot(d, wp.cross(a, b)), -wp.dot(d, wp.cross(b, a)))
@@ -140,8 +140,7 @@ def sector_crossings(
     """Visible silhouette crossings of chords (`first`, `last`) seen from apexes; see `queries.sector_crossings`.
 
     `options` = [seed, least layer]; `found` = [kept, all, chords with inconsistent counts, chords of more than `MOST`
-    crossings, nodes visited, rays].
-    The tree is walked without a stack, as in `kernels.edge_candidates`.
+    crossings, nodes visited, rays]. The tree is walked without a stack, as in `kernels.edge_candidates`.
     """
     i = start + wp.tid()
     if sectors.needed[i] <= 0.0:
@@ -162,7 +161,7 @@ def sector_crossings(
     if sectors.group[i] < -1:
         bounded = bool(False)
         reach = 3.0e38
-    # In double precision: what decides on which side of the sector's plane a vertex lies.
+    # Double precision for the numbers that tell on which side of the sector's plane a vertex lies.
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     d0 = wp.vec3d(u0)
@@ -179,8 +178,8 @@ def sector_crossings(
     count = int(0)
     visited = int(0)
     cast = int(0)
-    # Crossings are sorted along the chord, as many as there is room for at once, and walked with the number of layers.
-    # Where that number comes out wrong, or not all edges are looked at, each crossing is resolved by a ray of its own.
+    # Crossings are sorted along the chord, `MOST` at a time, and the number of layers is updated from one to the next.
+    # If this number becomes negative, or if not all edges are looked at, a ray decides on each crossing (`by_rays`).
     by_rays = bool(False)
     least_layer = float(options[1])
     least = least_layer
@@ -245,8 +244,8 @@ def sector_crossings(
                                         ahead = place > done_place or (place == done_place and e > done_edge)
                                         if sides[0] != sides[1] and not own and ahead:
                                             if by_rays:
-                                                # Only where all faces are on one side can the other be seen past the
-                                                # edge.
+                                                # The other side can be seen past the edge only if all faces are on
+                                                # one side.
                                                 past_it = bool(sides[0] == 0 or sides[1] == 0)
                                                 if past_it and edges.rank[e] >= sectors.needed[i]:
                                                     edge_normal = wp.normalize(wp.vec3(wp.cross(p0, p1)))
@@ -272,8 +271,8 @@ def sector_crossings(
                                                                 edge_out[j] = e
                                                                 along_out[j] = float(along)
                                             else:
-                                                # Towards `last`, an edge that comes up through the plane is crossed
-                                                # from its positive side to its negative one.
+                                                # An edge that goes up through the plane is crossed from its positive
+                                                # to its negative side on the way to `last`.
                                                 hides = sides[0] - sides[1]
                                                 if h1 >= zero:
                                                     hides = -hides
@@ -310,7 +309,7 @@ def sector_crossings(
                     node = int(0)
         if count > 0 and not by_rays:
             if walks == 0:
-                # Quantitative invisibility: layers before the chord's centre, and from there those at its first end.
+                # Quantitative invisibility: count the layers in front of the chord's centre, and go back to its start.
                 towards = (1.0 - sectors.centre[i]) * u0 + sectors.centre[i] * u1
                 cast += 1
                 now = layers(bvh, geometry, face_group, sectors.group[i], a, towards, 1.0, 1000000) - before_middle

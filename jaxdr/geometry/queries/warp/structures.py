@@ -1,4 +1,4 @@
-"""Warp's structures over faces and points, kept by the content of the geometry that they are over (`bvh_cache`)."""
+"""Warp's structures over faces and points, kept by the content of their geometry (`bvh_cache`)."""
 
 import numpy as np
 import warp as wp
@@ -8,20 +8,21 @@ from jaxdr.geometry.queries.warp import tree_kernels
 from jaxdr.geometry.queries.warp.device_arrays import DeviceArrays, largest
 from jaxdr.geometry.queries.warp.launch import launch
 
-# Warp tests boxes without room for rounding; without a margin rays slip past the faces of neighbouring boxes.
+# Warp tests boxes without tolerance for rounding. Without a margin rays slip between the faces of neighbouring boxes.
 BOX_MARGIN = 16 * np.finfo(np.float32).eps
-# Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth: where the stack is
-# full, rays lose what is left, and other queries write past it. This one, on the host, keeps to the limit.
+# Warp walks trees with a stack of 32 nodes. Its default for GPUs ("lbvh") builds trees of any depth. Then, if the stack
+# is full, rays miss the remaining nodes, and other queries write past its end. This constructor, on the host, keeps to
+# the limit.
 CONSTRUCTOR = "sah"
 
 
 def _for_kernels(array, dtype) -> wp.array:
-    """A kept array as kernels take it: a view of one on the host."""
+    """A kept array for kernels; an array on the host becomes a view."""
     return array if isinstance(array, wp.array) else wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
 class _FaceBVH:
-    """What structures over faces share: the faces, and their boxes' margin."""
+    """Base of structures over faces: the faces, and the margin of their boxes."""
 
     def __init__(self, topology, device):
         self.device = device
@@ -43,8 +44,9 @@ class _FaceBVH:
 class _MeshBVH(_FaceBVH):
     """A Warp mesh whose boxes have a margin.
 
-    Warp computes boxes from the points it is built (refitted) with and faces from the points it has at a query. So it
-    is built with corners pushed apart to the ends of their boxes, and gets the true corners afterwards.
+    Warp computes boxes from the points at the time of building or refitting, and faces from the points at the time of a
+    query. So the mesh is built with corners pushed apart to the ends of their boxes, and gets the true corners
+    afterwards.
     """
 
     def __init__(self, moving, topology, device):
@@ -69,7 +71,7 @@ class _MeshBVH(_FaceBVH):
 
 
 class _BoxBVH(_FaceBVH):
-    """A Warp BVH over the boxes of faces, for queries with intersection tests of their own."""
+    """A Warp BVH over the boxes of faces, for queries with their own intersection tests."""
 
     def __init__(self, moving, topology, device):
         super().__init__(topology, device)
@@ -121,10 +123,10 @@ def structure_cache(kind: str, device) -> BVHCache:
     if key not in _caches:
         make, arrays = _STRUCTURES[kind], arrays_on(device)
         cache = BVHCache(lambda m, t: make(m, t, device), lambda structure, m: structure.refit(m), arrays)
-        _caches.setdefault(key, cache)  # in one step: another thread may be here, too
+        _caches.setdefault(key, cache)  # atomic: another thread may be here at the same time
     return _caches[key]
 
 
 def arrays_on(device) -> HostArrays | DeviceArrays:
-    """How caches on a device compare and keep arrays."""
+    """How caches on a device compare and copy arrays."""
     return HostArrays() if device.is_cpu else DeviceArrays(device)

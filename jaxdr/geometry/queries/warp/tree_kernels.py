@@ -1,6 +1,6 @@
 """Warp kernels that refit bounding volumes: the tree over edges level by level, and boxes of faces.
 
-The tree is that of `edge_tree.build_edge_tree`, a few times faster; the plain version is the reference of the tests.
+The tree is that of `edge_tree.build_edge_tree`, which is slower and the reference of the tests.
 """
 
 import warp as wp
@@ -18,7 +18,7 @@ HALF_PI = wp.constant(wp.float32(1.5707963))
 
 @wp.struct
 class Node:
-    """Box, cone of normals (the cosine of its half-angle, -1 for none) and largest radius, 0 where nothing counts."""
+    """Box, cone of normals (cosine of its half-angle, -1 without a cone) and largest radius, 0 if no edge counts."""
 
     lower: wp.vec3
     upper: wp.vec3
@@ -48,7 +48,7 @@ def angle_of(cosine: float):
 
 @wp.func
 def union(a: Node, b: Node):
-    """The smallest box, and a cone around both cones, a little wider than computed since the arithmetic rounds."""
+    """The box around both boxes, and a cone around both cones, a little wider because the arithmetic rounds."""
     if a.radius <= 0.0:
         return b
     if b.radius <= 0.0:
@@ -81,7 +81,7 @@ def turned_by_rounding(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3):
 
 @wp.func
 def edge_node(p0: wp.vec3, p1: wp.vec3, q0: wp.vec3, q1: wp.vec3, interior: bool, radius: float):
-    """An edge with the third corners of its two faces. Other than interior edges are silhouettes from anywhere."""
+    """The node of one edge; `q0`, `q1`: third corners of its faces. Edges that are not interior have no cone."""
     node = nothing()
     if radius > 0.0:
         node.lower = wp.min(p0, p1)
@@ -101,7 +101,7 @@ def edge_node(p0: wp.vec3, p1: wp.vec3, q0: wp.vec3, q1: wp.vec3, interior: bool
 
 @wp.func
 def store(nodes: wp.array(dtype=Node), rows: wp.array2d(dtype=wp.vec4), i: int, node: Node):
-    """A node as it is merged further, and as queries read it."""
+    """Store a node in two forms: for further merging, and as queries read it."""
     nodes[i] = node
     lower = node.lower
     upper = node.upper
@@ -139,7 +139,7 @@ def tree_leaves(
                 q0 = geometry.vertices[edges.opposite[e, 0]]
                 q1 = geometry.vertices[edges.opposite[e, 1]]
             one = edge_node(p0, p1, q0, q1, edges.interior[e] != 0, edges.rank[e])
-        # In pairs: cones grow least where alike are merged first.
+        # Merge in pairs: cones grow least if similar edges are merged first.
         if k % 2 == 0:
             pair = one
         else:
@@ -149,7 +149,7 @@ def tree_leaves(
 
 @wp.kernel
 def tree_parents(start: int, first: int, nodes: wp.array(dtype=Node), rows: wp.array2d(dtype=wp.vec4)):
-    """Nodes of one level, from node number `first` on, of the level below."""
+    """Nodes of one level, from number `first` on, from their children."""
     i = first + start + wp.tid()
     store(nodes, rows, i, union(nodes[2 * i], nodes[2 * i + 1]))
 
@@ -201,7 +201,7 @@ def corners_at_box_ends(
     margin: float,
     points: wp.array(dtype=wp.vec3),
 ):
-    """Three points a face that span its box: the first holds the lower end, the last the upper one."""
+    """Three points for each face that span its box: twice the lower end, then the upper end."""
     f = start + wp.tid()
     low, high = face_box(vertices, faces[f], margin)
     points[3 * f] = low

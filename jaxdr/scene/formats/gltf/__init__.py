@@ -1,1 +1,1 @@
-"""glTF files as scenes: `load.load_gltf` reads one. How they are stored is in `jaxdr.geometry.gltf`."""
+"""glTF files as scenes: `load.load_gltf` reads one. `jaxdr.geometry.gltf` reads the format of the files."""

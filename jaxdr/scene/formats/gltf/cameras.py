@@ -1,4 +1,4 @@
-"""Cameras of glTF files, and one that frames a scene where there is none."""
+"""Cameras of glTF files, and a camera that frames the scene of a file without any."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: a
 def read_camera(
     document: Document, nodes: list[Node], shapes: dict[str, Shape], width: int, height: int | None
 ) -> Camera:
-    """The first camera, or one that frames the scene."""
+    """The first camera of the file, or one that frames the scene if there is none."""
     for node, index in named(nodes, "camera"):
         camera = document.item("cameras", index, node.label)
         with document.at(document.label("cameras", index)):
@@ -34,10 +34,10 @@ def _perspective(matrix: np.ndarray, lens: dict, width: int, height: int | None)
 
 
 def _orthographic(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Orthographic:
-    """`xmag` and `ymag` are half the width and height of what it shows."""
+    """A camera without perspective. `xmag` and `ymag` are half the width and half the height of what it shows."""
     x, y, far = (float(lens[name]) for name in ("xmag", "ymag", "zfar"))
     film = Film(width, height or max(1, round(width * abs(y / x))))
-    # The film covers y in proportion to its height; the scales are such that it shows `ymag` at the upper edge.
+    # The film covers y in proportion to its height. With this scale its upper edge is at `ymag`.
     matrix = matrix @ np.diag([abs(x), abs(y) * film.width / film.height, 1, 1])
     return Orthographic(matrix, film, max(float(lens["znear"]), 1e-6 * far), far)
 

@@ -1,4 +1,4 @@
-"""Extensions of glTF that a file uses and nothing here reads: each is named."""
+"""Warnings and errors for the glTF extensions that a file uses and that are not supported here."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +11,7 @@ from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.textures import IMAGES, TRANSFORM
 
 READ = (*materials.READ, *IMAGES, TRANSFORM, LIGHTS, *parts.READ)
-# Those that don't change the picture of a file as it is opened.
+# Extensions that don't change the picture which a viewer shows at first.
 NO_EFFECT = {
     "KHR_materials_variants": "the default materials count",
     "MSFT_lod": "the finest level counts",
@@ -24,12 +24,12 @@ NO_EFFECT = {
         "it has no effect",
     ),
 }
-# Textures whose image has another format are named with their material.
+# A texture whose only image has such a format is reported with its material.
 NAMED_ELSEWHERE = ("KHR_texture_basisu",)
 
 
 def name_unread(document: Document, problems: Problems) -> None:
-    """Note every extension that is not read, with the first place that has it; materials' own are `materials`' task."""
+    """Note every extension that is not read, with its first place. The module `materials` notes those of materials."""
     places: dict[str, list[str]] = {}
     for name, place in _used(document):
         places.setdefault(name, []).append(place)
@@ -52,7 +52,7 @@ def name_unread(document: Document, problems: Problems) -> None:
 
 
 def _used(document: Document) -> Iterator[tuple[str, str]]:
-    """(extension, place) of all uses but the materials' own."""
+    """(extension, place) of all uses, except those directly in a material."""
     for name in document.header.get("extensions", {}):
         yield name, "the file"
     for kind, items in document.header.items():

@@ -1,4 +1,4 @@
-"""Lights of glTF files (KHR_lights_punctual) and their units."""
+"""Lights of glTF files (KHR_lights_punctual)."""
 
 import numpy as np
 
@@ -23,16 +23,16 @@ def light_at(document: Document, node: Node) -> dict | None:
 
 
 def read_light(document: Document, node: Node, light: dict, problems: Problems) -> DeltaLight:
-    """A light at its node. It shines along -z. Scale has no effect on it.
+    """A light at its node. It shines along -z of the node, and the node's scale has no effect on it.
 
-    The file's numbers are kept: candela are W / sr here, lux W / m^2, and nits W / m^2 sr. So images are in nits.
+    The file's numbers are kept: candela become W / sr, lux W / m^2, and nits W / m^2 sr. So images are in nits.
     """
     place = f"{node.label}: {LIGHTS}"
     with document.at(place):
         power = numbers(light, "color", (1.0, 1.0, 1.0)) * light.get("intensity", 1.0)
         position, along = node.to_world[:3, 3], -node.to_world[:3, 2]
         if "range" in light:
-            problems.note(f"{place}: range has no effect; its light falls off with the squared distance alone")
+            problems.note(f"{place}: range has no effect; its light falls off only with the squared distance")
         if light["type"] == "point":
             return PointLight(position, power)
         if light["type"] == "directional":

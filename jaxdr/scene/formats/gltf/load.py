@@ -21,7 +21,7 @@ EXTENSIONS = (".glb", ".gltf")
 
 
 def is_gltf(path: str | os.PathLike) -> bool:
-    """Whether a file is one for `load_gltf`, by its name."""
+    """Whether the name of a file says that `load_gltf` reads it."""
     return Path(path).suffix.lower() in EXTENSIONS
 
 
@@ -34,17 +34,17 @@ def load_gltf(
       (EXT_mesh_gpu_instancing) are one shape. Normals are those of the file's smoothing groups (`load_mesh`, shading
       "file").
     - Base colour, metallic and roughness become a `Principled` BSDF, with their textures or vertex colours. It is
-      two-sided where the material is, in a `NormalMap` where there is one, and in a `Mask` where alpha has holes. What
-      transmits light is glass, or a `Blend` with glass where it does so in part. What is unlit shines with its base
-      colour and reflects nothing.
+      two-sided if the material is. A normal texture puts it in a `NormalMap`, and alpha with holes in a `Mask`.
+    - A material that transmits all light is glass. One that transmits a part of it is a `Blend` with glass. An unlit
+      one shines with its base colour and reflects nothing.
     - Emissive factors become area emitters, with their textures; lights become lights. The file's photometric numbers
-      are kept. Where nothing shines, there is a constant environment of radiance 1.
+      are kept. If nothing shines, there is a constant environment of radiance 1.
     - Animated, skinned and morphed files are loaded in their default pose, with a warning.
-    - The first camera is taken, or one that shows the whole scene from the front.
+    - The camera is the first one of the file. If it has none, the camera shows the whole scene from the front.
     - The film is `width` pixels wide. Without `height` the camera's aspect ratio gives it (square without one).
 
-    Raises one ValueError that lists whatever else is not supported, before anything is loaded. With
-    `ignore_unsupported` that becomes warnings, and the rest is loaded. Raises ValueError, with the place in the file,
+    Raises one ValueError that lists everything that is not supported, before anything is loaded. With
+    `ignore_unsupported` these become warnings, and the rest is loaded. Raises ValueError, with the place in the file,
     for a missing or damaged file.
     """
     path = Path(path)
@@ -79,7 +79,7 @@ def _lights(document: Document, nodes: list[Node], problems: Problems, taken: It
 
 
 def _find_problems(document: Document, nodes: list[Node], problems: Problems) -> None:
-    """Collect what is not supported, and what is worth a warning, from the JSON alone."""
+    """Collect what is not supported, and what is worth a warning. Only the JSON is read for that."""
     name_unread(document, problems)
     if document.header.get("animations"):
         problems.note("animations are not played; everything stays where its node puts it")

@@ -31,7 +31,7 @@ from jaxdr.scene.textures import Product, Texture, VertexColors
 STRENGTH = "KHR_materials_emissive_strength"
 UNLIT = "KHR_materials_unlit"
 READ = (STRENGTH, IOR, SPECULAR, TRANSMISSION, VOLUME, UNLIT)
-# Lobes that are not read, with the value at which they have no effect.
+# Lobes that are not read: the factor of each, and the value of that factor at which the lobe has no effect.
 LOBES = {
     "KHR_materials_clearcoat": ("clearcoatFactor", 0),
     "KHR_materials_sheen": ("sheenColorFactor", [0, 0, 0]),
@@ -41,17 +41,18 @@ LOBES = {
     "KHR_materials_diffuse_transmission": ("diffuseTransmissionFactor", 0),
 }
 INSTEAD = {
-    # Burley's are others: a coat with 0.6 (head on) to 0.1 (grazing) of the light of glTF's, a sheen of another shape.
+    # Burley's lobes differ: his coat reflects from 0.6 (head on) to 0.1 (grazing) as much light as glTF's, and his
+    # sheen has another shape.
     "KHR_materials_clearcoat": "there is no coat; that of Principled is another one",
     "KHR_materials_sheen": "there is no sheen; that of Principled is another one",
     "KHR_materials_pbrSpecularGlossiness": "its metallic-roughness values count",
     "KHR_materials_dispersion": "one index counts for all colours",
 }
-BRIGHTEST = 0.08  # reflectance at normal incidence that `Principled` can have: specular = 1
+BRIGHTEST = 0.08  # largest reflectance at normal incidence that `Principled` can have, at specular = 1
 
 
 def unsupported_in(material: dict) -> Iterator[str]:
-    """What is not supported about a material, and what happens instead."""
+    """Messages: what is not supported in a material, and what happens instead."""
     extensions = material.get("extensions", {})
     for name, extension in extensions.items():
         if name in LOBES:
@@ -74,16 +75,16 @@ def unsupported_in(material: dict) -> Iterator[str]:
 
 
 def unsupported_at(document: Document, material: dict, attributes: dict, colors_vary: bool) -> Iterator[str]:
-    """What is not supported about a material at a primitive with these attributes, and what happens instead."""
+    """Messages: what is not supported in a material at a primitive with these attributes, and what happens instead."""
     yield from left_out_textures(document, material, attributes)
     if colors_vary and material.get("alphaMode") == "MASK":
         has_alpha = document.item("accessors", attributes["COLOR_0"], "COLOR_0")["type"] == "VEC4"
         if has_alpha and "baseColorTexture" in usable_textures(document, material, attributes):
-            yield "alphaMode MASK: alpha of vertices on a texture is not supported; the texture's alone counts"
+            yield "alphaMode MASK: alpha of vertices on a texture is not supported; only the texture's counts"
 
 
 class Materials:
-    """Makes BSDFs and emitters of a file's materials; primitives with the same needs share them."""
+    """Makes BSDFs and emitters from a file's materials. Primitives share them where they can."""
 
     def __init__(self, document: Document, problems: Problems):
         self.document, self.problems = document, problems
@@ -93,9 +94,9 @@ class Materials:
     def make(
         self, index: int | None, attributes: dict, colors: np.ndarray | None, flip: bool
     ) -> tuple[BSDF | TwoSided | None, AreaEmitter | None]:
-        """(BSDF, emitter) of a material at a primitive with these attributes; no BSDF for one that nobody sees.
+        """(BSDF, emitter) of a material at a primitive with these attributes. An invisible material has no BSDF.
 
-        `colors` [V, 3 or 4] belong to the vertices of its mesh, or are one colour [3 or 4]. `flip`: its UVs are
+        `colors` [V, 3 or 4] belong to the vertices of its mesh, or are one colour [3 or 4]. `flip`: whether its UVs are
         mirrored.
         """
         material = {} if index is None else self.document.item("materials", index, "a primitive")
@@ -104,7 +105,7 @@ class Materials:
         key = (index, tuple(infos), None if colors is None else (*colors,) if colors.ndim == 1 else id(colors), flip)
         if key not in self._made:
             with self.document.at(label):
-                # The colours are kept with what is made of them, so that their id stays theirs.
+                # The colours are kept in the cache, so that no other array gets their id.
                 self._made[key] = (*self._material(label, material, infos, colors, flip), colors)
         return self._made[key][:2]
 
@@ -138,7 +139,7 @@ class Materials:
         return TwoSided(bsdf) if both_sides else bsdf, emitter
 
     def _surface(self, label: str, material: dict, infos: dict, base: Any) -> BSDF:
-        """Metallic and roughness as the principled model has them, and glass; a mixture where there are both."""
+        """The principled BSDF of a material, or its glass, or a mixture of both."""
         factors = material.get("pbrMetallicRoughness", {})
         metallic, roughness = float(factors.get("metallicFactor", 1.0)), float(factors.get("roughnessFactor", 1.0))
         if (info := infos.get("metallicRoughnessTexture")) is not None:
@@ -154,7 +155,7 @@ class Materials:
             metallic = glass.metallic
         strength = material.get("extensions", {}).get(SPECULAR, {}).get("specularFactor", 1.0)
         if strength not in (0, 1):
-            self.problems.note(f"{label}: {SPECULAR}: specularFactor scales the reflection at normal incidence alone")
+            self.problems.note(f"{label}: {SPECULAR}: specularFactor scales only the reflection at normal incidence")
         opaque = Principled(base, metallic, roughness, min(_reflectance(material) / BRIGHTEST, 1.0) * strength)
         if not glass.there:
             return opaque
@@ -176,7 +177,7 @@ class Materials:
             self.problems.note(f"{label}: it is double-sided, and shines from its front only")
 
     def _opacity(self, label: str, material: dict, infos: dict, factor: float, colors: np.ndarray | None) -> Any:
-        """The share of the surface that is there: a number, or a texture."""
+        """The opacity of the surface: a number, or a texture."""
         mode = material.get("alphaMode", "OPAQUE")
         if mode == "OPAQUE":
             return 1.0
@@ -189,7 +190,7 @@ class Materials:
         elif colors is not None and colors.shape[1] == 4:
             alpha = colors[:, 3] * alpha
         if cutoff is not None:
-            # Of alphas that may have been rounded on their way.
+            # In float32, since the alphas are rounded to it too.
             there = (alpha >= np.float32(cutoff)).astype(np.float32)
             if info is None and np.ndim(alpha) and there.min() != there.max():
                 self.problems.note(
@@ -210,7 +211,7 @@ class Materials:
         return self.textures.bitmap(info, alpha, label, nearest=cutoff is not None)
 
     def _emitter(self, label: str, material: dict, infos: dict, opacity: Any) -> AreaEmitter | None:
-        """Emissive factor times strength, times the texture and the opacity, as radiance."""
+        """An emitter whose radiance is the product of emissive factor, strength, texture and opacity."""
         strength = material.get("extensions", {}).get(STRENGTH, {}).get("emissiveStrength", 1.0)
         radiance = strength * numbers(material, "emissiveFactor", (0.0, 0.0, 0.0))
         if not radiance.any():
@@ -229,11 +230,11 @@ class Materials:
 
 
 def _reflectance(material: dict) -> float:
-    """Of the surface, at normal incidence, where it is not metal."""
+    """Reflectance at normal incidence of the part that is not metal."""
     index = material.get("extensions", {}).get(IOR, {}).get("ior", 1.5)
     return ((index - 1) / (index + 1)) ** 2
 
 
 def is_unlit(material: dict) -> bool:
-    """Whether a material shows its colour in whatever light."""
+    """Whether a material shows its colour in any light."""
     return UNLIT in material.get("extensions", {})

@@ -1,4 +1,4 @@
-"""Meshes of glTF primitives: welded once, placed wherever nodes and their instances have them."""
+"""Meshes of glTF primitives. A primitive is welded once, and placed wherever nodes and their instances have it."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from jaxdr.geometry.mesh import Mesh, weld
 
 @dataclasses.dataclass
 class Geometry:
-    """A primitive's triangles in its own space, as `Mesh` wants them, with the vertices' colours if it has any."""
+    """The triangles of a primitive in its own space, as arguments of `Mesh`, and the colours of the vertices if any."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -23,10 +23,10 @@ class Geometry:
 
 
 def welded(primitive: Primitive, positions: Float[np.ndarray, "V 3"], uv_set: int | None, channels: int) -> Geometry:
-    """The geometry of a primitive at these positions. Vertices at one position are one, unless their colours differ.
+    """The geometry of a primitive at these positions. Vertices at the same position become one, if their colours agree.
 
-    `uv_set` is the number of the texture coordinates that count, `channels` how many of COLOR_0 do. v goes up here, and
-    down in glTF.
+    `uv_set` is the number of the texture coordinates to take, and `channels` the number of channels of COLOR_0. v goes
+    up here, and down in glTF.
     """
     soup, attributes = primitive.faces, primitive.attributes
     colors = attributes["COLOR_0"][:, :channels].astype(np.float32) if channels else None
@@ -43,13 +43,13 @@ def welded(primitive: Primitive, positions: Float[np.ndarray, "V 3"], uv_set: in
 
 
 class Placer:
-    """Makes meshes of geometries; a second one of the same geometry shares the first one's topology."""
+    """Makes meshes from geometries. A second mesh of the same geometry shares the topology of the first."""
 
     def __init__(self) -> None:
         self._meshes: dict[tuple[int, bool], Mesh] = {}
 
     def mesh(self, geometry: Geometry, places: Float[np.ndarray, "n 4 4"]) -> Mesh:
-        """One mesh of the geometry at every one of these places. A mirroring place turns the triangles over."""
+        """One mesh that holds the geometry at each of these places. A mirroring place turns the triangles over."""
         linear, moved = places[:, :3, :3], places[:, None, :3, 3]
         vertices = np.einsum("nkl,vl->nvk", linear, geometry.vertices) + moved
         determinants = np.linalg.det(linear)
@@ -61,13 +61,13 @@ class Placer:
             self._meshes[key] = _joined(geometry, vertices, flips)
             return self._meshes[key]
         known = self._meshes[key]
-        if len(known.faces) < len(geometry.faces):  # some faces had no area there
+        if len(known.faces) < len(geometry.faces):  # the known mesh dropped faces without area
             return _joined(geometry, vertices, flips)
         return known.with_vertices(vertices[0])
 
 
 def _joined(geometry: Geometry, vertices: Float[np.ndarray, "n V 3"], flips: np.ndarray) -> Mesh:
-    """One mesh of copies of a geometry with these vertices; UVs are shared."""
+    """One mesh of copies of a geometry with these vertices. The copies share the UVs."""
     n, count = vertices.shape[:2]
 
     def copies(faces: Int[np.ndarray, "F 3"], offset: int) -> Int[np.ndarray, "copied 3"]:
@@ -85,7 +85,7 @@ def _joined(geometry: Geometry, vertices: Float[np.ndarray, "n V 3"], flips: np.
 
 
 def mirrored_uvs(mesh: Mesh) -> float:
-    """The share of faces whose texture is mirrored, seen from outside."""
+    """The share of faces on which a texture is mirrored, seen from outside."""
     if mesh.uvs is None:
         return 0.0
     (a, b, c) = np.moveaxis(np.asarray(mesh.uvs)[np.asarray(mesh.uv_faces)].astype(float), 1, 0)

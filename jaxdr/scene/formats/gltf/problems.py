@@ -1,4 +1,4 @@
-"""What a glTF file has that a scene here can't hold: collected, so that one error lists it all."""
+"""The parts of a glTF file that are not supported. They are collected, so that one error lists them all."""
 
 import dataclasses
 from pathlib import Path
@@ -8,24 +8,24 @@ from jaxdr.callers_line import warn
 
 @dataclasses.dataclass
 class Problems:
-    """`unsupported` things are left out, which needs `ignore_unsupported`; `notes` are warnings in any case."""
+    """`unsupported`: things that are left out with `ignore_unsupported`, and are errors without. `notes`: warnings."""
 
     path: Path
     unsupported: list[str] = dataclasses.field(default_factory=list)
     notes: list[str] = dataclasses.field(default_factory=list)
 
     def leave_out(self, message: str) -> None:
-        """Note once what is not supported, and what happens instead."""
+        """Note, once, something that is not supported, and what happens instead."""
         if message not in self.unsupported:
             self.unsupported.append(message)
 
     def note(self, message: str) -> None:
-        """Note once what is read, but not to the letter."""
+        """Note, once, something that is read but does not look exactly as it should."""
         if message not in self.notes:
             self.notes.append(message)
 
     def check(self, ignore_unsupported: bool) -> None:
-        """Raise one ValueError that lists what is not supported, or warn of each."""
+        """Raise one ValueError that lists what is not supported; with `ignore_unsupported` warn of each instead."""
         found = self.unsupported
         if found and not ignore_unsupported:
             if len(found) == 1:

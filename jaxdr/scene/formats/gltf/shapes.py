@@ -1,4 +1,4 @@
-"""Shapes of glTF files: what their nodes show of meshes."""
+"""Shapes of glTF files: the primitives of meshes, where nodes place them."""
 
 import itertools
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ from jaxdr.scene.scene import RESERVED, Shape
 
 
 class Shapes:
-    """Reads the shapes of a file; what nodes have in common is read once."""
+    """Reads the shapes of a file. A primitive that several nodes show is read once."""
 
     def __init__(self, document: Document, problems: Problems, places: list[Matrix]):
         self.document, self.problems = document, problems
@@ -44,7 +44,7 @@ class Shapes:
         return found
 
     def _shape(self, node: Node, mesh: dict, key: tuple[int, int], places: np.ndarray, label: str) -> Shape | None:
-        """A primitive at a node's places; None where there is nothing to see."""
+        """The shape of a primitive at the places of a node; None if there is nothing to see."""
         primitive = mesh["primitives"][key[1]]
         geometry = self._geometry(node, mesh, key, label)
         placed = (
@@ -63,7 +63,7 @@ class Shapes:
         return None if bsdf is None else Shape(placed, bsdf, emitter)
 
     def _geometry(self, node: Node, mesh: dict, key: tuple[int, int], label: str) -> Geometry | None:
-        """A primitive's triangles in the pose that a node gives it; None without any."""
+        """The triangles of a primitive in the pose that a node gives it; None if it has none."""
         primitive, skin = mesh["primitives"][key[1]], node.header.get("skin")
         weights = node.header.get("weights", mesh.get("weights"))
         whole_key = (*key, tuple(weights or ()), skin)
@@ -82,7 +82,7 @@ class Shapes:
         return self._geometries[whole_key]
 
     def _mesh(self, geometry: Geometry, places: np.ndarray) -> Mesh | None:
-        """The mesh; None for one without area."""
+        """The mesh at these places; None if none of its faces has an area."""
         try:
             return self.placer.mesh(geometry, places)
         except ValueError as error:
@@ -105,14 +105,14 @@ class Shapes:
 
 
 class Names:
-    """Names of shapes and lights: each is given once, with a number where it is wanted again."""
+    """Names of shapes and lights. Each is given once; a number makes a repeated name unique."""
 
     def __init__(self, taken: Iterable[str]):
         self._taken: set[str] = set(taken)
         self._next: dict[str, itertools.count] = {}
 
     def free(self, wanted: str) -> str:
-        """The name that is wanted, or one like it that is not taken; it is taken from now on."""
+        """The wanted name, or one with a number if that is taken. The name is taken from now on."""
         stem = wanted.replace(".", "_")  # a dot separates the parts of a parameter's name
         if stem not in self._taken:
             self._taken.add(stem)
@@ -124,12 +124,12 @@ class Names:
 
 
 def material_of(document: Document, primitive: dict) -> dict:
-    """The material of a primitive; an empty one stands for the default."""
+    """The material of a primitive; an empty dictionary is the default material."""
     return document.item("materials", primitive["material"], "a primitive") if "material" in primitive else {}
 
 
 def _color_channels(document: Document, primitive: dict, material: dict, label: str) -> int:
-    """How many channels of COLOR_0 vary over a primitive and count."""
+    """How many channels of COLOR_0 the mesh of a primitive needs at its vertices."""
     attributes = primitive["attributes"]
     if "COLOR_0" not in attributes:
         return 0
@@ -140,7 +140,7 @@ def _color_channels(document: Document, primitive: dict, material: dict, label: 
 
 
 def shared_color(document: Document, primitive: dict, label: str) -> np.ndarray | None:
-    """The colour that all vertices share; None where they differ, or where it takes long to tell."""
+    """The colour that all vertices share; None if they differ, or if they would have to be decompressed to tell."""
     if DRACO in primitive.get("extensions", {}):
         return None
     colors = read_accessor(document, primitive["attributes"]["COLOR_0"], f"{label}: COLOR_0", "VEC3", "VEC4")

@@ -1,4 +1,4 @@
-"""Textures of glTF materials: which are read, their images, and the `Bitmap`s they become."""
+"""Textures of glTF materials: which of them are read, their images, and the `Bitmap`s that they become."""
 
 import io
 from collections.abc import Iterator
@@ -12,16 +12,16 @@ from jaxdr.image_formats import png
 from jaxdr.images import from_srgb
 from jaxdr.scene.textures import Bitmap
 
-# Not occlusion: it is traced.
+# The occlusion texture is not read: light paths account for occlusion.
 READ = ("baseColorTexture", "normalTexture", "metallicRoughnessTexture", "emissiveTexture", "transmissionTexture")
 TRANSFORM = "KHR_texture_transform"
-IMAGES = ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")  # other images of a texture that Pillow reads
+IMAGES = ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")  # further image formats, which Pillow reads
 WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 NEAREST = 9728
 
 
 def texture_infos(material: dict) -> dict[str, dict]:
-    """The references of a material to textures that count, by name."""
+    """The references of a material to the textures that are read, by name."""
     found = {}
     transmission = material.get("extensions", {}).get("KHR_materials_transmission", {})
     for owner in (material, material.get("pbrMetallicRoughness", {}), transmission):
@@ -30,14 +30,17 @@ def texture_infos(material: dict) -> dict[str, dict]:
 
 
 def chosen_uv_set(document: Document, material: dict, attributes: dict) -> int | None:
-    """The one set of texture coordinates that a primitive's mesh gets: that of the first texture which has its own."""
+    """The number of the texture coordinates that the mesh of a primitive gets; None if it has none.
+
+    They are those of the first texture whose texture coordinates the primitive has, or else its first ones.
+    """
     wanted = [_uv_set(info) for info in texture_infos(material).values() if _source(document, info) is not None]
     wanted += [int(name.removeprefix("TEXCOORD_")) for name in attributes if name.startswith("TEXCOORD_")]
     return next((number for number in wanted if f"TEXCOORD_{number}" in attributes), None)
 
 
 def usable_textures(document: Document, material: dict, attributes: dict) -> dict[str, dict]:
-    """The references of a material that a primitive with these attributes can follow."""
+    """The references of a material to textures that a primitive with these attributes can use."""
     chosen = chosen_uv_set(document, material, attributes)
     return {
         name: info
@@ -47,7 +50,7 @@ def usable_textures(document: Document, material: dict, attributes: dict) -> dic
 
 
 def left_out_textures(document: Document, material: dict, attributes: dict) -> Iterator[str]:
-    """Which textures of a material a primitive with these attributes can't follow, and why."""
+    """Messages: which textures of a material a primitive with these attributes can't use, and why."""
     usable = usable_textures(document, material, attributes)
     for name, info in texture_infos(material).items():
         number = _uv_set(info)
@@ -69,21 +72,21 @@ def _uv_set(info: dict) -> int:
 
 
 def _source(document: Document, info: dict) -> int | None:
-    """The number of the image behind a reference; None where none has a format that is read."""
+    """The number of the image of a reference to a texture; None if it has none in a format that is read."""
     texture = document.item("textures", info["index"], "a material")
     sources = [texture.get("extensions", {}).get(name, {}).get("source") for name in IMAGES]
     return next((source for source in (*sources, texture.get("source")) if source is not None), None)
 
 
 class Textures:
-    """Makes `Bitmap`s of a file's textures; each image is decoded once."""
+    """Makes `Bitmap`s from a file's textures. Each image is decoded once."""
 
     def __init__(self, document: Document):
         self.document = document
         self._images: dict[int, np.ndarray] = {}
 
     def pixels(self, info: dict, place: str) -> Float[np.ndarray, "H W 4"]:
-        """The image of a texture as it is stored, in [0, 1]; alpha is 1 where there is none."""
+        """The image of a texture as it is stored, in [0, 1]. Alpha is 1 if the image has none."""
         source = _source(self.document, info)
         assert source is not None, "only usable textures are asked for"
         if source not in self._images:
@@ -91,7 +94,7 @@ class Textures:
         return self._images[source]
 
     def bitmap(self, info: dict, pixels: Float[np.ndarray, "H W *C"], place: str, nearest: bool = False) -> Bitmap:
-        """Pixels with the sampler and the transform of a texture."""
+        """These pixels as a texture, with the sampler and the transform of a texture of the file."""
         texture = self.document.item("textures", info["index"], place)
         label = self.document.label("textures", info["index"])
         sampler = self.document.item("samplers", texture["sampler"], label) if "sampler" in texture else {}
@@ -123,14 +126,14 @@ class Textures:
 
 
 def linear(pixels: Float[np.ndarray, "H W 4"], factor) -> Float[np.ndarray, "H W 3"]:
-    """Base or emitted colours, which are stored in sRGB, times a linear RGB factor."""
+    """Linear RGB of base or emitted colours, which are stored in sRGB, times a linear RGB factor."""
     return from_srgb(pixels[..., :3]) * np.asarray(factor, np.float32)
 
 
 def normals(pixels: Float[np.ndarray, "H W 4"], strength: float, flip: bool) -> Float[np.ndarray, "H W 3"]:
-    """Normals as `NormalMap` has them, x and y times a strength; `flip` turns y over, for mirrored UVs."""
+    """Normals as `NormalMap` stores them, with x and y times `strength`. `flip` turns y over, for mirrored UVs."""
     n = (2 * pixels[..., :3] - 1) * np.array([strength, -strength if flip else strength, 1], np.float32)
-    return 0.5 * n / max(1.0, abs(strength)) + 0.5  # the length does not count
+    return 0.5 * n / max(1.0, abs(strength)) + 0.5  # the length of a normal has no effect
 
 
 def _decoded(data: bytes) -> Float[np.ndarray, "H W C"]:
@@ -141,7 +144,7 @@ def _decoded(data: bytes) -> Float[np.ndarray, "H W C"]:
 
 
 def _to_uv(info: dict) -> Float[np.ndarray, "2 3"] | None:
-    """KHR_texture_transform for UVs whose v goes up: offset · rotation · scale, turned over before and after."""
+    """KHR_texture_transform for UVs whose v goes up: offset · rotation · scale, with v turned over before and after."""
     transform = info.get("extensions", {}).get(TRANSFORM)
     if transform is None:
         return None

@@ -1,7 +1,8 @@
-"""Light that goes through glTF materials: how much of them is glass, and which glass.
+"""Light that goes through glTF materials: the share of a material that is glass, and the kind of glass.
 
-KHR_materials_transmission mixes the light below the reflection of what is not metal: a share t of it goes through, the
-rest is diffuse. With metallic m a share t (1 - m) of the whole is glass, and of what is left m / (1 - t (1 - m)) metal.
+In KHR_materials_transmission the part that is not metal reflects at its surface. Of the light that enters it, a share t
+goes through and the rest is diffuse. With metallic m, a share t (1 - m) of the material is glass. Of the remaining
+share, m / (1 - t (1 - m)) is metal.
 """
 
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ TEXTURE, METAL_TEXTURE = "transmissionTexture", "metallicRoughnessTexture"
 
 
 class Glass(NamedTuple):
-    """The share of a surface that is glass, and the metallic share of the rest; numbers or textures."""
+    """The `share` of a surface that is glass, and the `metallic` share of the rest. Both are numbers or textures."""
 
     share: Any
     metallic: Any
@@ -37,7 +38,7 @@ class Glass(NamedTuple):
 
 
 def glass_of(material: dict, infos: dict, textures: Textures, label: str) -> Glass:
-    """How much of a material is glass; none where that is not supported."""
+    """How much of a material is glass. It is none if the combination of textures is not supported."""
     factors = material.get("pbrMetallicRoughness", {})
     metal, through = float(factors.get("metallicFactor", 1.0)), _factor(material)
     metal_info = infos.get(METAL_TEXTURE) if metal else None
@@ -60,7 +61,7 @@ def glass_of(material: dict, infos: dict, textures: Textures, label: str) -> Gla
 
 
 def glass_bsdf(label: str, material: dict, base: Any, roughness: Any, problems: Problems) -> BSDF:
-    """The glass: of a volume's border or of a thin pane."""
+    """The BSDF of the glass: that of the border of a volume, or that of a thin pane."""
     index = material["extensions"].get(IOR, {}).get("ior", 1.5)
     if not _is_thick(material):
         problems.note(
@@ -78,7 +79,7 @@ def _smooth(model: Any, index: float, base: Any) -> BSDF:
 
 
 def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
-    """What is not supported about light that goes through a material, and what happens instead."""
+    """Messages: what is not supported about light that goes through a material, and what happens instead."""
     factors, extensions = material.get("pbrMetallicRoughness", {}), material.get("extensions", {})
     metal = factors.get("metallicFactor", 1.0)
     if not _factor(material) or (metal == 1 and METAL_TEXTURE not in infos):  # a metal absorbs what enters it
@@ -93,7 +94,7 @@ def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
     if not thick and material.get("doubleSided", False) and (_factor(material) < 1 or both or metal):
         yield f"{TRANSMISSION}: a pane that is glass in part is not supported on two sides; behind the rest is black"
     if extensions.get(SPECULAR, {}).get("specularFactor", 1.0) != 1:
-        yield f"{SPECULAR}: specularFactor of glass is not supported; its index alone counts"
+        yield f"{SPECULAR}: specularFactor of glass is not supported; only its index counts"
     volume = extensions.get(VOLUME, {})
     if volume.get("attenuationDistance", np.inf) != np.inf and volume.get("attenuationColor", [1, 1, 1]) != [1, 1, 1]:
         yield f"{VOLUME}: absorption inside is not supported; it is left out"
@@ -109,7 +110,7 @@ def _is_thick(material: dict) -> bool:
 
 
 def _same_place(one: dict, other: dict) -> bool:
-    """Whether two references to textures show the same texels."""
+    """Whether two references to textures place the same texels in the same way."""
     return (one["index"], one.get("texCoord", 0), one.get("extensions", {})) == (
         other["index"],
         other.get("texCoord", 0),
@@ -118,7 +119,7 @@ def _same_place(one: dict, other: dict) -> bool:
 
 
 def _alpha(roughness: Any) -> Any:
-    """Of microfacets; what is too smooth in a texture is made as smooth as it can be."""
+    """Alpha of the microfacets. Values of a texture that are too small become the least allowed."""
     if isinstance(roughness, float):
         return roughness**2
     return eqx.tree_at(lambda t: t.pixels, roughness, as_array(np.maximum(on_host(roughness.pixels) ** 2, SMOOTHEST)))

@@ -1,4 +1,4 @@
-"""Attributes that mesh files store at vertices and faces, by the names that Mitsuba's `mesh_attribute` has for them."""
+"""Attributes that mesh files store at vertices and faces, by the names that Mitsuba's `mesh_attribute` uses."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -11,15 +11,15 @@ from jaxdr.geometry.load import Triangles
 Attributes = dict[str, Float[np.ndarray, "_ _"] | None]
 
 RENAMED = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
-# What is no attribute: positions, normals and texture coordinates.
+# Properties that are no attributes: positions, normals and texture coordinates.
 GEOMETRY = frozenset(("x", "y", "z", "nx", "ny", "nz", "u", "v", "s", "t"))
 
 
 def mesh_attributes(parts: Sequence[Triangles], rows: Int[np.ndarray, " n"]) -> Attributes:
-    """Attributes of the parts joined: `vertex_<name>` one row a vertex of the mesh, `face_<name>` one a face.
+    """Attributes of the joined parts: `vertex_<name>` with a row for each vertex of the mesh, `face_<name>` each face.
 
-    `rows`: the mesh's vertex for each of the parts' vertices in turn. None where vertices that became one have
-    different values. What only some parts have is left out.
+    `rows` is the mesh's vertex for every vertex of the parts, part after part. An attribute is None if vertices that
+    became one have different values. Attributes that only some parts have are left out.
     """
     found: Attributes = {}
     for element in ("vertex", "face"):
@@ -38,7 +38,7 @@ def _joined(values: Float[np.ndarray, "n C"], rows: Int[np.ndarray, " n"]) -> Fl
 
 
 def _named(stored: dict[str, np.ndarray]) -> dict[str, Float[np.ndarray, "_ _"]]:
-    """Properties that stand together are one attribute: `color_0`, `color_1`, …; r, g and b are `color`."""
+    """Attributes from columns: neighbours such as `color_0`, `color_1`, … are one attribute; r, g and b are `color`."""
     columns = {RENAMED.get(name, name): values for name, values in stored.items()}
     found = {}
     if {"r", "g", "b"} <= set(columns):

@@ -13,7 +13,7 @@ from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
 from jaxdr.scene.scene import unwrap
 from jaxdr.scene.textures import Texture
 
-ROUNDING = 1e-5  # of weights that are meant to add up to 1
+ROUNDING = 1e-5  # weights that are meant to add up to 1 may differ from it by this
 
 
 def _diffuse(element: Element) -> Diffuse:
@@ -33,7 +33,7 @@ def _two_sided(element: Element) -> TwoSided:
 
 
 def _mask(element: Element) -> Mask | TwoSided:
-    """Of a two-sided BSDF as well: the holes have no sides."""
+    """A mask, also of a two-sided BSDF: the holes are the same from both sides."""
     properties = Properties(element)
     share = opacity(properties, "opacity", 0.5)
     _, bsdf = _inner(properties)
@@ -68,7 +68,7 @@ def _as_by_default(properties: Properties) -> None:
 
 
 def _mapped(kind: str, inner: Element, bsdf: BSDF | TwoSided, make: Callable[[BSDF], BSDF]) -> BSDF | TwoSided:
-    """A normal or bump map of a BSDF; of a two-sided one, both sides of the same map."""
+    """A normal or bump map of a BSDF. For a two-sided BSDF both sides have the same map."""
     if not isinstance(bsdf, TwoSided):
         return make(bsdf)
     inner.unsupported(
@@ -78,7 +78,7 @@ def _mapped(kind: str, inner: Element, bsdf: BSDF | TwoSided, make: Callable[[BS
 
 
 def _blend(element: Element) -> Blend | TwoSided:
-    """The first BSDF, and `weight` of the second."""
+    """A blend: 1 - `weight` of the first BSDF, and `weight` of the second."""
     properties = Properties(element)
     weight = textured_number(properties, "weight", None)
     if weight is None:
@@ -92,7 +92,7 @@ def _blend(element: Element) -> Blend | TwoSided:
 
 
 def _mixture(element: Element) -> BSDF | TwoSided:
-    """Any number of BSDFs with a weight each (Mitsuba 0.x): blends in blends. The rest to 1 is black."""
+    """Any number of BSDFs with a weight each (Mitsuba 0.x), as blends in blends. What is missing to 1 is black."""
     properties = Properties(element)
     elements, text = properties.objects("bsdf"), properties.value("weights", "string", "")
     weights = floats(text, *range(1, len(elements) + 1))
@@ -113,12 +113,12 @@ def _mixture(element: Element) -> BSDF | TwoSided:
 
 
 def _mixed(element: Element, elements: list[Element]) -> tuple[bool, list[BSDF]]:
-    """(whether they are two-sided, the BSDFs) of a mixture."""
+    """(whether the BSDFs of a mixture are two-sided, those BSDFs without `TwoSided`)."""
     bsdfs = [read_bsdf(inner) for inner in elements]
     sides = {isinstance(bsdf, TwoSided) for bsdf in bsdfs}
     if len(sides) > 1:
         element.unsupported(
-            "of a blend one BSDF is twosided and another is not; put twosided around the blend", "all are"
+            "one BSDF of the blend is twosided and another is not; put twosided around the blend", "all of them are"
         )
     return True in sides, [unwrap(bsdf) for bsdf in bsdfs]
 
@@ -144,6 +144,6 @@ BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
 
 
 def read_bsdf(element: Element) -> BSDF | TwoSided:
-    """A `<bsdf>`; grey where it can't be read, which is noted as a problem."""
+    """The BSDF of a `<bsdf>`. If it can't be read, it is grey, and that is noted as a problem."""
     bsdf = read_plugin(element, BSDFS, "a grey diffuse BSDF takes its place")
     return Diffuse(0.5) if bsdf is None else bsdf

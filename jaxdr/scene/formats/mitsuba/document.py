@@ -12,19 +12,19 @@ from jaxdr.scene.formats.mitsuba.upgrade import upgrade
 
 
 class Variables:
-    """Values of `$name`: those the caller gave, and the `<default>`s read so far, which don't override them."""
+    """Values of `$name`: those that the caller gave, and the `<default>`s read so far, which don't override those."""
 
     def __init__(self, given: dict[str, object]):
         self.values = {name: str(v).lower() if isinstance(v, bool) else str(v) for name, v in given.items()}
         self.unknown = set(given)  # given, but met neither as $name nor in a <default>
 
     def declare(self, name: str, value: str) -> None:
-        """Read a `<default>`."""
+        """Take the value of a `<default>`, unless the variable has one already."""
         self.values.setdefault(name, value)
         self.unknown.discard(name)
 
     def substitute(self, text: str, element: Element) -> str:
-        """`text` with every `$name` replaced; the longest name known is taken, as in Mitsuba."""
+        """`text` with every `$name` replaced. The longest known name counts, as in Mitsuba."""
 
         def value(match: re.Match) -> str:
             word = match[1]
@@ -38,10 +38,10 @@ class Variables:
 
 
 def read_document(path: Path, variables: dict[str, object]) -> Element:
-    """The `<scene>` in a file, variables substituted, includes and references replaced by what they stand for.
+    """The `<scene>` of a file. Variables are substituted; includes and references are replaced by their elements.
 
-    Raises `SceneFileError` for a file that is missing or malformed. What is wrong with references goes to the
-    element's `problems`.
+    Raises `SceneFileError` for a file that is missing or malformed. Wrong references are added to the element's
+    `problems`.
     """
     given = Variables(variables)
     root = read_xml(path, given)
@@ -60,9 +60,9 @@ def read_xml(
     folders: tuple[Path, ...] = (),
     parents: tuple[Path, ...] = (),
 ) -> Element:
-    """The root element of a file, with variables substituted and includes replaced by what they include.
+    """The root element of a file, with variables substituted, and includes replaced by the elements of their files.
 
-    Files are looked for in the folders of `<path>` elements, then in that of the file itself, then in `folders`.
+    Files are looked for in the folders of `<path>` elements, then in the folder of the file itself, then in `folders`.
     Raises `SceneFileError` for a missing file, malformed XML, text between elements, a variable without value, and a
     file that includes itself.
     """
@@ -138,10 +138,10 @@ def read_xml(
 
 
 def _readable(content: bytes) -> tuple[bytes, str | None]:
-    """XML as expat takes it, and its encoding where the file does not say the right one.
+    """(XML that expat can read, its encoding; None if expat finds the encoding itself).
 
-    Mitsuba is not as strict: comments may have `--` inside, and what claims to be UTF-8 need not be; that counts as
-    Latin-1. Line numbers stay.
+    Mitsuba is less strict than expat. Comments may contain `--`, so they are emptied. Line numbers stay the same. A
+    file that is not in the encoding that it declares counts as Latin-1.
     """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
         return content, None
@@ -157,7 +157,7 @@ def _readable(content: bytes) -> tuple[bytes, str | None]:
 
 
 def _by_id(root: Element) -> dict[str, Element]:
-    """Elements by id and alias; aliases are taken out of the tree."""
+    """All elements by id and alias. Aliases are removed from the tree."""
     found: dict[str, Element] = {}
     for parent, element in list(descendants(root)):
         if element.tag == "alias":
@@ -178,14 +178,14 @@ def _by_id(root: Element) -> dict[str, Element]:
 
 
 def descendants(element: Element) -> Iterator[tuple[Element, Element]]:
-    """(parent, child) for every element inside, each before those inside of it."""
+    """(parent, child) for every element inside, each before its own children."""
     for child in element.children:
         yield element, child
         yield from descendants(child)
 
 
 def _resolve(element: Element, by_id: dict[str, Element], parents: list[Element], done: set[int]) -> None:
-    """Replace every `<ref>` inside by what it refers to; one that can't be is a problem and is left out."""
+    """Replace every `<ref>` inside by its target. A `<ref>` without one is noted as a problem and left out."""
     if id(element) in done:
         return
     resolved = []

@@ -1,4 +1,4 @@
-"""Elements of a Mitsuba 3 scene file, with their places, and the list of what is wrong with them."""
+"""Elements of a Mitsuba 3 scene file, with their places in the file, and the list of their problems."""
 
 import contextlib
 import dataclasses
@@ -11,11 +11,11 @@ from jaxdr.callers_line import warn
 
 
 class SceneFileError(ValueError):
-    """A scene file that can't be loaded; the message starts with file, line and tag."""
+    """A scene file can't be loaded. The message starts with file, line and tag."""
 
 
 class Severity(enum.Enum):
-    """A mistake is always an error; what is unsupported is one unless it may be left out; the harmless is a warning."""
+    """Mistakes are errors, harmless things are warnings. Unsupported things are errors, or warnings if asked for."""
 
     MISTAKE = 0
     UNSUPPORTED = 1
@@ -24,18 +24,21 @@ class Severity(enum.Enum):
 
 @dataclasses.dataclass
 class Problems:
-    """What is wrong in a scene file, and what is not supported: collected, so that one error lists it all."""
+    """The mistakes in a scene file, and what is not supported. They are collected, so that one error lists them all."""
 
     found: list[tuple[str, int, str, Severity]] = dataclasses.field(default_factory=list)
 
     def add(self, element: "Element", message: str, severity: Severity = Severity.MISTAKE) -> None:
-        """Note a problem, once: an element may be read several times when others refer to it."""
+        """Note a problem, but only once: an element that others refer to may be read several times."""
         problem = (str(element.file), element.line, message, severity)
         if problem not in self.found:
             self.found.append(problem)
 
     def check(self, path: Path, ignore_unsupported: bool) -> None:
-        """Raise one `SceneFileError` that lists all problems so far; warn of those that are none, and forget them."""
+        """Raise one `SceneFileError` that lists all errors so far. Give warnings for the other problems.
+
+        If there is no error, the list is empty afterwards.
+        """
         # A stable sort: by line within a file, the main file first.
         ordered = sorted(self.found, key=lambda problem: (problem[0] != str(path), *problem[:2]))
         warned = {Severity.HARMLESS, Severity.UNSUPPORTED} if ignore_unsupported else {Severity.HARMLESS}
@@ -52,11 +55,13 @@ class Problems:
 
 @dataclasses.dataclass
 class Element:
-    """An XML element and where it stands. All elements of a scene share `problems`; `folders` are searched for files.
+    """An XML element and its place in the file.
 
-    `properties` is what read it last (an `xml.Properties`), so that nothing it left out goes unnoticed. `vertex_data`
-    are the attributes of the mesh of the shape around it, by name: `vertex_…` one row a vertex (None where it can't be
-    had), `face_…` one row a face; None outside of shapes. `referred`: some `<ref>` stands for it.
+    - `problems`: shared by all elements of a scene; `folders`: where files are looked for.
+    - `properties`: the `xml.Properties` that read the element last. They note what was not read.
+    - `vertex_data`: attributes of the mesh of the shape around the element, by name. `vertex_…` has a row for each
+      vertex (None if there is no single value for each), `face_…` one for each face. None outside of shapes.
+    - `referred`: whether some `<ref>` refers to it.
     """
 
     tag: str
@@ -72,7 +77,7 @@ class Element:
 
     @property
     def type(self) -> str:
-        """The plugin type; the outermost element has none and counts as `scene`."""
+        """The plugin type. An element without one, such as the outermost, counts as `scene`."""
         return self.attributes.get("type", "scene")
 
     def place(self, message: str) -> str:
@@ -84,16 +89,16 @@ class Element:
         return SceneFileError(self.place(message))
 
     def unsupported(self, message: str, instead: str) -> None:
-        """Note something that has no counterpart here, and what happens `instead` when the user ignores that."""
+        """Note something that is not supported here, and what happens `instead` with `ignore_unsupported`."""
         message = self.place(f"{message}; with ignore_unsupported {instead}")
         self.problems.add(self, message, Severity.UNSUPPORTED)
 
     def harmless(self, message: str) -> None:
-        """Note something that is not read, and changes nothing in the expected image or next to nothing: a warning."""
+        """Note something to warn of that is not read, and changes little or nothing in the expected image."""
         self.problems.add(self, self.place(message), Severity.HARMLESS)
 
     def check_attributes(self, required: tuple[str, ...] = (), optional: tuple[str, ...] = ()) -> None:
-        """Raise unless all required attributes and no unknown ones are there."""
+        """Raises `SceneFileError` unless the element has all required attributes and no unknown ones."""
         for name in self.attributes:
             if name not in required + optional:
                 raise self.error(f"unknown attribute {name!r}; known: {', '.join(required + optional) or 'none'}")
@@ -103,7 +108,7 @@ class Element:
 
     @contextlib.contextmanager
     def located(self) -> Iterator[None]:
-        """Give a `ValueError` raised inside this element's place, unless it names a place already."""
+        """Add the place of this element to a `ValueError` raised inside the block, unless it names a place already."""
         try:
             yield
         except SceneFileError:
@@ -112,7 +117,7 @@ class Element:
             raise self.error(str(error)) from error
 
     def find_file(self, filename: str) -> Path:
-        """The first file of this name in `folders` or the working directory; raises ValueError where there is none."""
+        """The first file of this name in `folders` or the working directory. Raises ValueError if there is none."""
         candidates = list(dict.fromkeys(folder / filename for folder in (*self.folders, Path.cwd())))
         for candidate in candidates:
             if candidate.is_file():

@@ -1,4 +1,4 @@
-"""Emitter plugins of Mitsuba 3 scene files: those of a shape, and those of the scene."""
+"""Emitter plugins of Mitsuba 3 scene files: those of shapes, and those of the scene."""
 
 from collections.abc import Callable, Collection
 from typing import Literal
@@ -20,7 +20,7 @@ from jaxdr.scene.lights.projector import WRAPS
 
 
 def _light_color(properties: Properties, name: str) -> ArrayLike:
-    properties.ignore("sampling_weight")  # how often it is chosen: a matter of noise
+    properties.ignore("sampling_weight")  # how often the light is chosen: only the noise depends on it
     if properties.tag(name) == "spectrum":
         return properties.value(name, "spectrum", read=light_color)
     return color(properties, name, 1.0)
@@ -42,12 +42,12 @@ def _environment_map(element: Element) -> EnvironmentMap:
     properties = Properties(element)
     scale = properties.value("scale", NUMBER, 1.0)
     to_world = properties.value("to_world", "transform", np.eye(4))
-    properties.ignore("mis_compensation", "sampling_weight")  # how it is sampled
+    properties.ignore("mis_compensation", "sampling_weight")  # they say how it is sampled
     return EnvironmentMap(_image(properties), to_world, scale)
 
 
 def _image(properties: Properties, raw: bool = False) -> Float[np.ndarray, "H W 3"]:
-    """The image file that `filename` names; grey and alpha are made RGB."""
+    """The image file that `filename` names. Grey becomes RGB, and alpha is dropped."""
     filename = properties.value("filename", "string")
     if filename is None:
         raise ValueError("parameter 'filename' is missing")
@@ -68,7 +68,7 @@ def _directional(element: Element) -> DirectionalLight:
 
 
 def _one_of(properties: Properties, name: str, tag: str, default: ArrayLike, of_matrix: Callable) -> ArrayLike:
-    """A vector given by its name or by `to_world`."""
+    """A vector that is given either by its name or by `to_world`."""
     given = properties.value(name, tag)
     matrix = properties.value("to_world", "transform")
     if given is not None and matrix is not None:
@@ -109,7 +109,7 @@ def _projector(element: Element) -> Projector:
 
 
 def _projected(texture: Element) -> tuple[Float[np.ndarray, "H W 3"], Literal["clamp", "repeat"]]:
-    """(image, wrap mode) of a texture that is projected; a constant is one texel."""
+    """(image, wrap mode) of a texture that a light projects. A constant becomes one texel."""
     if texture.type in CONSTANTS:
         constant = read_plugin(texture, CONSTANTS, "it is white")
         return np.ones((1, 1, 3)) * np.asarray(1.0 if constant is None else constant), "repeat"
@@ -117,9 +117,9 @@ def _projected(texture: Element) -> tuple[Float[np.ndarray, "H W 3"], Literal["c
 
 
 def _bitmap(element: Element) -> tuple[Float[np.ndarray, "H W 3"], Literal["clamp", "repeat"]]:
-    """(image, wrap mode) of a texture that is projected."""
+    """(image, wrap mode) of an image file that a light projects."""
     properties = Properties(element)
-    properties.ignore("format", "accel")  # matters of precision
+    properties.ignore("format", "accel")  # they only change the precision
     wrap = properties.value("wrap_mode", "string", "repeat")
     if wrap not in WRAPS:
         raise ValueError(f"wrap_mode of a projected image must be {' or '.join(WRAPS)}, got {wrap!r}")
@@ -140,14 +140,14 @@ EMITTERS: dict[str, Callable[[Element], Environment | DeltaLight]] = {
 
 
 def read_shape_emitter(element: Element | None) -> AreaEmitter | None:
-    """The `<emitter>` inside a shape; None where it can't be read, which is noted as a problem."""
+    """The `<emitter>` inside a shape. If it can't be read, it is None, and that is noted as a problem."""
     return None if element is None else read_plugin(element, SHAPE_EMITTERS, "the shape does not glow")
 
 
 def read_emitters(elements: list[Element], taken: Collection[str]) -> tuple[Environment | None, dict[str, DeltaLight]]:
-    """(environment, lights by name) of a scene's `<emitter>`s; what can't be read is noted as a problem.
+    """(environment, lights by name) of a scene's `<emitter>`s. Those that can't be read are noted as problems.
 
-    Lights are named as shapes are; `taken` are the shapes' names.
+    Lights are named as shapes are. `taken` are the names of the shapes.
     """
     environment, lights = None, {}
     for name, element in zip(object_names(elements, taken), elements, strict=True):

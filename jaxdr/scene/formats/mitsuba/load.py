@@ -1,7 +1,7 @@
 """Mitsuba 3 scene files: from the tree of elements to a `Scene`.
 
-The plugins are in tables, a file each: `shapes`, `bsdfs`, `textures`, `emitters`, `sensors`; how one is read is in
-`xml`. A new plugin is one function and one line in its table.
+Plugins are in tables, one in each of the files `shapes`, `bsdfs`, `textures`, `emitters` and `sensors`. `xml` says how
+a plugin is read. A new plugin is one function and one line in its table.
 """
 
 import os
@@ -27,17 +27,17 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     """The scene in a Mitsuba 3 XML file. Units and orientations are Mitsuba's.
 
     - Keywords set the file's `$variables` and override its `<default>`s.
-    - Shapes are named by their XML ids, one without id by its type (`sphere`, `sphere_1`, …). Those of an instance of
-      several are named by its name, `_` and theirs.
-    - Everything becomes meshes, and instances become copies of them. `shapes` says how fine they
-      are, and where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
-    - Integrator and sampler are checked, but have no effect: `jaxdr.render` is given its own.
+    - Shapes are named by their XML ids. A shape without id is named by its type (`sphere`, `sphere_1`, …). An instance
+      of several shapes gives each of them a name of three parts: the name of the instance, `_`, and that of the shape.
+    - Everything becomes meshes, and instances become copies of them. The module `shapes` says how fine they are, and
+      where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
+    - Integrator and sampler are checked, but have no effect: `jaxdr.render` has arguments of its own for them.
 
-    Raises one ValueError that names file, line and tag of all that is wrong (values out of range, missing files, ids)
-    or not supported (elements, plugins, parameters that nobody reads). With `ignore_unsupported` the latter become
-    warnings that say what happens instead. Malformed XML, and a variable without value, are raised at once; what is
-    wrong in mesh files, which are read last, comes in an error of its own. Warns of what is not read and has no part in
-    the expected image.
+    Raises one ValueError that lists all problems with file, line and tag: mistakes (values out of range, missing files,
+    ids) and what is not supported (elements, plugins, parameters that nothing reads). With `ignore_unsupported` the
+    latter become warnings that say what happens instead. Malformed XML, and a variable without value, raise at once.
+    Mesh files are read last, and their problems come in an error of their own. Warns of settings that are not read and
+    don't change the expected image.
     """
     root = read_document(Path(path), variables)
     properties, shapes = Properties(root), SceneShapes()
@@ -75,14 +75,14 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
 
 
 def _read_part(element: Element, read: Callable[[Element], object]) -> None:
-    """What stands in the scene only to be referred to."""
+    """Read an element that is in the scene only for others to refer to."""
     read(element)
     if not element.referred:
         element.harmless("nothing refers to it: it has no effect")
 
 
 def _integrator(element: Element) -> None:
-    """How an image is estimated, not what it shows: `jaxdr.render` has its own arguments for that."""
+    """An integrator says how the image is estimated. `jaxdr.render` has its own arguments for that."""
     properties = Properties(element)
     if properties.value("hide_emitters", "boolean", False):
         element.unsupported("hide_emitters is not supported", "emitters stay visible")
@@ -90,7 +90,7 @@ def _integrator(element: Element) -> None:
 
 
 def _several_images(element: Element) -> None:
-    """What is added to the image of the integrator inside; `jaxdr.render_aovs` has its own names for that."""
+    """An integrator that adds images to those of the ones inside. `jaxdr.render_aovs` has its own names for them."""
     properties = Properties(element)
     properties.ignore("aovs")
     for inner in properties.objects("integrator"):
@@ -98,11 +98,11 @@ def _several_images(element: Element) -> None:
 
 
 def _read_integrator(element: Element) -> None:
-    """An `<integrator>`: one that nobody knows is as good as any, but for those that show something else than light."""
+    """Check an `<integrator>`. Unknown ones only give a warning, except for those that don't show light."""
     if element.type in INTEGRATORS or element.type in NO_LIGHT or "type" not in element.attributes:
         read_plugin(element, INTEGRATORS, "it has no effect")
         return
-    element.harmless(f"unknown type {element.type!r}: it has no effect, jaxdr.render is given an integrator of its own")
+    element.harmless(f"unknown type {element.type!r}: it has no effect, jaxdr.render takes an integrator of its own")
     hidden = next((child for child in element.children if child.attributes.get("name") == "hide_emitters"), None)
     if hidden is not None and hidden.attributes.get("value", "").lower() == "true":
         element.unsupported("hide_emitters is not supported", "emitters stay visible")

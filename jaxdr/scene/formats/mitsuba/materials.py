@@ -1,6 +1,6 @@
-"""BSDF plugins of Mitsuba 3 scene files that stand alone: (their properties) -> our model, with Mitsuba's defaults.
+"""BSDF plugins of Mitsuba 3 scene files that hold no other BSDF: functions from properties to our models.
 
-What they have that our models have not is an error: a material is never loaded in part.
+Defaults are Mitsuba's. A parameter that our model lacks is an error: a material is never loaded in part.
 """
 
 import warnings
@@ -34,14 +34,14 @@ SAMPLING = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", 
 SAMPLING_OF_THIN = tuple(
     f"{lobe}_{way}_sampling_rate" for lobe in ("diffuse", "specular") for way in ("reflectance", "transmittance")
 )
-# Of Principled: what has no effect without the lobe that it belongs to.
+# Parameters of Principled that have no effect without the lobe to which they belong.
 DETAILS = {"sheen_tint": "sheen", "clearcoat_gloss": "clearcoat"}
 
 
 def _metal(properties: Properties) -> dict[str, Any]:
     """Index and colour of a conductor."""
     material = properties.value("material", "string", "none")
-    plain = material.removesuffix("_palik")  # Mitsuba's files of both names are the same where ours has only one
+    plain = material.removesuffix("_palik")  # where our table has only one of two names, Mitsuba's files are the same
     found: dict[str, Any] = {"material": plain if material not in METALS and plain in METALS else material}
     if material == "none":
         found["material"] = None
@@ -60,8 +60,8 @@ def _interface(properties: Properties, inside: str) -> dict[str, Any]:
 
 
 def _roughness(properties: Properties) -> dict[str, Any]:
-    """Distribution of microfacets, the same in all directions or not."""
-    properties.ignore("sample_visible")  # a matter of noise
+    """Distribution and roughness of microfacets, isotropic or anisotropic."""
+    properties.ignore("sample_visible")  # only the noise depends on it
     along, across = (textured_roughness(properties, name) for name in ("alpha_u", "alpha_v"))
     alpha = textured_roughness(properties, "alpha")
     if (along is None) != (across is None):
@@ -78,12 +78,12 @@ def _roughness(properties: Properties) -> dict[str, Any]:
 def _isotropic(properties: Properties) -> dict[str, Any]:
     found = _roughness(properties)
     if "alpha_v" in found:
-        raise ValueError("alpha_u and alpha_v must be equal: this coat is as rough in all directions")
+        raise ValueError("alpha_u and alpha_v must be equal: this coat is equally rough in all directions")
     return found
 
 
 def _phong(properties: Properties) -> Phong:
-    """Of Mitsuba 0.x, which makes colours darker that reflect more than arrives."""
+    """The Phong model of Mitsuba 0.x, which darkens the colours if they reflect more light than arrives."""
     diffuse, specular = (
         textured_color(properties, name, default)
         for name, default in (("diffuse_reflectance", 0.5), ("specular_reflectance", 0.2))
@@ -101,7 +101,7 @@ def _phong(properties: Properties) -> Phong:
 
 
 def _base(properties: Properties) -> dict[str, Any]:
-    """Diffuse base of a plastic, and its coat."""
+    """Diffuse base and coat of a plastic."""
     return {
         **_interface(properties, "polypropylene"),
         **_colors(properties, "diffuse_reflectance", "specular_reflectance"),
@@ -115,7 +115,7 @@ def _two_lobes(properties: Properties) -> dict[str, Any]:
 
 
 def _lobes(properties: Properties, names: tuple[str, ...]) -> dict[str, Any]:
-    """Those of the principled model that have an effect."""
+    """The lobes of the principled model with these names, as far as they have an effect."""
     lobes = {name: textured_number(properties, name, 0.0) for name in names}
     lobes = {name: value for name, value in lobes.items() if isinstance(value, Texture) or value != 0}
     return {name: value for name, value in lobes.items() if DETAILS.get(name, name) in lobes}
@@ -139,12 +139,12 @@ def _principled(properties: Properties) -> Principled:
 
 
 def _thin(properties: Properties) -> TwoSided:
-    """A sheet. Where no light goes through, it reflects as both sides of a principled surface without facets."""
+    """A thin sheet. If no light goes through it, it reflects as a two-sided principled surface without facets."""
     properties.ignore(*SAMPLING_OF_THIN)
     for name in _lobes(properties, ("spec_trans", "diff_trans")):
         message = f"a sheet that lets light through ({name} other than 0) is not supported"
         properties.element.unsupported(message, "it lets none through")
-    for name in ("anisotropic", "spec_tint", "eta"):  # of light that goes through and its reflection
+    for name in ("anisotropic", "spec_tint", "eta"):  # they only change the lobes of `spec_trans`
         textured_number(properties, name, None)
     base, roughness = textured_color(properties, "base_color", 0.5), textured_number(properties, "roughness", 0.5)
     return TwoSided(Principled(base, 0.0, roughness, 0.0, **_lobes(properties, ("sheen", "sheen_tint", "flatness"))))

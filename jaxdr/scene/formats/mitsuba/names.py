@@ -1,4 +1,4 @@
-"""Names of a Mitsuba 3 scene file's shapes and lights, as parameters are called after them."""
+"""Names of the shapes and lights of a Mitsuba 3 scene file. Names of parameters begin with them."""
 
 from collections.abc import Collection
 
@@ -7,7 +7,7 @@ from jaxdr.scene.scene import RESERVED
 
 
 def object_names(elements: list[Element], others: Collection[str] = ()) -> list[str]:
-    """Their ids; for one without, its type with the first free number (`cube`, `cube_1`, …). `others` are taken."""
+    """Ids of elements; without an id, the type and the first free number (`cube`, `cube_1`, …). `others` are taken."""
     taken = {element.attributes.get("id") for element in elements} | set(others)
     names = []
     for element in elements:
@@ -21,7 +21,7 @@ def object_names(elements: list[Element], others: Collection[str] = ()) -> list[
 
 
 def parameter_name(element: Element, name: str) -> str:
-    """The name, or where it would make no name of a parameter, which is noted, one that does."""
+    """The name, if names of parameters may begin with it. Otherwise another one, which is noted as a problem."""
     if name and "." not in name and name not in RESERVED:
         return name
     kind = "shape" if element.tag == "shape" else "light"

@@ -1,4 +1,4 @@
-"""The shapes of a Mitsuba 3 scene: first what they are and what is wrong with them, then their meshes.
+"""The shapes of a Mitsuba 3 scene. All of them are checked first, and their meshes are made after that.
 
 Groups are flattened: an instance is a copy of the group's meshes in another place.
 """
@@ -25,17 +25,21 @@ from jaxdr.scene.scene import Shape
 
 
 class SceneShapes:
-    """Reads shapes and what they are made of; what several refer to is read once. Problems go to the elements'."""
+    """Reads shapes, their BSDFs and their emitters. An element that several shapes refer to is read once.
+
+    Problems are added to those of the elements.
+    """
 
     def __init__(self) -> None:
         self._read: dict[int, Any] = {}
         self._groups = {"shapegroup": self._group, "instance": self._instance}
 
     def plans(self, elements: list[Element]) -> dict[str, Plan]:
-        """What the `<shape>`s of a scene show, by name: one each, none for a group as such, and for an instance what is
-        inside. Their BSDFs and emitters are read, their meshes not yet.
+        """Plans of the visible shapes of a scene, by name. BSDFs and emitters are read, but meshes are not yet.
 
-        Shapes of an instance of several are named by its name, `_` and theirs. A name that can't be is noted.
+        A `<shape>` has one plan, an instance one for each shape of its group, and a group alone none. An instance of
+        several shapes gives each of them a name of three parts: the name of the instance, `_`, and that of the shape.
+        Names that can't be used are noted as problems.
         """
         found: dict[str, Plan] = {}
         for name, element in zip(object_names(elements), elements, strict=True):
@@ -54,7 +58,7 @@ class SceneShapes:
         return found
 
     def shape(self, plan: Plan) -> Shape | None:
-        """The shape in world space; None where it can't be, which is noted as a problem."""
+        """The shape in world space. If it can't be made, it is None, and that is noted as a problem."""
         try:
             mesh, attributes = _mesh(plan)
         except EmptyMesh as error:
@@ -67,20 +71,20 @@ class SceneShapes:
             if element is not None:
                 element.vertex_data = attributes
         emitter = self.emitter(plan.emitter)
-        bsdf = Diffuse(0.5 if plan.emitter is None else 0.0)  # Mitsuba's: a light reflects nothing
+        bsdf = Diffuse(0.5 if plan.emitter is None else 0.0)  # Mitsuba's defaults: a light reflects nothing
         if plan.bsdf is not None:
             bsdf = self.bsdf(plan.bsdf) or bsdf
         return Shape(mesh, bsdf, emitter)
 
     def bsdf(self, element: Element) -> BSDF | TwoSided | None:
-        """What `read_bsdf` makes of an element; None for a surface that rays pass through, which is noted."""
+        """The BSDF of an element. It is None for a surface that rays pass through, and that is noted as a problem."""
         if element.type == "null":
             element.unsupported(f"unknown type 'null'; {REASONS['null']}", "shapes that have it are left out")
             return None
         return self._once(element, read_bsdf)
 
     def emitter(self, element: Element | None) -> AreaEmitter | None:
-        """What `read_shape_emitter` makes of an element."""
+        """The emitter of an element, or None."""
         return None if element is None else self._once(element, read_shape_emitter)
 
     def _once(self, element: Element, read: Callable[[Element], Any]) -> Any:
@@ -93,7 +97,7 @@ class SceneShapes:
         return self._read[key]
 
     def _plan(self, element: Element) -> Plan | None:
-        """A `<shape>` with all that is not its mesh checked; None where it can't be read, which is noted."""
+        """The plan of a `<shape>`, with its BSDF and emitter checked; None if it can't be read or can't be seen."""
         plan = read_plugin(element, SHAPES, "it is left out")
         if plan is None:
             return None
@@ -102,7 +106,7 @@ class SceneShapes:
         return None if passable else plan
 
     def _group(self, element: Element) -> list[tuple[str, Plan]]:
-        """The shapes inside with their names; they are seen only through instances."""
+        """The shapes of a group with their names. Only instances make them visible."""
         inside = Properties(element).objects("shape")
         plans = [(name, self._plan(child)) for name, child in zip(object_names(inside), inside, strict=True)]
         return [(name, plan._replace(make=functools.cache(plan.make))) for name, plan in plans if plan is not None]
@@ -125,7 +129,7 @@ def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
     source = plan.make()
     arrays, flips = source.arrays, plan.flips
     if not np.array_equal(plan.to_world, np.eye(4)):
-        # `transformed_arrays` keeps the outside outside; in Mitsuba a mirrored file's triangles turn over instead.
+        # `transformed_arrays` keeps the outside outside. In Mitsuba the triangles of a mirrored file turn over instead.
         flips ^= bool(np.linalg.det(plan.to_world) < 0) and not source.keeps_side
         arrays = transformed_arrays(arrays, plan.to_world)
     if flips:
@@ -134,7 +138,7 @@ def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
         arrays = transformed_arrays(arrays, plan.instance)
     mesh = Mesh(*arrays)
     attributes = source.attributes
-    if len(mesh.faces) < len(arrays.faces):  # without area
+    if len(mesh.faces) < len(arrays.faces):  # `Mesh` drops faces without area
         kept = has_area(np.asarray(mesh.vertices), arrays.faces)
         attributes = {
             name: values[kept] if name.startswith("face_") and values is not None else values
@@ -144,5 +148,5 @@ def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
 
 
 def _needs_mesh(element: Element) -> bool:
-    """Whether there is a texture inside whose values belong to a mesh."""
+    """Whether an element contains a texture whose values are attributes of a mesh."""
     return any(child.type == "mesh_attribute" for _, child in descendants(element))

@@ -1,4 +1,4 @@
-"""Sensors of Mitsuba 3 scene files, with what is inside them: films, reconstruction filters and samplers."""
+"""Sensors of Mitsuba 3 scene files, and the elements inside them: films, reconstruction filters and samplers."""
 
 import math
 from collections.abc import Callable
@@ -13,10 +13,10 @@ from jaxdr.scene.formats.mitsuba.values import floats
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
 
 SAMPLER_SETTINGS = ("sample_count", "seed", "jitter", "strength")
-# How Mitsuba stores the image. Our pixels at the border always see beyond the film, as with its sample_border.
+# They say how Mitsuba stores the image. Our pixels at the border always see beyond the film, as with `sample_border`.
 FILM_SETTINGS = (
     *("file_format", "component_format", "sample_border", "compensate", "banner", "high_quality_edges", "attach_log"),
-    *("gamma", "exposure", "tonemap_method", "key", "burn"),  # of Mitsuba 0.x: what we make is linear
+    *("gamma", "exposure", "tonemap_method", "key", "burn"),  # of Mitsuba 0.x; our images are linear
 )
 PIXEL_FORMATS = ("rgb", "rgba")  # there is no alpha channel here; the colours are the same
 SENSOR_SETTINGS = ("shutter_open", "shutter_close")  # nothing moves in time
@@ -26,7 +26,7 @@ FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for 
 def _perspective(element: Element) -> Perspective:
     properties = Properties(element)
     offset = [properties.value(f"principal_point_offset_{axis}", NUMBER, 0.0) for axis in "xy"]
-    properties.ignore("focus_distance")  # of a lens, which is not there
+    properties.ignore("focus_distance")  # a pinhole camera has no lens
     return Perspective(**_common(properties, scales=False), **field_of_view(properties), principal_point=offset)
 
 
@@ -47,7 +47,7 @@ def _orthographic(element: Element) -> Orthographic:
 
 
 def _common(properties: Properties, scales: bool) -> dict[str, Any]:
-    """What all cameras have."""
+    """The parameters that all cameras share."""
     to_world = properties.value("to_world", "transform", np.eye(4))
     if not scales and not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
         raise ValueError("to_world must not scale or shear")
@@ -60,7 +60,7 @@ def _common(properties: Properties, scales: bool) -> dict[str, Any]:
 
 
 def field_of_view(properties: Properties) -> dict[str, Any]:
-    """Degrees and the axis they are measured along, from `fov` or `focal_length` (default 50mm)."""
+    """`fov` (degrees) and `fov_axis`, from `fov` or `focal_length` (default 50mm)."""
     fov = properties.value("fov", NUMBER)
     axis = properties.value("fov_axis", "string", "x")
     focal_length = properties.value("focal_length", "string")
@@ -103,12 +103,12 @@ def _tent(element: Element) -> Tent:
 
 
 def _sampler(element: Element) -> None:
-    """Random numbers change nothing in the expected image; `jaxdr.render` draws its own."""
+    """A sampler does not change the expected image. `jaxdr.render` draws its own random numbers."""
     Properties(element).ignore(*SAMPLER_SETTINGS)
 
 
 def _low_dynamic_range_film(element: Element) -> Film:
-    """The film of Mitsuba 0.x that stores what a screen shows."""
+    """The film of Mitsuba 0.x that stores tone-mapped images for screens."""
     element.harmless("the image is linear, as of an hdrfilm: it is not tone mapped")
     return _hdr_film(element)
 
@@ -119,7 +119,7 @@ SENSORS: dict[str, Callable[[Element], Camera]] = {
     "orthographic": _orthographic,
 }
 FILMS: dict[str, Callable[[Element], Film]] = {"hdrfilm": _hdr_film, "ldrfilm": _low_dynamic_range_film}
-# Mitsuba's others (mitchell, catmullrom, lanczos) have negative lobes: no density to draw film points from.
+# Mitsuba's other filters (mitchell, catmullrom, lanczos) have negative lobes, so film points can't be drawn from them.
 FILTERS: dict[str, Callable[[Element], ReconstructionFilter]] = {"box": _box, "gaussian": _gaussian, "tent": _tent}
 SAMPLERS: dict[str, Callable[[Element], None]] = dict.fromkeys(
     ("independent", "stratified", "multijitter", "orthogonal", "ldsampler"), _sampler
@@ -127,12 +127,12 @@ SAMPLERS: dict[str, Callable[[Element], None]] = dict.fromkeys(
 
 
 def read_sensor(element: Element) -> Camera | None:
-    """A `<sensor>`; None where it can't be read, which is noted as a problem."""
+    """The camera of a `<sensor>`. If it can't be read, it is None, and that is noted as a problem."""
     return read_plugin(element, SENSORS, "it is left out")
 
 
 def read_sampler(element: Element) -> None:
-    """A `<sampler>`: checked; any is as good."""
+    """Check a `<sampler>`. It has no effect; an unknown one gives a warning."""
     if element.type in SAMPLERS or "type" not in element.attributes:
         read_plugin(element, SAMPLERS, "it has no effect")
     else:

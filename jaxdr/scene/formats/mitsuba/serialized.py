@@ -1,10 +1,18 @@
 """Mitsuba's `serialized` meshes, versions 3 and 4: triangles as zlib streams, several in a file.
 
-A file is a sequence of meshes, the offsets where each starts (64 bits; 32 in version 3) and their number (32 bits). A
-mesh is the number 0x041C, the version (16 bits each), and a zlib stream: flags (32 bits), the name (UTF-8, ended by a
-zero; version 4 only), the numbers of vertices and triangles (64 bits each), positions, then what the flags tell:
-normals, texture coordinates, colours, all floats or all doubles; at last three 32-bit indices a triangle. All of it
-little endian.
+All numbers are little endian. A file has these parts, in this order:
+
+- the meshes;
+- the offset of every mesh (64 bits; 32 in version 3);
+- the number of meshes (32 bits).
+
+A mesh has the number 0x041C and the version (16 bits each), and then a zlib stream of
+
+- flags (32 bits);
+- the name (UTF-8, ended by a zero; version 4 only);
+- the numbers of vertices and of triangles (64 bits each);
+- positions, then normals, texture coordinates and colours as far as the flags say so, all floats or all doubles;
+- three 32-bit indices for every triangle.
 """
 
 import struct
@@ -24,14 +32,14 @@ LONGEST_NAME = 1 << 16
 
 
 class SerializedMesh(NamedTuple):
-    """Triangles, with the file's own v; `face_normals`: the file asks for flat shading."""
+    """Triangles, with the v of UVs as in the file. `face_normals`: whether the file asks for flat shading."""
 
     triangles: Triangles
     face_normals: bool
 
 
 def read_serialized(path: Path, index: int) -> SerializedMesh:
-    """One mesh of a file. Raises `ValueError` for an index out of range and a file that is damaged or another one."""
+    """One mesh of a file. Raises `ValueError` for an index out of range, a damaged file, and one of another kind."""
     with path.open("rb") as file:
         try:
             version = _version(file)
@@ -53,7 +61,7 @@ def _version(file: BinaryIO) -> int:
 
 
 def _offset(file: BinaryIO, version: int, index: int) -> int:
-    """Where a mesh starts, from the table at the end of the file."""
+    """The byte where a mesh starts, from the table at the end of the file."""
     file.seek(-4, 2)
     (count,) = struct.unpack("<I", file.read(4))
     if not 0 <= index < count:
@@ -64,7 +72,7 @@ def _offset(file: BinaryIO, version: int, index: int) -> int:
 
 
 def _decompressed(file: BinaryIO) -> bytes:
-    """The zlib stream that starts here."""
+    """The content of the zlib stream that starts at the current position."""
     stream, parts = zlib.decompressobj(), []
     while not stream.eof:
         chunk = file.read(CHUNK)

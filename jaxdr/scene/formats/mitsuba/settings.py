@@ -1,4 +1,4 @@
-"""How a Mitsuba scene file wants its image to be made: what is no part of the scene."""
+"""Settings of a Mitsuba scene file that say how its image is rendered, and are no part of the scene."""
 
 import os
 from pathlib import Path
@@ -11,16 +11,16 @@ DIRECT = ("direct", "direct_projective")  # two segments by definition
 
 
 class RenderSettings(NamedTuple):
-    """Longest path in segments (-1 for no end, as Mitsuba counts) and samples per pixel; None where nothing is said."""
+    """Longest path in segments (-1 for no limit, as in Mitsuba) and samples per pixel; None if the file gives none."""
 
     max_depth: int | None
     spp: int | None
 
 
 def mitsuba_settings(path: str | os.PathLike, /, **variables: object) -> RenderSettings:
-    """The settings of the first integrator and of the first sensor's sampler; keywords as in `load_mitsuba`.
+    """The settings of the first integrator, and of the sampler of the first sensor; keywords as in `load_mitsuba`.
 
-    Raises ValueError for malformed XML, a variable without value, a number that is none.
+    Raises ValueError for malformed XML, a variable without value, and a setting that is no whole number.
     """
     root = read_document(Path(path), variables)
     depth = spp = None

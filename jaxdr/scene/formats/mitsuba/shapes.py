@@ -1,10 +1,11 @@
 """Shape plugins of Mitsuba 3 scene files, as meshes.
 
-Curved shapes are inscribed: a sphere has 5120 triangles, a circle 128 sides; their normals are interpolated. Where a
-mesh file stores no normals, corners that share a vertex of the file share one. Those stored only tell which corners
-share one: normals are always computed from the vertices, so that they follow them (`Mesh.vertex_normals`).
+Curved shapes become inscribed meshes: a sphere has 5120 triangles, a circle 128 sides. Their normals are interpolated.
+Normals are always computed from the vertices, so that they move with them (`Mesh.vertex_normals`). Normals stored in a
+file only tell which corners share a normal. In a file without normals, corners that share a vertex share a normal.
 
-A plugin makes a `Plan`: mesh files are found, and read only when nothing else in the scene is wrong.
+A plugin makes a `Plan`, which finds a mesh file but does not read it. It is read when nothing else in the scene is
+wrong.
 """
 
 import functools
@@ -25,14 +26,15 @@ from jaxdr.scene.formats.mitsuba.values import tangent
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties
 
 SPHERE_SUBDIVISIONS = 4  # 5120 triangles, within 0.1 % of the radius
-BENT = 2.0  # degrees between stored normals and those of the triangles, on average, from which on it is said
+BENT = 2.0  # warn if stored normals and those of the triangles differ by more than this on average, in degrees
 CIRCLE_SEGMENTS = 128  # within 0.03 % of the radius
-# Corners 4 x + 2 y + z of the cube, x, y and z 0 or 1: where UVs are (0, 0), (1, 0), (1, 1) and (0, 1) on every side.
+# For every side of the cube the corners where UVs are (0, 0), (1, 0), (1, 1) and (0, 1). The number of a corner is
+# 4 x + 2 y + z, with x, y and z 0 or 1.
 CUBE_SIDES = np.array([[4, 5, 1, 0], [6, 2, 3, 7], [4, 6, 7, 5], [5, 7, 3, 1], [1, 3, 2, 0], [6, 4, 0, 2]])
 
 
 class Source(NamedTuple):
-    """Triangles in object space. `keeps_side`: a mirroring transform leaves its outside outside in Mitsuba."""
+    """Triangles in object space. `keeps_side`: in Mitsuba a mirroring transform leaves their outside outside."""
 
     arrays: MeshArrays
     keeps_side: bool
@@ -40,7 +42,10 @@ class Source(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """A `<shape>` whose mesh is still to be made: where it goes, whether it is inside out, and what it is made of."""
+    """A `<shape>` whose mesh is still to be made by `make`, with its transforms, BSDF and emitter.
+
+    `flips`: whether it is turned inside out. `instance`: the transform of the instance, or None.
+    """
 
     element: Element
     make: Callable[[], Source]
@@ -52,7 +57,7 @@ class Plan(NamedTuple):
 
 
 def _planned(properties: Properties, source: MeshArrays | Callable[[], Source], keeps_side: bool = True) -> Plan:
-    """The shape with its transform, sides, BSDF and emitter, of triangles or of what will make them."""
+    """The plan of a shape, from its triangles or a function that makes them."""
     to_world = properties.value("to_world", "transform", np.eye(4))
     if not np.linalg.det(to_world[:3, :3]):
         raise ValueError(f"to_world has no inverse: {to_world.tolist()}")
@@ -65,7 +70,7 @@ def _planned(properties: Properties, source: MeshArrays | Callable[[], Source], 
 
 
 def _mesh_file(element: Element) -> Plan:
-    """An OBJ or PLY file. UVs are as in an OBJ, (0, 0) at the lower left; Mitsuba takes those of a PLY upside down."""
+    """An OBJ or PLY file. UVs have (0, 0) at the lower left, as in OBJ files. Mitsuba turns v of a PLY file over."""
     properties = Properties(element)
     path = _path(properties)
     if path.suffix.lower() != f".{element.type}":
@@ -80,7 +85,7 @@ def _mesh_file(element: Element) -> Plan:
 
 
 def _serialized(element: Element) -> Plan:
-    """One mesh of a file of Mitsuba's own format."""
+    """One mesh of a `serialized` file."""
     properties = Properties(element)
     path = _path(properties)
     face_normals = properties.value("face_normals", "boolean", False)
@@ -129,7 +134,7 @@ def _rectangle(element: Element) -> Plan:
     properties = Properties(element)
     properties.ignore("face_normals")  # flat anyway
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [-1, 1, 0], [1, 1, 0]])
-    uvs = np.array([[0.0, 1], [1, 1], [0, 0], [1, 0]])  # upside down
+    uvs = np.array([[0.0, 1], [1, 1], [0, 0], [1, 0]])  # Mitsuba's with v turned over
     faces = np.array([[0, 1, 3], [0, 3, 2]])
     return _planned(properties, MeshArrays(points, faces, uvs, faces), keeps_side=True)
 
@@ -165,7 +170,7 @@ def _unit_sphere() -> MeshArrays:
 
 
 def _disk(element: Element) -> Plan:
-    """The unit disk in the plane z = 0, facing +z; u is the distance from the centre, v goes around."""
+    """The unit disk in the plane z = 0, facing +z. u is the distance from the centre, and v goes around."""
     properties = Properties(element)
     rim, following = _circle()
     points = np.vstack([rim, np.zeros(3)])
@@ -176,7 +181,7 @@ def _disk(element: Element) -> Plan:
 
 
 def _cylinder(element: Element) -> Plan:
-    """The side of a cylinder from p0 to p1, facing outwards, without caps; u goes around, v along."""
+    """The side of a cylinder from p0 to p1, facing outwards, without caps. u goes around, and v along the axis."""
     properties = Properties(element)
     p0 = properties.value("p0", "point vector", np.zeros(3))
     p1 = properties.value("p1", "point vector", np.array([0.0, 0.0, 1.0]))
@@ -216,16 +221,16 @@ def _smooth(
 
 
 def _circle() -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Points of the unit circle around z, and for each the number of the next one."""
+    """(points of the unit circle around z, index of the next point for each)."""
     angle = 2 * np.pi * np.arange(CIRCLE_SEGMENTS) / CIRCLE_SEGMENTS
     points = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     return points, np.roll(np.arange(CIRCLE_SEGMENTS), -1)
 
 
 def _around(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3 2"]:
-    """UVs (angle around z / 2π, 0) of triangles' corners: a triangle across the seam goes beyond 1 instead of back.
+    """UVs (angle around z / 2π, 0) of the corners of triangles. In a triangle across the seam u goes beyond 1.
 
-    On the axis, where the angle is anything, it is the mean of the triangle's other two.
+    A corner on the axis has no angle. It gets the mean of the other two.
     """
     u = np.arctan2(corners[..., 1], corners[..., 0]) / (2 * np.pi) % 1
     on_axis = np.hypot(corners[..., 0], corners[..., 1]) < 1e-6

@@ -1,4 +1,4 @@
-"""Spectra of Mitsuba 3 scene files, given by wavelength: the linear RGB that Mitsuba's RGB variants make of them."""
+"""Spectra of Mitsuba 3 scene files, given by wavelength, as the linear RGB of Mitsuba's RGB variants."""
 
 import functools
 from pathlib import Path
@@ -9,10 +9,10 @@ from jaxtyping import Float
 from jaxdr.scene.formats.mitsuba.element import Element
 
 TABLES = Path(__file__).with_name("cie_1931.csv")  # CIE 1931 2° observer and illuminant D65, 360 to 830 nm
-STEPS = 1000  # of Mitsuba's quadrature, ends included
-# Mitsuba's own constants: integral of y, and the mean by which it divides D65. Together they make white 0.999.
+STEPS = 1000  # points of Mitsuba's quadrature, with both ends
+# Mitsuba's own constants: the integral of y, and the mean by which it divides D65. Together they make white 0.999.
 Y_INTEGRAL, D65_SCALE = 106.7502593994140625, 98.99741751876255
-# Linear sRGB of the spectrum that is 1 everywhere, seen as a light (XYZ = 1, 1, 1). As a reflectance it is plain 1.
+# Linear sRGB of a light whose spectrum is 1 everywhere (XYZ = 1, 1, 1). As a reflectance such a spectrum is 1, 1, 1.
 EQUAL_ENERGY_LIGHT = np.array([1.204794, 0.948292, 0.908916])
 INDICES = ("eta", "k")
 XYZ_TO_RGB = np.array(  # ITU-R BT.709 primaries, D65
@@ -22,7 +22,7 @@ XYZ_TO_RGB = np.array(  # ITU-R BT.709 primaries, D65
 
 @functools.cache
 def _weights() -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """(wavelengths of the quadrature in nm, colour matching functions with its weights, D65)."""
+    """(wavelengths of the quadrature in nm, colour matching functions times weights of the quadrature, D65)."""
     nm, x, y, z, d65 = np.loadtxt(TABLES, delimiter=",", skiprows=1).T
     at = np.linspace(nm[0], nm[-1], STEPS)
     matching = np.stack([np.interp(at, nm, curve) for curve in (x, y, z)], axis=1)
@@ -32,10 +32,10 @@ def _weights() -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float
 def spectrum_to_rgb(
     nm: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], is_light: bool
 ) -> Float[np.ndarray, "3"]:
-    """Linear RGB of values at increasing wavelengths, linear between them and zero outside.
+    """Linear RGB of a spectrum. Its values at increasing wavelengths (nm) are joined by lines, and are zero outside.
 
-    Of a light, as it is; of anything else (reflectances, indices of metals) under D65, so that a constant is a grey.
-    What is outside of sRGB's gamut is clamped at zero.
+    A light is converted as it is. Anything else (a reflectance, an index of a metal) is seen under D65, so that a
+    constant is grey. Colours outside of sRGB's gamut are clamped at zero.
     """
     at, matching, d65 = _weights()
     spectrum = np.interp(at, nm, values, left=0.0, right=0.0)
@@ -43,20 +43,20 @@ def spectrum_to_rgb(
 
 
 def surface_color(element: Element) -> Float[np.ndarray, "3"]:
-    """A `<spectrum>` that reflects or transmits, or of a metal's index.
+    """Linear RGB of a `<spectrum>` that is a reflectance, a transmittance, or an index of a metal.
 
-    Reflectances up to 1 that leave sRGB's gamut are clamped at 1 as well.
+    If a reflectance is at most 1 at all wavelengths, its RGB is clamped at 1.
     """
     return _color(element, is_light=False)
 
 
 def light_color(element: Element) -> Float[np.ndarray, "3"]:
-    """A `<spectrum>` of a light."""
+    """Linear RGB of a `<spectrum>` of a light."""
     return _color(element, is_light=True)
 
 
 def _color(element: Element, is_light: bool) -> Float[np.ndarray, "3"]:
-    """From one value for all wavelengths, pairs such as `400:0.3, 500:0.4`, or a file with a pair in each line."""
+    """RGB of one value for all wavelengths, of pairs such as `400:0.3, 500:0.4`, or of a file with a pair a line."""
     is_reflectance = not is_light and element.attributes.get("name") not in INDICES
     if "filename" in element.attributes:
         path = element.find_file(element.attributes["filename"])

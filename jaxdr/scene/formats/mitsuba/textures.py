@@ -1,6 +1,6 @@
-"""Texture and spectrum plugins of Mitsuba 3 scene files, and the parameters that take them.
+"""Texture and spectrum plugins of Mitsuba 3 scene files, and functions that read parameters which may be textures.
 
-Mitsuba counts v from an image's top, here UVs start at the lower left: `to_uv` is turned accordingly.
+Mitsuba's v starts at the top of an image. Here it starts at the bottom, and `to_uv` is converted accordingly.
 """
 
 import warnings
@@ -20,7 +20,7 @@ from jaxdr.scene.textures import Bitmap, Checkerboard, FaceColors, Texture, Vert
 
 VERTEX_COLOR = "vertex_color"
 ATTRIBUTES = ("vertex_", "face_")
-# Filters of Mitsuba 0.x that blur a texture where it is far away: less noise there, the same image up to that blur.
+# Filters of Mitsuba 0.x that blur distant textures. Without them the image is the same but for that blur, and noisier.
 BLURRED = ("trilinear", "ewa")
 
 
@@ -34,9 +34,9 @@ def _d65(element: Element) -> ArrayLike:
 
 
 def _bitmap(element: Element) -> Bitmap:
-    """An image file; alpha is dropped."""
+    """An image file. Its alpha is dropped."""
     properties = Properties(element)
-    properties.ignore("format", "accel")  # matters of precision
+    properties.ignore("format", "accel")  # they only change the precision
     filename = properties.value("filename", "string")
     if filename is None:
         raise ValueError("parameter 'filename' is missing")
@@ -64,7 +64,7 @@ def _checkerboard(element: Element) -> Checkerboard:
 
 
 def _to_uv(properties: Properties) -> Float[np.ndarray, "2 3"] | None:
-    """The map of our UVs: v turned over before and after Mitsuba's, which takes x and y of a transform in space."""
+    """The map of our UVs. It turns v over before and after Mitsuba's map, which is the x and y part of a transform."""
     given = properties.value("to_uv", "transform")
     if given is None:
         return None
@@ -81,7 +81,7 @@ def _mesh_attribute(element: Element) -> VertexColors | FaceColors:
     if not name.startswith(ATTRIBUTES):
         raise ValueError(f"the name of an attribute starts with {' or '.join(ATTRIBUTES)}, got {name!r}")
     model = VertexColors if name.startswith("vertex_") else FaceColors
-    if element.vertex_data is None:  # outside of a shape: read in order to be checked
+    if element.vertex_data is None:  # outside of a shape it is only checked
         return model(np.full((1, 3), 0.5))
     if name not in element.vertex_data:
         raise ValueError(f"the mesh has no attribute {name!r}; it has: {', '.join(element.vertex_data) or 'none'}")
@@ -111,7 +111,7 @@ TEXTURES: dict[str, Callable[[Element], ArrayLike | Texture]] = {
 
 
 def color(properties: Properties, name: str, default: ArrayLike) -> ArrayLike:
-    """Take a colour: a number, `<rgb>`, `<spectrum>`, or what a nested uniform texture makes of it."""
+    """Take a colour from a number, `<rgb>`, `<spectrum>`, or a nested uniform texture."""
     element = properties.texture(name)
     if element is None:
         return properties.value(name, COLOR, default)
@@ -128,29 +128,29 @@ def textured_color(properties: Properties, name: str, default: ArrayLike | None)
 
 
 def textured_number(properties: Properties, name: str, default: ArrayLike | None) -> Any:
-    """Take a number that may be a texture: of one with colours, the luminance."""
+    """Take a number that may be a texture. A texture of colours gives their luminance."""
     return as_number(_textured(properties, name, NUMBER, default))
 
 
 def as_number(value: Any) -> Any:
-    """The same, but numbers in the place of a texture's colours: their luminance."""
+    """The same value, but with luminance in place of the colours of a texture."""
     if isinstance(value, Bitmap) and value.pixels.shape[-1] == 3:
         return eqx.tree_at(lambda t: t.pixels, value, _grey(value.pixels))
     if isinstance(value, Checkerboard):
-        # Mitsuba 3.9 takes the other colour of a board than it does where it asks for RGB.
+        # Mitsuba 3.9 swaps the two colours of a board where it asks for a number instead of RGB.
         first, second = (_grey(c) if c.shape == (3,) else c for c in (value.color1, value.color0))
         return eqx.tree_at(lambda t: (t.color0, t.color1), value, (first, second))
     return value
 
 
 def _grey(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n 1"]:
-    """Luminance, computed on the host."""
+    """Luminance of RGB, computed on the host."""
     red, green, blue = (share * np.asarray(rgb)[..., k] for k, share in enumerate(LUMINANCE))
     return as_array((red + green + blue)[..., None])
 
 
 def textured_roughness(properties: Properties, name: str) -> Any:
-    """Take the alpha of a microfacet distribution; what is too smooth in a texture is made as smooth as it can be."""
+    """Take the alpha of a microfacet distribution. Values of a texture that are too small become the least allowed."""
     value = textured_number(properties, name, None)
     if not isinstance(value, Texture):
         return value
@@ -159,7 +159,7 @@ def textured_roughness(properties: Properties, name: str) -> Any:
 
 
 def opacity(properties: Properties, name: str, default: float) -> Any:
-    """Take a number that may be a texture or a colour: of that its mean, as in Mitsuba 3."""
+    """Take a number that may be a texture or a colour. A colour gives its mean, as in Mitsuba 3."""
     if properties.tag(name) not in ("rgb", "spectrum"):
         return textured_number(properties, name, default)
     given = np.asarray(properties.value(name, COLOR)) * np.ones(3)
@@ -170,7 +170,7 @@ def opacity(properties: Properties, name: str, default: float) -> Any:
 
 
 def any_texture(properties: Properties, what: str) -> Texture:
-    """Take the one texture inside, whatever its name; ValueError where there is none."""
+    """Take the one texture inside, whatever its name. Raises ValueError if there is none."""
     element = properties.at_most_one("texture")
     if element is None:
         raise ValueError(f"needs a <texture> of {what} inside")

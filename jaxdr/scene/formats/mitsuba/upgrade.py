@@ -1,7 +1,7 @@
-"""Scene files of Mitsuba 0.x as those of Mitsuba 3.
+"""Rewrites scene files of Mitsuba 0.x as files of Mitsuba 3.
 
-First the changes that Mitsuba 3 itself makes when it reads them; then what it no longer reads and what has a
-counterpart in its files: colours in sRGB or hexadecimal, the index around a metal, how images are filtered.
+It makes the changes that Mitsuba 3 itself makes when it reads such files. It also rewrites what Mitsuba 3 no longer
+reads but can express: colours in sRGB or hexadecimal, the index around a metal, filters of images.
 """
 
 import re
@@ -20,10 +20,11 @@ UV_SETTINGS = {"uoffset": 0.0, "voffset": 0.0, "uscale": 1.0, "vscale": 1.0}
 
 
 def upgrade(element: Element) -> None:
-    """Rewrite an element and all of the same file inside it, in place.
+    """Rewrite an element, and all elements of the same file inside it, in place.
 
-    Names become snake_case (`maxDepth`, `intIOR`); a diffuse BSDF's colour `reflectance`; `uscale`, … a transform;
-    `<lookAt>` is `<lookat>`. What changes the image a little, or is a guess, is noted.
+    Names such as `maxDepth` and `intIOR` become snake_case. The colour of a diffuse BSDF becomes `reflectance`.
+    `uscale` and its like become a transform. `<lookAt>` becomes `<lookat>`. Changes that alter the image a little, and
+    guesses, are noted as problems.
     """
     if "name" in element.attributes:
         element.attributes["name"] = snake_case(element.attributes["name"])
@@ -47,7 +48,7 @@ def upgrade(element: Element) -> None:
 
 
 def snake_case(name: str) -> str:
-    """`intIOR` -> `int_ior`; capitals in a row are one word."""
+    """A name in snake_case: `intIOR` becomes `int_ior`. Capitals in a row are one word."""
     return re.sub(r"(?<=[a-z])[A-Z]+", lambda capitals: "_" + capitals[0].lower(), name)
 
 
@@ -76,7 +77,7 @@ def _given(element: Element, name: str) -> Element | None:
 
 
 def _upgrade_image(texture: Element) -> None:
-    """Images are filtered bilinearly, and decoded from sRGB unless `raw`."""
+    """Images become bilinear, and are decoded from sRGB unless they are `raw`."""
     kind, gamma = _given(texture, "filter_type"), _given(texture, "gamma")
     if kind is not None and kind.attributes.get("value") in ("trilinear", "ewa"):
         kind.harmless(f"filter_type {kind.attributes['value']!r} counts as bilinear: images have no smaller versions")
@@ -96,7 +97,7 @@ def _upgrade_image(texture: Element) -> None:
 
 
 def _upgrade_metal(metal: Element) -> None:
-    """Indices relative to what is around the metal: Mitsuba 3 has vacuum there."""
+    """Indices become relative to the medium around the metal: in Mitsuba 3 that is vacuum."""
     if all(_given(metal, name) is None for name in ("material", "eta", "k")):
         metal.harmless("a metal without a material is a perfect mirror, as in Mitsuba 3; in Mitsuba 0.x it is copper")
     around = _given(metal, "ext_eta")
@@ -108,7 +109,7 @@ def _upgrade_metal(metal: Element) -> None:
         try:
             outside = float(text)
         except ValueError:
-            return  # reported as unknown
+            return  # `ext_eta` is reported later, as an unknown parameter
     if abs(outside - 1) < 1e-3:  # air changes the indices by 0.03 %
         metal.children.remove(around)
         return
@@ -121,9 +122,9 @@ def _upgrade_metal(metal: Element) -> None:
 
 
 def _upgrade_color(color: Element, owner: Element) -> None:
-    """Linear RGB of sRGB and hexadecimal numbers, and of spectra that have three numbers for red, green and blue.
+    """Colours in sRGB or hexadecimal, and spectra of three numbers for red, green and blue, become linear RGB.
 
-    What reflects more than all light can only be meant as bytes: it is noted.
+    A reflectance above 1 can only be meant in bytes. It is noted as a problem.
     """
     values = _numbers(color)
     if values is None:
@@ -142,7 +143,7 @@ def _upgrade_color(color: Element, owner: Element) -> None:
 
 
 def _numbers(element: Element) -> Float[np.ndarray, " n"] | None:
-    """The one or three numbers of a colour; None where it is something else, which is reported when it is read."""
+    """The one or three numbers of a colour; None if it is something else, which is reported when it is read."""
     text = element.attributes.get("value", "").strip()
     if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
         return np.array([int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)])

@@ -14,7 +14,10 @@ from jaxdr.scene.formats.mitsuba.spectra import surface_color
 
 
 def floats(text: str, *counts: int) -> list[float]:
-    """Finite numbers separated by spaces or commas, as many as one of `counts`."""
+    """Finite numbers separated by spaces or commas; `counts` are the allowed numbers of them.
+
+    Raises ValueError for anything else.
+    """
     try:
         values = [float(word) for word in re.split(r"\s*,\s*|\s+", text.strip())]
     except ValueError:
@@ -27,7 +30,7 @@ def floats(text: str, *counts: int) -> list[float]:
 
 
 def tangent(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The first of two tangents that Mitsuba makes of a unit normal (Duff et al. 2017)."""
+    """The first of Mitsuba's two tangents to a unit normal (Duff et al. 2017)."""
     x, y, z = normal
     sign = math.copysign(1.0, z)
     a = -1 / (sign + z)
@@ -74,7 +77,7 @@ def _scale(element: Element) -> Float[np.ndarray, "4 4"]:
 
 
 def _rotate(element: Element) -> Float[np.ndarray, "4 4"]:
-    """Rotation about an axis, angle in degrees. One that is not of length 1 scales and shears, as in Mitsuba."""
+    """Rotation about an axis by an angle in degrees. An axis whose length is not 1 scales and shears, as in Mitsuba."""
     axis = _triple(element, 0.0, extra=("angle",))
     length = np.linalg.norm(axis)
     if length == 0:
@@ -108,7 +111,7 @@ def _matrix(element: Element) -> Float[np.ndarray, "4 4"]:
 
 
 def _lookat(element: Element) -> Float[np.ndarray, "4 4"]:
-    """Without `up`, any up vector does: the one that Mitsuba takes."""
+    """The camera-to-world matrix of a `<lookat>`. Without `up` it takes Mitsuba's up vector."""
     element.check_attributes(("origin", "target"), ("up",))
     origin, target = (np.array(floats(element.attributes[name], 3)) for name in ("origin", "target"))
     up = np.array(floats(element.attributes.get("up", "0 0 0"), 3))
@@ -128,7 +131,7 @@ TRANSFORMS: dict[str, Callable[[Element], Float[np.ndarray, "4 4"]]] = {
 
 
 def _transform(element: Element) -> Float[np.ndarray, "4 4"]:
-    """The product of the steps inside; the first one is applied first."""
+    """The product of the steps inside. The first step is applied first."""
     matrix = np.eye(4)
     for step in element.children:
         if step.tag not in TRANSFORMS:

@@ -1,7 +1,7 @@
 """Reading one element of a Mitsuba 3 scene file: its named values, its nested objects, and its plugin.
 
-Every plugin is a function from its element to what it stands for, in a dictionary by type (`SHAPES`, `BSDFS`,
-`EMITTERS`, `SENSORS`, …, a file each). `read_plugin` looks it up and sees to it that nothing is ignored silently.
+A plugin is a function from an element to its object. Plugins are in dictionaries by type, one in each file (`SHAPES`,
+`BSDFS`, `EMITTERS`, `SENSORS`, …). `read_plugin` looks a plugin up, and makes sure that nothing is ignored silently.
 """
 
 import difflib
@@ -21,13 +21,13 @@ OBJECT_TAGS = (
 )
 TEXTURE_TAGS = ("texture", "spectrum")  # a <spectrum> with a type is a texture
 
-NO_PICTURE = ("film", "integrator", "sampler")  # what is unknown in them says how the image is made, not what it shows
+NO_PICTURE = ("film", "integrator", "sampler")  # unknown parameters of these don't change what the image shows
 NUMBER = "float integer"
 COLORS = ("rgb", "spectrum")
 COLOR = f"rgb spectrum {NUMBER}"
 
 
-# Why some types are not supported, and what they are.
+# For some types that are not supported, the reason and a remedy.
 REASONS = {
     "null": "a surface that rays pass through is the border of a medium, and media are not supported",
     **dict.fromkeys(
@@ -45,10 +45,11 @@ REASONS = {
 
 
 def read_plugin(element: Element, plugins: Mapping[str, Callable[[Element], T]], instead: str) -> T | None:
-    """What the plugin of this element's type makes of it.
+    """The object that the plugin of the element's type makes.
 
-    None where the type is unknown, the values are wrong or the plugin raised ValueError. That, and whatever the plugin
-    left unread, is added to the element's problems; `instead` says what happens when an unknown type is ignored.
+    It is None if the type is unknown, a value is wrong, or the plugin raises ValueError. That is added to the element's
+    problems, and so is everything that the plugin did not read. `instead` says what happens if an unknown type is
+    ignored.
     """
     try:
         if "type" not in element.attributes:
@@ -70,7 +71,7 @@ def read_plugin(element: Element, plugins: Mapping[str, Callable[[Element], T]],
 class Properties:
     """The named values and the nested objects of an object element, such as `<shape type="ply" id="spot">`.
 
-    Both are taken one by one, and `finish` notes every one that nobody took, so nothing is ignored silently.
+    Both are taken one by one. `finish` notes those that nothing took, so that nothing is ignored silently.
     """
 
     def __init__(self, element: Element):
@@ -93,9 +94,9 @@ class Properties:
                 self._values[child.attributes["name"]] = child
 
     def value(self, name: str, tags: str, default: Any = None, read: Callable[[Element], Any] | None = None) -> Any:
-        """Take a value whose element is one of the space-separated `tags`; `default` when it is absent.
+        """Take a value whose element has one of the space-separated `tags`; the `default` if there is none.
 
-        `read` makes something else of its element than `VALUES` does.
+        `read` converts the element, in place of the function in `VALUES`.
         """
         self._asked.add(name)
         texture = self.texture(name)
@@ -122,11 +123,11 @@ class Properties:
             return (read or VALUES[element.tag])(element)
 
     def tag(self, name: str) -> str | None:
-        """The tag that gives a value which is not taken yet."""
+        """The tag of a value that is not taken yet; None if there is none."""
         return self._values[name].tag if name in self._values else None
 
     def ignore(self, *names: str) -> None:
-        """Take values whose meaning has no part in the expected image."""
+        """Take values that don't change the expected image."""
         self._asked.update(names)
         for name in names:
             self._values.pop(name, None)
@@ -150,14 +151,14 @@ class Properties:
         return taken
 
     def at_most_one(self, *tags: str) -> Element | None:
-        """Take the nested object with one of these tags, if there is one; a second is not supported."""
+        """Take the nested object with one of these tags, if there is one. A second one is not supported."""
         taken = self.objects(*tags)
         for further in taken[1:]:
             further.unsupported(f"a second one in one <{self.element.tag}>", "the first one counts")
         return taken[0] if taken else None
 
     def finish(self) -> None:
-        """Note every value and object that nobody took."""
+        """Note every value and object that nothing took."""
         owner = f"{self.element.tag} {self.type!r}"
         for name, element in self._values.items():
             close = difflib.get_close_matches(name, self._asked, 1, 0.8)
