@@ -25,7 +25,7 @@ PLACE = ("step", "seconds", "level", "since", "start", "vertices", "faces")
 
 
 class Owner(NamedTuple):
-    """Whose a checkpoint is: the `kind` of run, and what of its `config` decides the result, as JSON has it."""
+    """The run that a checkpoint belongs to: its `kind`, and what of its `config` decides the result, as JSON."""
 
     kind: str
     config: dict
@@ -129,7 +129,7 @@ def checkpoint_kind(path: Path) -> str | None:
 
 
 def differences(old: Any, new: Any, key: str = "") -> list[str]:
-    """What differs between two configs, as JSON has them: "seed was 0, is 1"."""
+    """The differences of two configs, given as JSON, in words: "seed was 0, is 1"."""
     if isinstance(old, dict) and isinstance(new, dict):
         names = dict.fromkeys([*old, *new])
         return [d for n in names for d in differences(old.get(n), new.get(n), f"{key}.{n}" if key else n)]

@@ -234,7 +234,7 @@ class Remesh:
             require(self.vertices >= LEAST, "vertices", rule, self.vertices)
 
     def steps(self, iterations: int) -> range:
-        """The steps before which it happens, in a run of so many."""
+        """The steps before which the mesh is remeshed, in a run of so many steps."""
         end = (self.until or iterations) if self.every else self.iteration + 1
         return range(self.iteration, end, self.every or 1)
 
@@ -260,7 +260,7 @@ class Level:
 
     @property
     def remeshes(self) -> bool:
-        """Whether there is a new topology when it begins."""
+        """Whether the mesh gets a new topology when the level begins."""
         return self.edge_length > 0 or self.vertices > 0
 
 
@@ -308,7 +308,7 @@ class Reporting:
 
 @dataclass(frozen=True)
 class Report(Reporting):
-    """And how often the `chamfer` distance."""
+    """How often, in iterations: what `Reporting` has, and the `chamfer` distance."""
 
     chamfer: int = 25
 
@@ -359,7 +359,7 @@ class OptimizeConfig:
             require(count <= views, key, f"must not exceed cameras.views = {views}", count)
 
     def stages(self) -> tuple[Level, ...]:
-        """The levels with all numbers filled in; one of them for a run that has none."""
+        """The levels with all numbers filled in; a run without levels has one."""
         samples, count = self.samples, self.optimizer.views_per_step
         return tuple(
             Level(

@@ -21,7 +21,7 @@ VIEW, SHARE = "view", "share"  # axes of the mesh of devices
 
 
 class Division(NamedTuple):
-    """`rows` views at once, `shares` devices for each; hashable. One of each is what a single device does."""
+    """`rows` views at once, and `shares` devices for each of them; hashable. A single device has one of each."""
 
     rows: int = 1
     shares: int = 1
@@ -31,11 +31,11 @@ class Division(NamedTuple):
         return -(-spp // self.shares)
 
     def own_key(self, key: PRNGKeyArray) -> PRNGKeyArray:
-        """The key of a share, of that of a view; inside of a divided program."""
+        """The key of a share, made from the key of its view; called inside a divided program."""
         return key if self.shares == 1 else jax.random.fold_in(key, jax.lax.axis_index(SHARE))
 
     def mean(self, tree: Any) -> Any:
-        """The mean over the shares of a view; inside of a divided program."""
+        """The mean over the shares of a view; called inside a divided program."""
         return tree if self.shares == 1 else jax.lax.pmean(tree, SHARE)
 
 
@@ -43,9 +43,10 @@ ALONE = Division()
 
 
 def divide(views: int, devices: int, spp: int) -> Division:
-    """How devices share the views of a step, each of `spp` samples per pixel: so that all work, and are done soonest.
+    """How devices share the views of a step, each of `spp` samples per pixel: all work, and the step ends soonest.
 
-    Of divisions that take as long, the one with fewer shares: what is the same for all samples of a view is done once.
+    Among equally fast divisions it takes the one with fewer shares, because work that all samples of a view have in
+    common is then done once.
     """
 
     def cost(rows: int) -> int:
@@ -103,7 +104,7 @@ class Divided:
         return each[: len(items)]
 
     def compile(self, common: Any, item: Any) -> None:
-        """Have the program compiled for arrays like these, without waiting for other devices."""
+        """Compile the program for arrays like these, without waiting for other devices."""
         if not self.several:
             self.program(common, item)
             return
@@ -115,7 +116,7 @@ class Divided:
         return self._placed(jax.tree.map(lambda *x: np.stack(x), *items), PartitionSpec(VIEW))
 
     def _placed(self, tree: Any, spec: PartitionSpec) -> Any:
-        """Arrays on all devices, whole or a row each; every process gives the same."""
+        """Arrays on all devices: whole, or one row on each. Every process passes the same arrays."""
         sharding = self._on(spec)
 
         def placed(x):
@@ -142,7 +143,7 @@ class _KeyData(NamedTuple):
 
 
 def _key_data(tree: Any) -> Any:
-    """The tree with the words of its keys, on the host."""
+    """The tree on the host, with the words of its random keys in place of the keys."""
 
     def plain(x):
         is_key = isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
@@ -152,7 +153,7 @@ def _key_data(tree: Any) -> Any:
 
 
 def _with_keys(tree: Any) -> Any:
-    """The tree with its keys again."""
+    """The tree with random keys in place of their words."""
     kind = _KeyData
     return jax.tree.map(
         lambda x: jax.random.wrap_key_data(x.words) if isinstance(x, kind) else x,

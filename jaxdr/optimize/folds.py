@@ -26,7 +26,7 @@ def folded_share(mesh: Mesh) -> float:
 
 
 def collapse_message(iteration: int, share: float) -> str:
-    """What a run says."""
+    """The words with which a run says that its mesh has folded."""
     return (
         f"after step {iteration}: the surface is folded over at {share:.0%} of its edges: the mesh is collapsing; "
         "raise optimizer.lam, lower optimizer.learning_rate, or remesh"

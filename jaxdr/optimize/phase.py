@@ -45,7 +45,7 @@ class Programs(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """What stays while topology and level do.
+    """What stays the same as long as topology and level do.
 
     - `mesh`: the mesh when the topology last changed; `start`: number of steps done by then.
     - `level`: number of the level; `since`: number of steps done when it began.
@@ -111,7 +111,7 @@ def _programs(config: OptimizeConfig, problem: Problem, stage: Level, division: 
 def make_phase(
     config: OptimizeConfig, programs: Programs, mesh: Mesh, start: int, level: int = 0, since: int = 0
 ) -> Phase:
-    """Preconditioner and functions for a topology and level."""
+    """The phase of a topology and level: its preconditioner and functions."""
     steps = LargeSteps(mesh, config.stages()[level].lam)
     optimizer = adam_uniform(learning_rate(config.optimizer, start))
 

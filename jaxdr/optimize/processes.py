@@ -28,7 +28,7 @@ class ProcessLost(Exception):
 
 
 def start_processes(coordinator: str | None, count: int | None, number: int | None) -> None:
-    """Join the processes of a run, before anything is computed; without arguments as the cluster says.
+    """Join the processes of a run, before anything is computed. Without arguments the cluster says which they are.
 
     `coordinator`: HOST:PORT of process 0. JAX finds all three under SLURM, Open MPI and Kubernetes. Raises ValueError
     where something is missing, or the processes don't find one another.
@@ -50,7 +50,7 @@ def is_writer() -> bool:
 
 
 def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """What the writing process gets from `function`, which the others don't call; with one process, what it returns.
+    """What `function` returns in the writing process, given to all processes; the others don't call it.
 
     An error there is a ValueError in the others.
     """
@@ -61,7 +61,7 @@ def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.nda
     if is_writer():
         try:
             arrays = function()
-        except Exception as caught:  # the others wait for this process: they get told first
+        except Exception as caught:  # the others wait for this process, so tell them first
             problem = caught
             arrays = {PROBLEM: np.asarray(str(caught))}
     with io.BytesIO() as file:
@@ -77,7 +77,7 @@ def of_writer(function: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.nda
 
 
 def _broadcast(data: bytes) -> bytes:
-    """The bytes of the writing process."""
+    """The bytes that the writing process has, in every process."""
     length = int(multihost_utils.broadcast_one_to_all(np.asarray(len(data), np.int64)))
     words = np.zeros(length, np.uint8)
     if is_writer():

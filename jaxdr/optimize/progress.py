@@ -14,7 +14,7 @@ from tqdm import tqdm
 class Progress:
     """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then.
 
-    Nothing at all if `quiet`.
+    With `quiet` it reports nothing.
     """
 
     def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0, quiet: bool = False):

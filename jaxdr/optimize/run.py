@@ -19,7 +19,7 @@ Say = Callable[[str], None]  # a line for people, which does not break the progr
 
 
 class Task(ABC, Generic[State]):
-    """What a kind of run does between the steps of `run`. `State` is all that steps change.
+    """What a kind of run does, for the driver `run`. `State` is all that steps change.
 
     - `name`: what it is called beside its progress. `steps`: how many there are at most.
     - `config`: has the `seed`, and in `report` how often there are `pictures` and a `checkpoint`.
@@ -40,7 +40,7 @@ class Task(ABC, Generic[State]):
 
     @abstractmethod
     def begin(self, saved: Checkpoint | None) -> State:
-        """The state of a checkpoint, or without one that before the first step; all is made ready for the next step."""
+        """The state in a checkpoint, or the state before the first step; also prepares what the steps need."""
 
     @abstractmethod
     def step(self, state: State, done: int, say: Say) -> tuple[State, dict]:
@@ -63,7 +63,7 @@ class Task(ABC, Generic[State]):
         """Write the results; returns the summary, which is written after them."""
 
     def after(self, state: State, done: int, row: dict, say: Say) -> State:
-        """The state to go on with, once the row of a step is written: here the same."""
+        """The state to go on with, once the row of a step is written. By default it stays as it is."""
         del done, row, say
         return state
 
@@ -73,7 +73,7 @@ class Task(ABC, Generic[State]):
         return done == self.steps
 
     def stopped(self, state: State, say: Say) -> None:
-        """Write what an interrupted run leaves beside its checkpoint: here nothing."""
+        """Write what an interrupted run leaves beside its checkpoint. By default it leaves nothing."""
         del state, say
 
     def seconds(self) -> float:

@@ -48,7 +48,7 @@ class RunFiles:
 
     @property
     def owner(self) -> Owner:
-        """Whose the checkpoint is."""
+        """The run that the checkpoint belongs to."""
         return Owner(self.kind, settled(self.config, self.free))
 
     @property
@@ -122,7 +122,7 @@ def say(text: str) -> None:
 
 
 def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], None]) -> None:
-    """Save what only shows how a run goes on: where it can't be written that is said, and the run goes on.
+    """Save what only shows how a run is doing. If it can't be written, a line says so and the run goes on.
 
     Checkpoints, metrics and results are not saved this way: without them there would be nothing to go on from.
     """
@@ -134,7 +134,7 @@ def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], 
 
 @contextmanager
 def faults_told(folder: RunFiles) -> Iterator[None]:
-    """Inside the block a file that can't be written or read ends the run with `Stopped`: what, where, what is left."""
+    """Inside the block a file that can't be written or read ends the run with `Stopped`: which, where, what is left."""
     try:
         yield
     except (CannotWrite, CannotRead) as problem:
@@ -142,7 +142,7 @@ def faults_told(folder: RunFiles) -> Iterator[None]:
 
 
 def _left(folder: RunFiles) -> str:
-    """What is left of a run whose disk is full or gone."""
+    """Words for what is left of a run whose disk is full or gone."""
     try:
         if not folder.path.is_dir():
             gone = f"the folder {folder.path} is gone, and its checkpoint with it"

@@ -29,7 +29,7 @@ from jaxdr.optimize.targets import rendered, target_views
 from jaxdr.plan.report import Plan
 
 # Streams of random numbers under the run's seed.
-TARGETS, STEPS, PICTURES, PLAN, SECOND = range(5)  # SECOND: of a step that is estimated twice
+TARGETS, STEPS, PICTURES, PLAN, SECOND = range(5)  # SECOND: for the second estimate of a step that is estimated twice
 
 
 def optimize(
@@ -72,7 +72,7 @@ class Current(NamedTuple):
 
 
 class ShapeTask(Task[Current]):
-    """A call of `optimize`; `beside` is a thread for what the next level needs."""
+    """A call of `optimize`; `beside` is another thread, which prepares what the next level needs."""
 
     def __init__(self, config: OptimizeConfig, devices: list[Device], beside: ThreadPoolExecutor):
         super().__init__(config, config.optimizer.iterations, devices)
@@ -84,7 +84,7 @@ class ShapeTask(Task[Current]):
         self.stages = config.stages()
         sizes = [*self.remeshing.values(), *(stage for stage in self.stages if stage.remeshes)]
         if any(is_field_aligned(to) for to in sizes):
-            require_pyinstantmeshes()  # now, not after an hour
+            require_pyinstantmeshes()  # an error now, not after an hour
         if not all(is_field_aligned(to) for to in sizes):
             require_gpytoolbox()
         self.plan: Plan | None = None
@@ -96,7 +96,10 @@ class ShapeTask(Task[Current]):
         self.folded_at_start = folded_share(self.initial)
 
     def begin(self, saved: Checkpoint | None) -> Current:
-        """With the gradient of the first level compiled beside, while targets are rendered."""
+        """The first phase, or that of the checkpoint.
+
+        The gradient compiles in the other thread while targets are rendered.
+        """
         self.plan_integrator()
         self.programs = make_programs(self.config, self.problem, self.devices)
         phase, state = self.fresh() if saved is None else self.restored(saved)
@@ -108,7 +111,7 @@ class ShapeTask(Task[Current]):
         return Current(phase, state, targets, self.chamfer(phase, state))
 
     def plan_integrator(self) -> None:
-        """Where the config leaves it to a plan: of derivatives of the first view by the initial vertices."""
+        """Where the config leaves the integrator to a plan, measure derivatives of the first view by the vertices."""
         options, scene, spp = self.config.integrator, self.problem.scene, self.config.samples.gradient
         key = jax.random.fold_in(self.key, PLAN)
         self.plan = planned(options, scene, [f"{OBJECT}.vertices"], spp, key, self.folder)
@@ -140,12 +143,12 @@ class ShapeTask(Task[Current]):
         return self.rendered[resolution]
 
     def look_ahead(self, phase: Phase) -> None:
-        """Prepare the level after that of `phase`, if there is one, in a thread beside what goes on."""
+        """Prepare the level after that of `phase`, if there is one, in the other thread."""
         if phase.level + 1 < len(self.stages):
             self.coming = self.ahead(self.prepared, phase.level + 1, phase.mesh)
 
     def ahead(self, function: Callable, *arguments) -> Future:
-        """Call a function in the thread beside, one after the other, with the precision that this thread has."""
+        """Call a function in the other thread, after those called before it, and with this thread's precision."""
         x64 = jax.dtypes.canonicalize_dtype(float) == np.float64
 
         def called():
@@ -155,20 +158,20 @@ class ShapeTask(Task[Current]):
         return self.beside.submit(called)
 
     def prepared(self, level: int, mesh: Mesh) -> Float[np.ndarray, "N H W 3"]:
-        """Target views of a level; its gradient is compiled where one knows already how many faces it will have."""
+        """Target views of a level. Its gradient is compiled too, if the number of its faces is known already."""
         stage = self.stages[level]
         targets = self.targets(level, quiet=True)
         if stage.edge_length > 0 or (self.programs[level] is self.programs[level - 1] and not stage.vertices):
             return targets
         try:
             mesh = remesh_to(mesh, stage.vertices) if stage.vertices else mesh
-        except ValueError:  # the mesh as it will be then is another one: it may do
+        except ValueError:  # the mesh will be another one when the level begins, and remeshing may succeed
             return targets
         self.compile(level, mesh)
         return targets
 
     def compile(self, level: int, mesh: Mesh) -> None:
-        """Have the gradient of a level compiled for meshes like this one: JAX does when it is called."""
+        """Compile the gradient of a level for meshes like this one, by calling it."""
         resolution = self.stages[level].resolution
         target = jnp.zeros((resolution, resolution, 3), mesh.vertices.dtype)
         self.programs[level].gradient.compile(mesh, (self.poses()[0], target, self.key))
@@ -220,7 +223,7 @@ class ShapeTask(Task[Current]):
         return {"loss": row["loss"], "gradient": row["gradient_norm"], "chamfer": current.distance}
 
     def after(self, current: Current, done: int, row: dict, say: Say) -> Current:
-        """At the next level, if the step that wrote `row` found little but noise in this one."""
+        """The state, at the next level if the step that wrote `row` found little but noise."""
         ratio = row.get("signal_to_noise", np.inf)
         if ratio >= self.config.optimizer.signal_to_noise or current.phase.level + 1 == len(self.stages):
             return current
@@ -251,7 +254,7 @@ class ShapeTask(Task[Current]):
         return phase, state
 
     def remeshed(self, phase: Phase, state: State, to: Level | Remesh, done: int, say: Say) -> Mesh | None:
-        """The current mesh with a new topology; None, said aloud, when remeshing fails."""
+        """The current mesh with a new topology. When remeshing fails, a line says so and the result is None."""
         current = phase.current_mesh(state)
         try:
             mesh = mesh_of_writer(lambda: with_new_topology(current, to))
@@ -306,7 +309,7 @@ class ShapeTask(Task[Current]):
         return chamfer(phase.current_mesh(state), self.problem.target, self.config.report.chamfer_samples)
 
     def folded(self, phase: Phase, state: State, done: int, say: Say) -> float:
-        """Share of folded edges; the first time that there are many more than at the start it is said aloud."""
+        """Share of folded edges. The first time that it is far larger than at the start, a line says so."""
         share = folded_share(phase.current_mesh(state))
         if not self.collapsed and share > self.folded_at_start + COLLAPSED:
             self.collapsed = True

@@ -13,7 +13,7 @@ from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progre
 def target_views(
     folder: RunFolder, images: Iterable[Float[np.ndarray | Array, "H W 3"]], level: int | None = None
 ) -> Float[np.ndarray, "N H W 3"]:
-    """`images`, which are kept in the run's folder; when a run is resumed those that it kept.
+    """`images`, which are then kept in the run's folder; for a resumed run, the images that were kept.
 
     They are asked for one by one (see `rendered`). `level`: number of a level with images of its own. Raises
     `NotFinite`.

@@ -41,7 +41,7 @@ def _sphere(views: Sequence[View]) -> tuple[Mesh, Pose]:
 
 
 def _look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:
-    """(the point that the cameras look at, half the width of what is seen there, the smallest of all views)."""
+    """(the point that the cameras look at, half the width of what the narrowest view sees there)."""
     poses = np.stack([view.to_world for view in views])
     centre = common_point(poses)
     depths = np.einsum("ni,ni->n", centre - poses[:, :3, 3], poses[:, :3, 2])
@@ -55,8 +55,8 @@ def _look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:
 def visual_hull(views: Sequence[View], grid: int, keep: int) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
     """(vertices, faces) of the surface that fills all masks, outside of the frame undecided; in the world.
 
-    Of every cell the least of the signed distances (to the outline, in the image, times depth over focal length) of all
-    views, and the zero level of that (marching cubes). Raises ValueError where no cell is inside of all masks.
+    Every cell gets the least signed distance of all views: to the outline in the image, times depth over focal length.
+    The surface is the zero level of that (marching cubes). Raises ValueError where no cell is inside of all masks.
     """
     kept = Kept(keep)
 

@@ -1,4 +1,4 @@
-"""How far renderings are from photographs, its unbiased gradient, and what is expected beside the photographs."""
+"""How far renderings are from photographs, the unbiased gradient of that, and priors."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -108,7 +108,7 @@ class Expected(NamedTuple):
 
 
 def prior_loss(unknowns: Unknowns, expected: Expected, weights: Priors) -> Float[Array, ""]:
-    """The weighted sum of what is expected: see `Priors`."""
+    """The weighted sum of the priors: see `Priors`."""
     albedo, light = reflectance(unknowns.albedo), unknowns.light
     a, b = expected.edges[:, 0], expected.edges[:, 1]
     smooth = huber(albedo[a] - albedo[b], JUMP).mean()

@@ -33,7 +33,7 @@ class PhotoSet:
         return all(view.masked for view in self.views)
 
     def at(self, resolution: int) -> Photographs:
-        """The photographs for a resolution. Those of another one that were kept are let go."""
+        """The photographs for a resolution. Those that were kept for another resolution are let go."""
         if self._current is None or self._current.resolution != resolution:
             if self._current is not None:
                 self._current.expect(())
@@ -42,11 +42,11 @@ class PhotoSet:
         return self._current
 
     def paint(self) -> Photographs:
-        """The largest ones, or some of them: what the first colours are taken from."""
+        """The photographs of the highest resolution, or some of them, from which the first colours are taken."""
         return self.at(max(self.resolutions)).spread(SOME)
 
     def backdrop(self, rows: int) -> Backdrop | None:
-        """The sky behind the object in them, or in some of them; see `find_backdrop`."""
+        """The sky behind the object, from the photographs or some of them; see `find_backdrop`."""
         if rows not in self._backdrops:
             some = np.linspace(0, len(self.views) - 1, min(SOME, len(self.views))).round()
             self._backdrops[rows] = find_backdrop([self.views[int(i)] for i in some], rows)

@@ -78,7 +78,7 @@ class ReconstructionTask(Task[Current]):
         self.folder, self.views, self.fitted = OutputFolder(config), views, views.fitted
         keep = int(config.memory.pictures / 2 * 2**30)
         self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)
-        for _ in read_ahead(_check, views.held_out):  # now, not when all steps are done
+        for _ in read_ahead(_check, views.held_out):  # an error now, not when all steps are done
             pass
         kind = config.start.kind
         if kind == "auto":
@@ -105,7 +105,7 @@ class ReconstructionTask(Task[Current]):
         return views_of_step(len(self.fitted), size, done - stage.start, self.config.seed)
 
     def end_of(self, level: int) -> int:
-        """Steps done when a level ends."""
+        """The number of steps that are done when a level ends."""
         return sum(each.steps for each in self.config.levels[: level + 1])
 
     def fresh(self) -> tuple[Stage, State]:
@@ -131,7 +131,7 @@ class ReconstructionTask(Task[Current]):
         return stage, saved.state(stage.fresh(template))
 
     def next_level(self, stage: Stage, state: State, done: int, say: Say) -> tuple[Stage, State]:
-        """The next level: another mesh and sky, optimisers that begin."""
+        """The next level, with another mesh and sky, and with fresh optimisers."""
         number = stage.number + 1
         level = self.config.levels[number]
         current, unknowns = stage.current_mesh(state), stage.unknowns(state)
@@ -185,7 +185,7 @@ class ReconstructionTask(Task[Current]):
         return Place(done, self.seconds(), stage.number, stage.start, stage.start, *mesh), current.state
 
     def draw(self, current: Current, done: int, say: Say) -> None:
-        """What the last step saw; before the first one there is nothing."""
+        """Draw what the last step saw; before the first step there is nothing."""
         if current.picture is not None:
             shown_if_possible(done, partial(self.folder.save_picture, done, *current.picture), say)
 

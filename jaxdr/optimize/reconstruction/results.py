@@ -44,7 +44,7 @@ class Result(NamedTuple):
         return cls(mesh.with_vertices(vertices), unknowns._replace(vertices=vertices), pose)
 
     def scene(self, view: View) -> Scene:
-        """The scene, seen as a photograph sees it."""
+        """The scene with the camera of a photograph."""
         return scene_of(self.mesh, self.unknowns, view.camera)
 
 
@@ -60,7 +60,7 @@ def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
 def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
     """Renderings of the held-out views, their scores, page and turntable; returns the scores.
 
-    Without held-out photographs those that were fitted are shown, and called so.
+    Without held-out photographs it shows those that were fitted, and says so.
     """
     save_cameras(folder, views.views)
     shown = views.held_out or views.fitted

@@ -44,7 +44,7 @@ DETAIL = 3.0  # most by which the paint that a finer mesh shows changes the albe
 
 
 class Stage(NamedTuple):
-    """What stays while a level does.
+    """What stays the same during a level.
 
     - `mesh`: its topology, at the positions it began with; `start`: steps done by then; `number`: of the level.
     - `steps`: preconditioner; `transformation`: optimiser; `photographs`: of the fitted views.

@@ -1,4 +1,4 @@
-"""What is unknown, as numbers that any step keeps meaningful, and the scene they stand for."""
+"""The unknowns, as numbers that stay meaningful after any step, and the scene they stand for."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -81,7 +81,7 @@ def optimizer(rates: Rates, unknown: Sequence[str], steps: int, start: int) -> o
 
 
 def to_latent(steps: LargeSteps, unknowns: Unknowns) -> Unknowns:
-    """With vertices and roughness in latent coordinates."""
+    """The unknowns, with vertices and roughness in latent coordinates."""
     return unknowns._replace(vertices=steps.to_latent(unknowns.vertices), roughness=steps.to_latent(unknowns.roughness))
 
 
@@ -92,7 +92,7 @@ def from_latent(steps: LargeSteps, latent: Unknowns) -> Unknowns:
 
 
 def carried(old: Mesh, new: Mesh, *values: Float[np.ndarray | Array, "V _"]) -> list[Float[np.ndarray, "W _"]]:
-    """Values at the vertices of a mesh for those of another one: of the three nearest, by inverse distance."""
+    """Values at the vertices of a mesh, carried to those of another: of the three nearest, by inverse distance."""
     from scipy.spatial import KDTree
 
     distance, nearest = KDTree(np.asarray(old.vertices, float)).query(np.asarray(new.vertices, float), k=3)

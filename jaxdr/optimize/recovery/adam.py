@@ -26,7 +26,7 @@ class AdamState(NamedTuple):
 
 
 class AdamSteps:
-    """The method of a run; its targets are given at every step."""
+    """Adam as the method of a run; every step is given the targets."""
 
     columns = ("loss", "gradient_norm")
 

@@ -152,7 +152,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class Report(Reporting):
-    """And how often the `errors` of the parameters, where the target is known."""
+    """How often, in iterations: what `Reporting` has, and the `errors` of the parameters, if the target is known."""
 
     errors: int = 10
 

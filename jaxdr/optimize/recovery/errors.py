@@ -53,7 +53,7 @@ class Errors:
             self.true_albedo = self._albedos(problem.target)
 
     def __call__(self, latents: Latents) -> dict[str, float]:
-        """All of them."""
+        """All measures by their names."""
         if not self.names:
             return {}
         values = self.problem.values(latents)

@@ -99,7 +99,7 @@ class LeastSquaresSteps:
         return self._begin(targets, self.start * scales, scales, 0, 0)
 
     def template(self, targets: Float[np.ndarray, "N H W 3"]) -> LeastSquaresState:
-        """A state of the same structure, whose numbers mean nothing; without rendering."""
+        """A state of the same structure whose numbers mean nothing. It is made without rendering."""
         return self._begin(targets, self.start, jnp.ones_like(self.start), 0, 0)
 
     def latents(self, state: LeastSquaresState) -> Latents:
@@ -107,7 +107,7 @@ class LeastSquaresSteps:
         return self.unravel(state.scaled / state.scales)
 
     def done(self, state: LeastSquaresState) -> bool:
-        """Whether the solver is through with the last blur."""
+        """Whether the solver has finished with the last blur."""
         return self._through(state) and int(state.stage) == len(self.options.blur) - 1
 
     def _through(self, state: LeastSquaresState) -> bool:

@@ -32,7 +32,7 @@ class Parametrization(eqx.Module):
         """Value of the parameter."""
 
     def adam(self, learning_rate: optax.ScalarOrSchedule) -> optax.GradientTransformation:
-        """What moves the latent numbers."""
+        """The optax transformation that moves the latent numbers."""
         return optax.adam(learning_rate)
 
 

@@ -144,7 +144,7 @@ def _read(number: int, file: str, scene: Scene) -> Float[np.ndarray, "H W 3"]:
 
 
 def _placed(place: str, function: Callable, *arguments):
-    """The function's answer; its ValueErrors start with the place."""
+    """What the function returns; its ValueErrors start with the place."""
     try:
         return function(*arguments)
     except ValueError as problem:

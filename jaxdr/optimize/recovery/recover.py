@@ -70,7 +70,7 @@ class RecoveryTask(Task[Current]):
         self.image = jit(problem.image, static_argnums=4)
 
     def plan_integrator(self) -> None:
-        """Where the config leaves the integrator to a plan: of derivatives of the scene at its start."""
+        """Where the config leaves the integrator to a plan, measure derivatives of the scene at its start."""
         options, names = self.config.integrator, [parameter.name for parameter in self.config.parameters]
         scene, spp = self.problem.scene.replace(self.problem.values(self.problem.start())), self.config.samples.gradient
         key = jax.random.fold_in(self.key, PLAN)
@@ -79,7 +79,7 @@ class RecoveryTask(Task[Current]):
             self.set_problem(self.problem._replace(integrator=self.plan.integrator))
 
     def begin(self, saved: Checkpoint | None) -> Current:
-        """With the targets; a method may look at them before its first step."""
+        """The first state, or that of the checkpoint. A method may look at the targets before its first step."""
         if self.config.integrator.planned:
             self.plan_integrator()
         targets = self.targets()
@@ -87,7 +87,7 @@ class RecoveryTask(Task[Current]):
         return Current(state, targets)
 
     def step(self, current: Current, done: int, say: Say) -> tuple[Current, dict]:
-        """A step of the method; now and then, and in the end, the errors of its result."""
+        """Do a step of the method; now and then, and after the last, measure the errors of its result."""
         state, row = self.method.step(current.state, current.targets, done)
         after = current._replace(state=state)
         if self.last(after, done + 1) or (done + 1) % self.config.report.errors == 0:
