@@ -522,7 +522,7 @@ material_case(
 material_case(
     "specular.glb",
     {"extensions": {"KHR_materials_specular": {"specularFactor": 0.5}}},
-    warned=("specularFactor scales the reflection at normal incidence",),
+    warned=("specularFactor scales only the reflection at normal incidence",),
 )
 material_case(
     "emissive_strength.glb",
