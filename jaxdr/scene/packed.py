@@ -278,7 +278,8 @@ def _emitter_tables(packed: PackedScene):
     optimisation of their radiance may start there. With textures a part of the choice is always by area. The mean
     radiance of a face is estimated at a few points, and texels that are black now have a derivative too.
     """
-    faces, packed = packed.emitter_faces, stop_gradient(packed)
+    packed = stop_gradient(packed)
+    faces = packed.emitter_faces
     assert faces is not None  # asked only where something glows
     area = packed.triangles(faces).area
     if packed.glow:

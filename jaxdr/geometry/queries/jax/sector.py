@@ -55,7 +55,6 @@ def sector_crossings(geometry, edge_set, face_group, sectors, seed, least_layer,
         edge_normal = normalize(jnp.cross(p0[chosen], p1[chosen]))
         edge_normal = jnp.where(positive[chosen].any(-1)[:, None], -edge_normal, edge_normal)
         step = BESIDE * jnp.maximum(jnp.abs(x[chosen]).max(-1), jnp.abs(a).max())
-        step = jnp.where(one_sided[chosen], step, 0.0)  # between faces there is nothing to see past
         past = x[chosen] + step[:, None] * edge_normal
         whole = (alpha + beta)[chosen]
         past = jnp.where(bounded, past / jnp.where(found, whole, 1.0)[:, None], past)
