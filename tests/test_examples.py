@@ -16,6 +16,7 @@ import pytest
 import jaxdr as jd
 from examples import take_photographs
 from examples.your_own_bsdf import Minnaert
+from jaxdr.program_cache import SIZE
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_LINES = 60
@@ -24,7 +25,8 @@ SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if "__ma
 
 def run(name: str, folder: Path, programs: Path) -> str:
     """What a script prints, without the lines of Warp; `programs` keeps compiled ones."""
-    kept = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1"}
+    # The limit is that of the tests: beside programs that were kept without one, JAX keeps no others.
+    kept = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_COMPILATION_CACHE_MAX_SIZE": str(SIZE)}
     environment = os.environ | kept | {"PYTHONPATH": str(ROOT)}
     command = [sys.executable, str(ROOT / "examples" / f"{name}.py")]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
