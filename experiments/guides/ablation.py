@@ -47,7 +47,7 @@ def line(case, guide, sampling, order, segments):
 
     import jaxdr as jd
     from experiments import one_term
-    from jaxdr.transport.path import PathSettings
+    from jaxdr.transport.path_settings import PathSettings
 
     scene, name, (_, _, width, height) = case.scene, f"{case.shape}.vertices", case.scene.camera.film.window
     boundary = jd.GuidedEdges(guide=guide, sampling=sampling, sort=order, samples=segments / (width * height))

@@ -66,7 +66,7 @@ def measure(case, options, segments, keys):
 
     import jaxdr as jd
     from experiments import one_term
-    from jaxdr.transport.path import PathSettings
+    from jaxdr.transport.path_settings import PathSettings
 
     of, _ = scene_of(case)
     _, _, width, height = of.camera.film.window

@@ -25,7 +25,7 @@ from jaxdr.scene.scene import Scene
 from jaxdr.sizes import at_once
 from jaxdr.transport.bidirectional import BidirectionalSettings, Strategies, bidirectional_paths
 from jaxdr.transport.emission import has_emitters
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form
 
 HEURISTICS = {"balance": 1, "power": 2}  # weights are shares of the densities to this power

@@ -32,7 +32,8 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
 from jaxdr.sizes import at_once
 from jaxdr.transport.near_paths import near_field_term
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.path import trace_paths
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.radiance import arriving_radiance
 
@@ -197,7 +198,7 @@ class PathTracer(eqx.Module):
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
         primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, form)
         start = primary.first, primary.direction, primary.u
-        record = trace_paths(packed, *start, key_path, settings, primary.near, pairs=moving.any)
+        record = trace_paths(packed, *start, key_path, settings._replace(pairs=moving.any), primary.near)
         radiance = record.radiance * primary.weight[:, None]
         if record.near is not None:
             radiance += near_field_term(packed, primary, record)

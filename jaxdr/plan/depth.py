@@ -13,7 +13,7 @@ from jaxdr.plan.directions import Direction
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.depths import radiance_by_depth
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 
 DEEPEST = 16  # segments of the pilot's paths

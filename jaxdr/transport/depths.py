@@ -6,7 +6,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint
-from jaxdr.transport.path import PathSettings, Vertex, gather
+from jaxdr.transport.path import Vertex, gather
+from jaxdr.transport.path_settings import PathSettings
 
 
 def radiance_by_depth(

@@ -31,6 +31,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_shares, emitting_surface_pdf, light_intensity
 from jaxdr.transport.interaction import SurfacePoint, intersect, material_hit
 from jaxdr.transport.near_field import Footprint
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.transfer import Transfer, Vertex, transfer_to, unoccluded
 
@@ -83,8 +84,7 @@ def pair_derivatives(
     scatterer: Scatterer,
     light: tuple[Float[Array, "N 3"], Ends],
     emission: tuple[Float[Array, "N 3"], Ends],
-    mis: bool,
-    rays: str,
+    settings: PathSettings,
 ) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
     """(`light` of emitter sampling, `emission` of BSDF sampling): the same values, with the derivatives of pairs.
 
@@ -95,18 +95,18 @@ def pair_derivatives(
     previous = jax.tree.map(_twice, previous)
     before = Scatterer(packed, previous.vertex.point, previous.vertex.wi)
     own = scatterer.rows(_twice, _twice(at.wi))
-    paired, first, other = _images(packed, previous, before, own, ends, rays)
+    paired, first, other = _images(packed, previous, before, own, ends, settings.rays)
 
     away = jnp.where(ends.infinite[:, None], ends.direction, first.towards)
     second = transfer_to(other, ends.point, ends.infinite | ~paired, away, ends.is_delta)
     lit = paired & (stop_gradient(second.cosine) > 0) & (stop_gradient(second.value) != 0).any(-1)
-    lit = unoccluded(packed, other, ends.point, ends.infinite, second.towards, lit, rays)
+    lit = unoccluded(packed, other, ends.point, ends.infinite, second.towards, lit, settings.rays)
     contribution = previous.vertex.throughput * first.value * second.value * _radiance(packed, ends, second.towards)
     contribution = jnp.where(lit[:, None], contribution, 0.0)
 
     arrives = stop_gradient(transfer_to(own, ends.point, ends.infinite, ends.direction))
-    density = _point_pdf(before, own.point) * _emitter_pdf(packed, own, arrives, ends, ends.visible, mis)
-    density_there = _point_pdf(before, other.point) * _emitter_pdf(packed, other, second, ends, lit, mis)
+    density = _point_pdf(before, own.point) * _emitter_pdf(packed, own, arrives, ends, ends.visible, settings.mis)
+    density_there = _point_pdf(before, other.point) * _emitter_pdf(packed, other, second, ends, lit, settings.mis)
     total = density + density_there
     paired = paired & (total > 0)
     inverse = jnp.where(paired, 1.0 / jnp.where(paired, total, 1.0), 0.0)

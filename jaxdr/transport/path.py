@@ -29,6 +29,7 @@ from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sam
 from jaxdr.transport.interaction import SurfacePoint, either, intersect, material_hit, on_fixed_ray
 from jaxdr.transport.mirrored_pairs import Ends, Previous, has_pairs, pair_derivatives
 from jaxdr.transport.near_field import Footprint, NearField, footprint
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import uniform
 from jaxdr.transport.shading import Scatterer
 from jaxdr.transport.transfer import Transfer, Vertex, transfer_to, unoccluded
@@ -100,23 +101,18 @@ class PathRecord(NamedTuple):
     near: NearLight | None = None
 
 
-class PathSettings(NamedTuple):
-    """Static settings: `max_depth` in segments, `mis` or emitter sampling alone, `rays` for the query implementation.
-
-    Without `records` the segments of paths are not kept.
-    """
-
-    max_depth: int
-    mis: bool
-    rays: str
-    records: bool = True
-
-
 class Lobe(NamedTuple):
     """Directions that replace BSDF samples where `pdf` (solid angle) is positive; detached."""
 
     direction: Float[Array, "N 3"]
     pdf: Float[Array, " N"]
+
+
+class Onwards(NamedTuple):
+    """Where paths go on from their vertices, and what replaces BSDF samples there, if anything."""
+
+    where: bool | Bool[Array, "*#N"] = True
+    given: Lobe | None = None
 
 
 class TwoForms(NamedTuple):
@@ -156,7 +152,6 @@ def trace_paths(
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None = None,
-    pairs: bool = False,
 ) -> PathRecord:
     """Paths that go on from first hits, by emitter sampling and BSDF sampling.
 
@@ -164,15 +159,13 @@ def trace_paths(
     heuristic (Veach 1997) combines both ways of sampling. Without `settings.mis` only emitter sampling finds emitters,
     except over delta lobes, where only BSDF samples find them. `near` is the material form of the first hits. The
     radiance is that of the fixed form; see `near_field_term`.
-
-    With `pairs` narrow lobes have the derivatives of antithetic pairs; see `mirrored_pairs`. Values do not change.
     """
     radiance = emitted(packed, first, -direction)
     bounces = settings.max_depth - 1
     if bounces == 0:
         return PathRecord(radiance, None, None)
     start = Vertex(first, -direction, jnp.ones_like(direction))
-    parts = gather(packed, start, bounces, u, key, settings, near, pairs)
+    parts = gather(packed, start, bounces, u, key, settings, near)
     light, emission = parts.light, parts.emission
     own = stop_gradient(light + emission)
     # The light that each BSDF-sampled segment carries from its far end: the sum of what later bounces add.
@@ -204,11 +197,10 @@ def gather(
     key: PRNGKeyArray,
     settings: PathSettings,
     near: NearField | None,
-    pairs: bool = False,
 ) -> Bounce:
     """All bounces of paths from their first vertex on, [B, N, ...]; `u` are the numbers of the first bounce."""
     if bounces == 1:
-        added = scatter(packed, start, u, settings, onwards=not ends_early(packed, settings))[1]
+        added = scatter(packed, start, u, settings, Onwards(not ends_early(packed, settings)))[1]
         return jax.tree.map(lambda x: x[None], added)
     seen = None
     if near is not None:
@@ -228,12 +220,12 @@ def gather(
             saw = None if seen is None else seen._replace(size2=jnp.where(bounce == 1, seen.size2, 0.0))
             vertex, spread = previous
             behind = Previous(vertex, spread, saw, None if forms is None else forms.apart)
-        following, added = scatter(packed, at, numbers, settings, goes_on, forms, previous=behind)
+        following, added = scatter(packed, at, numbers, settings, Onwards(goes_on), forms, behind)
         if previous is not None:
             previous = at, jnp.ones_like(at.point.valid) if added.vertices is None else ~added.vertices.delta
         return (following, previous), added
 
-    nobody = (start, jnp.zeros_like(start.point.valid)) if pairs and has_pairs(packed) else None
+    nobody = (start, jnp.zeros_like(start.point.valid)) if settings.pairs and has_pairs(packed) else None
     return loops.scan(step, (start, nobody), jnp.arange(bounces))[1]
 
 
@@ -247,22 +239,20 @@ def scatter(
     at: Vertex,
     u: Float[Array, "N 4"],
     settings: PathSettings,
-    onwards: bool | Bool[Array, "*#N"] = True,
+    onwards: Onwards,
     forms: TwoForms | None = None,
-    given: Lobe | None = None,
     previous: Previous | None = None,
 ) -> tuple[Vertex | None, Bounce]:
     """(next vertex, what this vertex adds): light by emitter sampling, and by BSDF sampling where paths go `onwards`.
 
     With `forms`, the shares of the material form are computed as well, and the path goes on from the mixture of both
-    forms. `given` replaces BSDF samples. With the `previous` vertices, derivatives at narrow lobes are those of pairs;
-    see `mirrored_pairs`.
+    forms. With the `previous` vertices, derivatives at narrow lobes are those of pairs; see `mirrored_pairs`.
     """
     scatterer = Scatterer(packed, at.point, at.wi)
     light, light_share, ends, direct = _connect(packed, at, scatterer, u[:, :2], settings, forms)
-    if onwards is False:
+    if onwards.where is False:
         return None, Bounce(light, jnp.zeros_like(light), light_share, None, direct, None)
-    sampled = _sample(packed, at, scatterer, u[:, 2:], onwards, given)
+    sampled = _sample(packed, at, scatterer, u[:, 2:], onwards)
     target, direction = _next_point(packed, at, scatterer, sampled, settings)
     hit = target.valid
 
@@ -290,7 +280,7 @@ def scatter(
     if previous is not None:
         found = _found_ends(packed, target, transfer, direction, sampled, ends, settings)
         both = (light, ends), (emission, found)
-        light, emission = pair_derivatives(packed, previous, at, scatterer, *both, settings.mis, settings.rays)
+        light, emission = pair_derivatives(packed, previous, at, scatterer, *both, settings)
     following = target._replace(valid=hit & (throughput != 0).any(-1))
     scattered = _record(at, target, transfer, sampled) if settings.records else None
     vertices = None
@@ -315,8 +305,9 @@ class _Sampled(NamedTuple):
     chosen: Bool[Array, " N"] | None
 
 
-def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards, given: Lobe | None) -> _Sampled:
+def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards: Onwards) -> _Sampled:
     direction, delta, chosen = scatterer.sample(u), None, None
+    where, given = onwards
     if given is not None:
         direction = jnp.where((given.pdf > 0)[:, None], given.direction, direction)
     own = scatterer.pdf(direction)
@@ -327,7 +318,7 @@ def _sample(packed: PackedScene, at: Vertex, scatterer: Scatterer, u, onwards, g
         direction = jnp.where(chosen[:, None], stop_gradient(delta.wo), direction)
         pdf = jnp.where(chosen, stop_gradient(delta.probability), pdf)
     active = at.point.valid & (pdf > 0)
-    return _Sampled(direction, pdf, own, active if onwards is True else active & onwards, delta, chosen)
+    return _Sampled(direction, pdf, own, active if where is True else active & where, delta, chosen)
 
 
 def _next_point(packed: PackedScene, at: Vertex, scatterer: Scatterer, sampled: _Sampled, settings: PathSettings):

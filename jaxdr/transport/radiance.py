@@ -22,7 +22,8 @@ from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.near_field import Footprint
-from jaxdr.transport.path import Lobe, PathSettings, TwoForms, Vertex, ends_early, scatter
+from jaxdr.transport.path import Lobe, Onwards, TwoForms, Vertex, ends_early, scatter
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import path_numbers
 
 # Paths in a block. On CPUs there are enough for all threads of the ray queries, and few enough for the caches. For GPUs
@@ -172,9 +173,9 @@ def _followed(packed: PackedScene, requests: Requests, key, settings: PathSettin
         if own.given is not None:
             given = own.given._replace(pdf=jnp.where(first, own.given.pdf, 0.0))
         more = live & (bounce + 1 < own.bounces)
-        onwards = (False if bounces == 1 else more) if early else True
+        onwards = Onwards((False if bounces == 1 else more) if early else True, given)
         at = Vertex(material_point(packed, paths.face, paths.barycentric, live), paths.wi, paths.throughput)
-        after, added = scatter(packed, at, u, settings._replace(records=False), onwards, forms, given)
+        after, added = scatter(packed, at, u, settings._replace(records=False), onwards, forms)
         light, found, share = added.light, added.emission, paths.share
         values = [light + found]
         if forms is not None:

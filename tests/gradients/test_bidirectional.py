@@ -13,7 +13,7 @@ from jaxdr.boundary.shared.term import Chunk
 from jaxdr.scene.packed import pack
 from jaxdr.scene.splat import splat
 from jaxdr.transport.bidirectional import BidirectionalSettings, strategies
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import uniform
 from tests.gradients import floor_point as point

@@ -13,7 +13,7 @@ import pytest
 
 import jaxdr as jd
 from experiments import one_term
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from tests.gradients import floor_patch
 from tests.gradients.floor_point import LIGHT, QUADRANGLE, RADIANCE, REFLECTANCE, UP, sheet
 from tests.gradients.floor_point import scene as point_scene

@@ -16,7 +16,8 @@ from jaxdr.scene.packed import pack
 from jaxdr.transport import mirrored_pairs
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.mirrored_pairs import Ends
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.path import trace_paths
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 
 WALL_AT, WALL_NORMAL = np.array([0.1, -0.6, 0.7]), np.array([0.0, 0.8, -0.6])
@@ -33,10 +34,10 @@ def quad(center, normal, side):
     return jd.Mesh(np.array(corners), [[0, 1, 2], [0, 2, 3]])
 
 
-def scene(kind: str) -> jd.Scene:
+def scene(kind: str, alpha: float = ALPHA) -> jd.Scene:
     """Lit by a lamp or by a light without area, which shines on the wall, too."""
     shapes = {
-        "floor": jd.Shape(quad(np.zeros(3), np.array([0.0, 0.0, 1.0]), 2.0), jd.RoughConductor(ALPHA)),
+        "floor": jd.Shape(quad(np.zeros(3), np.array([0.0, 0.0, 1.0]), 2.0), jd.RoughConductor(alpha)),
         "wall": jd.Shape(quad(WALL_AT, WALL_NORMAL, 0.05), jd.Diffuse(ALBEDO)),
     }
     lights = {}
@@ -64,14 +65,13 @@ def moved(of: jd.Scene, amounts):
 def estimate(of: jd.Scene, key, pairs: bool):
     """(radiance of the point, its derivatives by motion)."""
     film, path = jax.random.split(key)
-    settings = PathSettings(3, True, "auto")
+    settings = PathSettings(3, True, "auto", pairs=pairs)
 
     def radiance(amounts):
         packed = pack(moved(of, amounts))
         primary = primary_samples(packed, jnp.arange(SPP), film, settings.rays, Form.FIXED)
-        record = trace_paths(
-            packed, primary.first, primary.direction, primary.u, path, settings, primary.near, pairs=pairs
-        )
+        start = primary.first, primary.direction, primary.u
+        record = trace_paths(packed, *start, path, settings, primary.near)
         return record.radiance.mean()
 
     start = {"floor": jnp.zeros(3), "lamp": jnp.zeros(3)}, jnp.zeros(())
@@ -158,6 +158,12 @@ def test_values_stay_and_noise_falls():
     (values, alone), (same, pairs) = (estimates(of, pairs) for pairs in (False, True))
     np.testing.assert_allclose(same, values, rtol=1e-5)
     assert np.all(pairs.std(0)[:2] < 0.5 * alone.std(0)[:2]), (pairs.std(0), alone.std(0))
+
+
+def test_wide_lobes_have_no_pairs():
+    of = scene("lamp", alpha=0.3)
+    (_, alone), (_, pairs) = (estimates(of, pairs) for pairs in (False, True))
+    np.testing.assert_allclose(pairs, alone, rtol=1e-3, atol=1e-5 * np.abs(alone).max())
 
 
 def test_the_mirror_image_of_the_mirror_image_is_the_point():

@@ -11,7 +11,8 @@ from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.near_paths import near_field_term
-from jaxdr.transport.path import PathSettings, trace_paths, transfer_to
+from jaxdr.transport.path import trace_paths, transfer_to
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.shading import Scatterer
 

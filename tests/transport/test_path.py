@@ -11,7 +11,8 @@ import jaxdr as jd
 from jaxdr.geometry.shapes import box, rectangle, sphere, transformed
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import intersect, on_fixed_ray
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.path import trace_paths
+from jaxdr.transport.path_settings import PathSettings
 from tests.references.polygon_shadow import irradiance
 
 UP = [0, 0, 1]

@@ -12,7 +12,8 @@ from jaxdr.geometry.shapes import rectangle, sphere
 from jaxdr.scene.packed import pack
 from jaxdr.transport import radiance
 from jaxdr.transport.near_field import footprint
-from jaxdr.transport.path import Lobe, PathSettings, trace_paths
+from jaxdr.transport.path import Lobe, trace_paths
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 
 KEY = jax.random.key(50)

@@ -23,7 +23,8 @@ from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.near_field import footprint
-from jaxdr.transport.path import Lobe, PathSettings
+from jaxdr.transport.path import Lobe
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form
 from jaxdr.transport.radiance import Answers, request
 from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice

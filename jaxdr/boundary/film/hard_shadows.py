@@ -38,7 +38,7 @@ from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import leave, material_point
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form
 
 SAME_SURFACE = 0.7  # smallest cosine between the normals of faces that count as one surface

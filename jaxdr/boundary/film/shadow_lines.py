@@ -27,7 +27,7 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import light_intensity, light_places
 from jaxdr.transport.interaction import SurfacePoint, material_point
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import lattice, sample_cdf
 from jaxdr.transport.shading import Scatterer
 

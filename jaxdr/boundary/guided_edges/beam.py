@@ -36,7 +36,7 @@ from jaxdr.scene.splat import splat
 from jaxdr.transport.connections import ends, with_camera
 from jaxdr.transport.interaction import on_fixed_ray
 from jaxdr.transport.near_field import footprint
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form
 from jaxdr.transport.sampler import path_numbers
 from jaxdr.transport.subpaths import Subpath, trace_on

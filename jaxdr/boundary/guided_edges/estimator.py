@@ -36,7 +36,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.keys import fixed_key
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined, request
 from jaxdr.transport.sampler import lattice, path_numbers
 

@@ -15,7 +15,7 @@ from jaxdr.geometry.vector import dot
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitter
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.sampler import lattice, uniform
 from jaxdr.transport.shading import Scatterer

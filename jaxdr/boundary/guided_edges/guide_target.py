@@ -15,7 +15,7 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 
 
 class StrategyPlan(NamedTuple):

@@ -18,7 +18,7 @@ from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.compilation import unfolded
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 
 
 class ReusedGuides(eqx.Module):

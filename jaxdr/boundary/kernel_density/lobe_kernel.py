@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxdr.boundary.shared.background import BehindEdges, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.background import BehindEdges, ask_behind, look_behind, numbers_behind, seen_edges
 from jaxdr.boundary.shared.blocks import map_over_blocks
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import foot_on_edge
@@ -24,7 +24,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import corners, dot, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.radiance import Requests
 from jaxdr.transport.sampler import seed_of
 
@@ -78,7 +78,8 @@ def lobe_edges(
         counts = valid & counts & scatterer.above_horizon(seen.edge_point)
         weight = scale(importance[segment], packed.edges.shared(edge, kernel * pairs.weight))
         behind, background = look_behind(packed, scatterer, seen, weight, counts, settings)
-        return ask_behind(paths, seen, background, number, 0.0, key_path, "lobe_kernel", settings), behind
+        numbers = numbers_behind(key_path, "lobe_kernel", number, seen.distance.dtype)
+        return ask_behind(paths, seen, background, numbers, 0.0, settings), behind
 
     asked, behind = map_over_blocks(look, (jnp.maximum(pairs.segment, 0), pairs.element), used)
     return asked, BehindEdges(behind, used)

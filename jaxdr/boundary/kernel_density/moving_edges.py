@@ -16,7 +16,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.queries import Candidates, EdgeSet, Geometry, StripQuery
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import seed_of
 
 

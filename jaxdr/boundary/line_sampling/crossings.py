@@ -13,7 +13,7 @@ from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import lattice, seed_of
 from jaxdr.transport.shading import Scatterer
 

@@ -25,7 +25,7 @@ from jaxdr.boundary.line_sampling.crossings import (
     lobe_reach,
     silhouette_crossings,
 )
-from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, numbers_behind, seen_edges
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
@@ -205,7 +205,8 @@ class LampLines(ChordKind):
         emission = jnp.where(background.valid & aimed_at, share, 0.0)
         # Behind a crossing there may be no face of the cluster, or the sky. Then nothing counts.
         behind = behind._replace(weight=jnp.where((emission > 0)[:, None], behind.weight, 0.0))
-        return ask_behind(paths, seen, background, number, emission, key, "lamp_lines", self.settings), behind
+        numbers = numbers_behind(key, "lamp_lines", number, seen.distance.dtype)
+        return ask_behind(paths, seen, background, numbers, emission, self.settings), behind
 
     def _boundary(self, drawn: LampChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity).

@@ -17,7 +17,7 @@ from jaxdr.boundary.line_sampling.crossings import (
 from jaxdr.boundary.line_sampling.emitter_lines import Centres
 from jaxdr.boundary.line_sampling.lamp_lines import LampShare
 from jaxdr.boundary.line_sampling.sky_lines import SkyShare
-from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, numbers_behind, seen_edges
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.color import luminance
 from jaxdr.transport.radiance import Requests
@@ -59,7 +59,8 @@ class LobeLines(ChordKind):
             surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)
             sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, scatterer, plane, seen.towards)
             emission = jnp.where(background.valid, surfaces, sky)
-        return ask_behind(paths, seen, background, number, emission, key, "lobe_lines", self.settings), behind
+        numbers = numbers_behind(key, "lobe_lines", number, seen.distance.dtype)
+        return ask_behind(paths, seen, background, numbers, emission, self.settings), behind
 
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""

@@ -17,7 +17,7 @@ from jaxdr.boundary.line_sampling.crossings import (
     lobe_reach,
     silhouette_crossings,
 )
-from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, seen_edges
+from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, numbers_behind, seen_edges
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.vector import cross, dot, normalize, scale
@@ -93,7 +93,8 @@ class SkyLines(ChordKind):
         value = scale(value, weight * self._share(drawn, found, scatterer, seen.towards))
         behind, background = look_behind(packed, scatterer, seen, value, found.valid, self.settings)
         emission = jnp.where(background.valid, 0.0, jnp.ones_like(weight))
-        return ask_behind(paths, seen, background, number, emission, key, "sky_lines", self.settings), behind
+        numbers = numbers_behind(key, "sky_lines", number, seen.distance.dtype)
+        return ask_behind(paths, seen, background, numbers, emission, self.settings), behind
 
     def _radiance(self, towards: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         return environment_radiance(self.packed, towards)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from jaxdr.boundary.shared.blocks import sum_over_blocks
 from jaxdr.boundary.shared.path_segments import PathSegments, on_face
@@ -19,7 +19,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import between, corners, dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.radiance import Requests, request
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
@@ -112,24 +112,29 @@ def look_behind(
     return behind, background._replace(valid=background.valid & counts)
 
 
+class Numbers(NamedTuple):
+    """Uniform numbers `u` of boundary points, and the random `stream` of the paths behind them."""
+
+    u: Float[Array, "C 4"]
+    stream: UInt32[Array, " C"]
+
+
+def numbers_behind(key: PRNGKeyArray, name: str, number: Int[Array, " C"], dtype) -> Numbers:
+    """The random numbers of the boundary points with these `number`s, of the term `name`."""
+    return Numbers(lattice(key, 1, number, 4, dtype)[0], number.astype(jnp.uint32) + stream_of(name))
+
+
 def ask_behind(
     paths: PathSegments,
     seen: SeenEdges,
     background: SurfacePoint,
-    number: Int[Array, " C"],
+    numbers: Numbers,
     emission: Float[Array, " C"] | float,
-    key: PRNGKeyArray,
-    name: str,
     settings: PathSettings,
 ) -> Requests:
-    """Requests for the radiance of what is seen past edges; `emission` is the share of emitted radiance that counts.
-
-    `number`, `key` and `name` choose the random numbers.
-    """
-    u = lattice(key, 1, number, 4, seen.distance.dtype)[0]
+    """Requests for the radiance of what is seen past edges; `emission` is the share of emitted radiance that counts."""
     bounces = settings.max_depth - 2 - seen.segment // paths.paths
-    stream = number.astype(jnp.uint32) + stream_of(name)
-    return request(background, -seen.towards, u, bounces, stream, emission)
+    return request(background, -seen.towards, numbers.u, bounces, numbers.stream, emission)
 
 
 def background_values(

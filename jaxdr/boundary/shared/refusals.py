@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 
 INTERIOR = "or boundary=None for the interior term alone"
 

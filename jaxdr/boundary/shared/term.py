@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 from jaxdr.geometry.vector import scale
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, PrimarySamples
 from jaxdr.transport.radiance import Answers, Requests
 

@@ -23,7 +23,8 @@ from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.interaction import SurfacePoint, on_fixed_ray
-from jaxdr.transport.path import PathRecord, PathSettings
+from jaxdr.transport.path import PathRecord
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import PrimarySamples
 from jaxdr.transport.shading import Scatterer
 

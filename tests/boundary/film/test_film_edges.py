@@ -16,7 +16,7 @@ from experiments import one_term
 from jaxdr.boundary.film.film_edges import KINDS, FilmEdges, edge_distribution
 from jaxdr.geometry.shapes import box, rectangle
 from jaxdr.scene.packed import pack
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from tests.references.central_differences import central
 from tests.references.polygon_shadow import irradiance
 

@@ -15,7 +15,7 @@ from jaxdr.geometry.shapes import sphere
 from jaxdr.scene.packed import pack
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from tests.gradients.floor_patch import FILM, exact
 from tests.gradients.floor_patch import scene as patch_scene
 from tests.gradients.floor_point import BOX, QUADRANGLE, sheet

@@ -10,7 +10,7 @@ from jaxdr.boundary.guided_edges.edge_lunes import edge_lunes
 from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.scene.packed import pack
-from jaxdr.transport.path import PathSettings
+from jaxdr.transport.path_settings import PathSettings
 from tests.gradients.floor_patch import scene
 from tests.gradients.floor_point import LIGHT
 

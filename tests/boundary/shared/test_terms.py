@@ -11,7 +11,8 @@ from jaxdr.geometry.shapes import box, rectangle
 from jaxdr.integrators.base import prepare_terms, term_images
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import pack
-from jaxdr.transport.path import PathSettings, trace_paths
+from jaxdr.transport.path import trace_paths
+from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 
 KEY = jax.random.key(3)
