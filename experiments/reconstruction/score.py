@@ -41,7 +41,7 @@ def main() -> None:
         return jd.Scene(asset.shapes, views[0].camera, jd.EnvironmentMap(radiance, TO_WORLD))
 
     figures = {
-        "chamfer": _chamfer(out / "asset.glb", photos / "truth" / "mesh.obj"),
+        "chamfer": chamfer(out / "asset.glb", photos / "truth" / "mesh.obj"),
         "pictures": _summary(score_pictures([_picture(out / "test" / f"{view.name}.png") for view in views], views)),
         "asset": _summary(jd.evaluate_views(under(light), views, spp=SPP, integrator=tracer)),
         "relit": _summary(
@@ -51,7 +51,7 @@ def main() -> None:
     print(json.dumps(figures, indent=2))
 
 
-def _chamfer(found: Path, true: Path) -> float:
+def chamfer(found: Path, true: Path) -> float:
     """Mean of both directions, over the longest side of the true mesh."""
     target = jd.load_mesh(true)
     extent = np.ptp(np.asarray(target.vertices), axis=0)

@@ -36,6 +36,8 @@ class Priors:
     - `light`: neighbouring directions send alike light: a dull surface does not tell them apart.
     - `white`: the light is about grey: of the product of light and albedo the photographs see only one colour.
     - `background`: the light is what the photographs show behind the object, where all of them agree on it.
+    - `cameras`: cameras are about where they are said to be: object and cameras could move together, and no photograph
+      would change.
     """
 
     mask: float = 1.0
@@ -43,6 +45,7 @@ class Priors:
     light: float = 0.0002
     white: float = 0.02
     background: float = 0.1
+    cameras: float = 0.1
 
     def __post_init__(self):
         not_negative(self)
@@ -53,7 +56,8 @@ class Rates:
     """Step sizes at the start; all fall to the share `final` of them, exponentially, until the end.
 
     `vertices` is that of `adam_uniform` on the latent coordinates of `LargeSteps`; the others are those of Adam, on
-    logits of albedo and roughness and on logarithms of light and exposure.
+    logits of albedo and roughness, on logarithms of light and exposure, and on corrections of cameras (radians, and
+    shares of the longest side).
     """
 
     vertices: float = 0.05
@@ -61,6 +65,7 @@ class Rates:
     roughness: float = 0.05
     light: float = 0.1
     exposure: float = 0.01
+    cameras: float = 0.0015
     final: float = 0.1
 
     def __post_init__(self):
@@ -152,7 +157,11 @@ class ReconstructConfig:
     output: str
     holdout: str = ""
     seed: int = 0
-    unknown: tuple[Literal["albedo", "roughness", "light", "exposure"], ...] = ("albedo", "roughness", "light")
+    unknown: tuple[Literal["albedo", "roughness", "light", "exposure", "cameras"], ...] = (
+        "albedo",
+        "roughness",
+        "light",
+    )
     start: Start = Start()
     integrator: Integrator = field(default_factory=Integrator)
     samples: Samples = Samples()

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import Integrator
 from jaxdr.optimize.devices import ALONE, Division
+from jaxdr.optimize.reconstruction.cameras import corrected
 from jaxdr.optimize.reconstruction.config import Priors, Samples
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, scene_of
 from jaxdr.scene.color import luminance
@@ -66,20 +67,27 @@ def picture_loss(
     return loss + mask_weight * ((parts.alpha - photograph.alpha) ** 2).mean()
 
 
-def view_gradient(integrator: Integrator, samples: Samples, mask_weight: float, division: Division = ALONE) -> Callable:
+def view_gradient(
+    integrator: Integrator, samples: Samples, mask_weight: float, division: Division = ALONE, cameras: bool = False
+) -> Callable:
     """Function (mesh, unknowns, camera, photograph, key) -> (loss, its gradient by the unknowns, picture [H, W, 4]).
 
     The loss is that of one picture. Its derivative by the picture multiplies the derivative of another, independent
     picture: their product is an unbiased gradient of the expected loss, which is that of the noiseless picture and a
-    constant wherever the loss is quadratic. Devices that share a view take part of the samples of each picture.
+    constant wherever the loss is quadratic. Devices that share a view take part of the samples of each picture. With
+    `cameras` the poses are corrected, and the gradient by their corrections is computed.
     """
 
     def gradient(mesh: Mesh, unknowns: Unknowns, pinhole: Pinhole, photograph: Photograph, key: PRNGKeyArray):
         height, width, _ = photograph.color.shape
-        camera = pinhole.camera(Film(width, height, Box()))
+        film = Film(width, height, Box())
         image_key, derivative_key = (division.own_key(k) for k in jax.random.split(key))
 
         def rendered(unknowns: Unknowns, key, spp: int) -> tuple[Layers, Array]:
+            seen_by = pinhole
+            if cameras:
+                seen_by = pinhole._replace(to_world=corrected(pinhole.to_world, unknowns.cameras[photograph.number]))
+            camera = seen_by.camera(film)
             scene = scene_of(mesh, unknowns, camera)
             return layers(scene, camera, key, division.samples(spp), integrator), unknowns.exposure[photograph.number]
 
@@ -128,4 +136,5 @@ def prior_loss(unknowns: Unknowns, expected: Expected, weights: Priors) -> Float
         + weights.white * white
         + weights.background * known
         + 0.1 * level
+        + weights.cameras * (unknowns.cameras**2).mean()
     )

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxdr.optimize.reconstruction.pictures import Photographs, Pose, object_bounds
 from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop
@@ -41,9 +42,12 @@ class PhotoSet:
             self._current = Photographs(self.views, self.bounds[resolution], self.pose, resolution, self.kept)
         return self._current
 
-    def paint(self) -> Photographs:
-        """The photographs of the highest resolution, or some of them, from which the first colours are taken."""
-        return self.at(max(self.resolutions)).spread(SOME)
+    def paint(self, cameras: Float[Array, "N 6"] | None = None) -> Photographs:
+        """The photographs of the highest resolution, or some of them, from which the first colours are taken.
+
+        `cameras`: corrections of their poses.
+        """
+        return self.at(max(self.resolutions)).with_corrections(cameras).spread(SOME)
 
     def backdrop(self, rows: int) -> Backdrop | None:
         """The sky behind the object, from the photographs or some of them; see `find_backdrop`."""

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from PIL import Image
 
+from jaxdr.optimize.reconstruction.cameras import corrected
 from jaxdr.views.reading import THREADS, Kept, read_ahead
 from jaxdr.views.record import View, over_black
 from jaxdr.views.rendering import Pinhole
@@ -57,6 +58,7 @@ class Photographs:
         self.views, self.bounds, self.pose, self.resolution, self.kept = views, bounds, pose, resolution, kept
         width, height = reduced_size(views[0], resolution)
         self.height, self.width = _window_size(bounds, (height, width))
+        self._corrections: Float[Array, "N 6"] | None = None
         self._expected: dict[int, Future] = {}
         self._pool = ThreadPoolExecutor(THREADS, "jaxdr read")  # its threads begin when there is something to read
 
@@ -82,7 +84,10 @@ class Photographs:
         centre = view.centre[0] * scale[0] - x0, view.centre[1] * scale[1] - y0
         fov = np.degrees(2 * np.arctan(0.5 * self.width / focal))
         axis = (0.5 - centre[0] / self.width, 0.5 - centre[1] / self.height)
-        return Pinhole(*(jnp.asarray(x, float) for x in (self.pose.moved(view.to_world), fov, axis)))
+        to_world = self.pose.moved(view.to_world)
+        if self._corrections is not None:
+            to_world = corrected(to_world, self._corrections[number])
+        return Pinhole(*(jnp.asarray(x, float) for x in (to_world, fov, axis)))
 
     def expect(self, numbers: Iterable[int]) -> None:
         """Read these ahead, in this order, beside what goes on. Those that were expected before are let go."""
@@ -100,8 +105,17 @@ class Photographs:
         if count >= len(self):
             return self
         chosen = [int(i) for i in np.linspace(0, len(self) - 1, count).round()]
+        return self._some(chosen, None if self._corrections is None else self._corrections[np.asarray(chosen)])
+
+    def with_corrections(self, corrections: Float[Array, "N 6"] | None) -> "Photographs":
+        """All of them, with corrected cameras."""
+        return self._some(list(range(len(self))), corrections)
+
+    def _some(self, chosen: list[int], corrections: Float[Array, "M 6"] | None) -> "Photographs":
         views, bounds = [self.views[i] for i in chosen], [self.bounds[i] for i in chosen]
-        return Photographs(views, bounds, self.pose, self.resolution, self.kept)
+        some = Photographs(views, bounds, self.pose, self.resolution, self.kept)
+        some._corrections = corrections
+        return some
 
     def _read(self, number: int) -> Reduced:
         view = self.views[number]

@@ -127,6 +127,7 @@ class ReconstructionTask(Task[Current]):
             jnp.zeros((len(mesh.vertices), 1)),
             jnp.zeros((rows, 2 * (rows - 1), 3)),
             jnp.zeros((len(self.fitted), 3)),
+            jnp.zeros((len(self.fitted), 6)),
         )
         return stage, saved.state(stage.fresh(template))
 

@@ -13,6 +13,7 @@ from jaxtyping import PRNGKeyArray
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.progress import Progress
 from jaxdr.optimize.reconstruction.asset import write_glb
+from jaxdr.optimize.reconstruction.cameras import sizes, with_corrections
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.page import page_row, report_page, save_turntable
@@ -62,6 +63,7 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
 
     Without held-out photographs it shows those that were fitted, and says so.
     """
+    views = with_corrections(views, result.unknowns.cameras, result.pose.scale)
     save_cameras(folder, views.views)
     shown = views.held_out or views.fitted
     tracer = dataclasses.replace(config.integrator.build(), boundary=None)
@@ -84,7 +86,8 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     if config.report.turntable:
         save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
-    return {"judged_by": kind, "samples": spp, **evaluation.to_dict()}
+    found = {"cameras": sizes(result.unknowns.cameras, result.pose.scale)} if "cameras" in config.unknown else {}
+    return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict()}
 
 
 def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:

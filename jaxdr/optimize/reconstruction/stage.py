@@ -100,7 +100,8 @@ def make_stage(
 
     samples, views = config.samples, min(level.views, len(photos.views))
     division = divide(views, len(devices), min(samples.image, samples.gradient))
-    of_view = view_gradient(config.integrator.build(), samples, config.priors.mask, division)
+    cameras = "cameras" in config.unknown
+    of_view = view_gradient(config.integrator.build(), samples, config.priors.mask, division, cameras)
     gradient = Divided(lambda common, view: of_view(*common, *view), division, devices)
     return Stage(number, start, mesh, steps, transformation, photos.at(level.resolution), gradient, update)
 
@@ -127,6 +128,7 @@ def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> U
         np.full((count, 1), _logit(roughness)),
         resampled(np.log(radiance), config.levels[0].sky),
         np.zeros((len(photos.views), 3)),
+        np.zeros((len(photos.views), 6)),
     )
     return Unknowns(*(jnp.asarray(value, float) for value in values))
 
@@ -149,8 +151,9 @@ def next_unknowns(
         new = mesh_of_writer(lambda: remesh_to(mesh, level.vertices).smooth())
     except ValueError as problem:
         return mesh, unknowns._replace(light=light), str(problem)
-    old_seen, seen = (np.maximum(seen_colors(each, photos.paint()), DARKEST) for each in (mesh, new))
+    paint = photos.paint(unknowns.cameras)
+    old_seen, seen = (np.maximum(seen_colors(each, paint), DARKEST) for each in (mesh, new))
     albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
     albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
-    values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure)
+    values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure, unknowns.cameras)
     return new, Unknowns(*(jnp.asarray(value, float) for value in values)), ""

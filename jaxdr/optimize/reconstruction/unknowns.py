@@ -24,13 +24,17 @@ ROUGHEST, SMOOTHEST = 1.0, 0.05
 
 
 class Unknowns(NamedTuple):
-    """Vertices; logits of albedo and roughness at them; logarithms of the light and of the pictures' exposures."""
+    """Vertices; logits of albedo and roughness at them; logarithms of the light and of the exposures of N photographs.
+
+    `cameras`: corrections of their poses, see `cameras.corrected`; shifts are in units of the object's longest side.
+    """
 
     vertices: Float[Array, "V 3"]
     albedo: Float[Array, "V 3"]
     roughness: Float[Array, "V 1"]
     light: Float[Array, "H W 3"]
     exposure: Float[Array, "N 3"]
+    cameras: Float[Array, "N 6"]
 
 
 class State(NamedTuple):
@@ -69,7 +73,7 @@ def optimizer(rates: Rates, unknown: Sequence[str], steps: int, start: int) -> o
         return lambda count: decay(count + start)
 
     made: dict[Any, Any] = {"vertices": adam_uniform(rate("vertices"))}
-    for name in ("albedo", "roughness", "light", "exposure"):
+    for name in ("albedo", "roughness", "light", "exposure", "cameras"):
         if name not in unknown:
             made[name] = optax.set_to_zero()
         elif name == "roughness":

@@ -16,6 +16,7 @@ import optax
 from jaxtyping import Array, Float
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.rotation import rotation_matrix
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.preconditioner import LargeSteps
 
@@ -129,20 +130,6 @@ class Motion(Parametrization):
             return moved.at[:3, 3].add(shift)
         centre = (self.rest.min(0) + self.rest.max(0)) / 2
         return (self.rest - centre) @ rotation.T + centre + shift
-
-
-def rotation_matrix(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Rotation about a vector by its length in radians (Rodrigues); differentiable at zero, too."""
-    squared = vector @ vector
-    small = squared < 1e-6
-    safe = jnp.where(small, 1.0, squared)
-    angle = jnp.sqrt(safe)
-    first = jnp.where(small, 1.0 - squared / 6, jnp.sin(angle) / angle)
-    second = jnp.where(small, 0.5 - squared / 24, (1.0 - jnp.cos(angle)) / safe)
-    x, y, z = vector
-    zero = jnp.zeros_like(x)
-    cross = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-    return jnp.eye(3, dtype=vector.dtype) + first * cross + second * (cross @ cross)
 
 
 def angle_between(first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]) -> float:

@@ -182,3 +182,16 @@ def test_a_file_of_settings_and_overrides(tmp_path):
     made = reconstruct_config(read_toml(path, ["priors.light=0.1"]), str(path), "photos", "out", "*_3")
     assert (made.seed, made.priors.albedo, made.priors.light, made.holdout) == (3, 0.5, 0.1, "*_3")
     assert made.levels == LEVELS and made.steps == sum(level.steps for level in LEVELS)
+
+
+def test_cameras_are_corrected_and_written(tmp_path):
+    """Those of fitted photographs; others stay as they are."""
+    photos, output = write_nerf(tmp_path / "nerf", train=4, test=2), tmp_path / "out"
+    given = jd.load_views(photos)
+    level = {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 2, "sky": 3}
+    changes = {"unknown": ["light", "cameras"], "levels": [level], "rates": {"cameras": 0.01}}
+    summary = reconstruct.reconstruct(config(photos, output, **changes))
+    assert 0 < summary["cameras"]["largest_turn_degrees"] < 5 and 0 < summary["cameras"]["largest_shift"] < 0.1
+    found = jd.load_views(output)
+    for before, after in zip(given.views, found.views, strict=True):
+        assert (np.abs(before.to_world - after.to_world).max() > 1e-4) != before.held_out

@@ -124,17 +124,19 @@ def unknowns(**changes) -> Unknowns:
         "roughness": jnp.zeros((3, 1)),
         "light": jnp.zeros((3, 4, 3)),
         "exposure": jnp.zeros((2, 3)),
+        "cameras": jnp.zeros((2, 6)),
     }
     return Unknowns(**(values | changes))
 
 
 def test_every_prior_is_zero_where_it_should_and_only_its_own_weight_counts():
-    alone = dict.fromkeys(("mask", "albedo", "light", "white", "background"), 0.0)
+    alone = dict.fromkeys(("mask", "albedo", "light", "white", "background", "cameras"), 0.0)
     breaking = {
         "albedo": (unknowns(albedo=jnp.arange(9.0).reshape(3, 3)), expected()),
         "light": (unknowns(light=jnp.arange(12.0).reshape(3, 4, 1) * jnp.ones(3)), expected()),
         "white": (unknowns(light=jnp.zeros((3, 4, 3)).at[..., 0].set(1.0)), expected()),
         "background": (unknowns(light=jnp.ones((3, 4, 3))), expected(weight=1.0)),
+        "cameras": (unknowns(cameras=jnp.ones((2, 6))), expected()),
     }
     for name, (values, known) in breaking.items():
         weights = Priors(**(alone | {name: 1.0}))
@@ -144,7 +146,7 @@ def test_every_prior_is_zero_where_it_should_and_only_its_own_weight_counts():
 
 
 def test_a_clipped_background_is_a_lower_bound():
-    only = Priors(0.0, 0.0, 0.0, 0.0, 1.0)
+    only = Priors(0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
     clipped = expected(weight=1.0, clipped=1.0)
     np.testing.assert_allclose(prior_loss(unknowns(light=jnp.ones((3, 4, 3))), clipped, only), 0)
     assert prior_loss(unknowns(light=-jnp.ones((3, 4, 3))), clipped, only) > 0.01

@@ -26,7 +26,8 @@ COUNT = len(MESH.vertices)
 
 def unknowns() -> Unknowns:
     draw = np.random.default_rng(0).normal
-    values = (MESH.vertices, draw(size=(COUNT, 3)), draw(size=(COUNT, 1)), draw(size=(5, 8, 3)), draw(size=(2, 3)))
+    shapes_of = ((COUNT, 3), (COUNT, 1), (5, 8, 3), (2, 3), (2, 6))
+    values = (MESH.vertices, *(draw(size=shape) for shape in shapes_of))
     return Unknowns(*(jnp.asarray(value, float) for value in values))
 
 
@@ -45,7 +46,7 @@ def test_latent_coordinates_come_back_and_leave_the_rest_alone():
     assert latent.albedo is values.albedo and latent.light is values.light
 
 
-@pytest.mark.parametrize("unknown", [(), ("albedo",), ("roughness", "light", "exposure")])
+@pytest.mark.parametrize("unknown", [(), ("albedo",), ("roughness", "light", "exposure"), ("cameras",)])
 def test_only_vertices_and_what_is_unknown_move(unknown):
     transformation = optimizer(Rates(), unknown, 10, 0)
     values = unknowns()
