@@ -137,7 +137,7 @@ def run(name: str, photos: Path, work: Path, share: float) -> dict:
     levels = [dataclasses.asdict(level) for level in LEVELS]
     for level in levels:
         level["steps"] = max(1, round(share * level["steps"]))
-    table = {"levels": levels, "report": {"turntable": 0}} | case.settings
+    table = {"levels": levels, "samples": {"pictures": 64}, "report": {"turntable": 0}} | case.settings
     start = time.perf_counter()
     found = reconstruct(reconstruct_config(table, name, str(folder), str(work / "out")))
     seconds = time.perf_counter() - start
