@@ -1,9 +1,10 @@
 """Take photographs: a folder of pictures, masks and cameras, for from_photographs.py and `jaxdr reconstruct`.
 
-It has the layout of instant-ngp, which many programs write. Put photographs of your own in its place.
+It has the layout of instant-ngp. The folder is the argument, or `photographs`. Put your own photographs in its place.
 """
 
 import json
+import sys
 from pathlib import Path
 
 import jax
@@ -12,23 +13,22 @@ import numpy as np
 
 import jaxdr as jd
 
-PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 64, 128, 16, 30.0
+PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 64, 128, 20, 26.0
 SKY = (0.6, 0.7, 0.8)  # below 1: a photograph cuts off what is brighter
 
 
 def make_scene(pixels: int) -> jd.Scene:
     """A duck with a yellow head and a blue body, under an even sky."""
     duck = jd.shapes.centred(jd.shapes.duck(3), 1.1)
-    head = duck.vertices[:, 2:] > 0.15
-    paint = jnp.where(head, jnp.array([0.8, 0.6, 0.1]), jnp.array([0.2, 0.4, 0.7]))
+    paint = jnp.where(duck.vertices[:, 2:] > 0.15, jnp.array([0.8, 0.6, 0.1]), jnp.array([0.2, 0.4, 0.7]))
     film = jd.Film(pixels, pixels, jd.Box())  # a sensor sums up the light of each pixel's own square
-    shapes = {"object": jd.Shape(duck, jd.Diffuse(jd.VertexColors(paint)))}
-    return jd.Scene(shapes, jd.Perspective(np.eye(4), FOV, film), jd.ConstantEnvironment(SKY))
+    painted = jd.Shape(duck, jd.Diffuse(jd.VertexColors(paint)))
+    return jd.Scene({"object": painted}, jd.Perspective(np.eye(4), FOV, film), jd.ConstantEnvironment(SKY))
 
 
 def poses(count: int) -> list[np.ndarray]:
     """Camera to world, [4, 4]: on a circle around the object, from above and from below in turns."""
-    angles = 2 * np.pi * np.arange(count) / count
+    angles = 2 * np.pi * (np.arange(count) + 0.5) / count
     eyes = [(3 * np.cos(a), 3 * np.sin(a), 1.2 * (-1) ** i) for i, a in enumerate(angles)]
     return [jd.look_at(eye, (0, 0, 0), (0, 0, 1)) for eye in eyes]
 
@@ -57,4 +57,4 @@ def main(folder: str = "photographs", count=PHOTOGRAPHS, pixels=PIXELS, samples=
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

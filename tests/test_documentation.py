@@ -34,7 +34,10 @@ TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES, *STUDI
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MOST_WORDS = 900
 
-MAIN_JOB = "python3 -m venv .venv && . .venv/bin/activate\npip install -e . && jaxdr optimize configs/quickstart.toml\n"
+MAIN_JOB = """python3 -m venv .venv && . .venv/bin/activate && pip install -e ".[reconstruct]"
+python examples/take_photographs.py runs/photographs
+jaxdr reconstruct runs/photographs -o runs/duck --config configs/photographs.toml
+"""
 TESTS = 'python3 -m venv .venv && . .venv/bin/activate\npip install -e ".[test]" && python -m pytest\n'
 
 

@@ -185,7 +185,8 @@ def test_mesh_paths_are_relative_to_the_file_or_the_folder(write, tmp_path, monk
     assert read_config(path).target.path == str(tmp_path / "mesh.obj")
 
 
-SHIPPED = sorted(path for path in CONFIGS.glob("*.toml") if not path.name.startswith("chart_"))  # see tests/chart
+# Of charts: see tests/chart; of photographs: see tests/test_examples.py.
+SHIPPED = sorted(path for path in CONFIGS.glob("*.toml") if not path.name.startswith(("chart_", "photo")))
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
