@@ -10,7 +10,7 @@ import optax
 
 import jaxdr as jd
 
-SAMPLES, STEPS = 8, 150
+SAMPLES, STEPS = 8, 200
 
 
 def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 import jaxdr as jd
 
-PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 64, 128, 20, 26.0
+PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 64, 128, 20, 30.0
 SKY = (0.6, 0.7, 0.8)  # below 1: a photograph cuts off what is brighter
 
 

@@ -147,7 +147,7 @@ def test_the_main_job_of_the_readme(tmp_path):
     take_photographs.main(str(tmp_path / "photographs"))
     table = tomllib.loads((ROOT / "configs/photographs.toml").read_text())
     summary = reconstruct(reconstruct_config(table, "README", str(tmp_path / "photographs"), str(tmp_path / "duck")))
-    assert summary["psnr"]["worst"] > 25 and summary["iou"]["worst"] > 0.97
+    assert summary["psnr"]["worst"] > 25 and summary["iou"]["worst"] > 0.95
     assert {"asset.glb", "report.html", "turntable.gif"} <= {path.name for path in (tmp_path / "duck").iterdir()}
 
 
