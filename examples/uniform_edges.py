@@ -5,7 +5,14 @@ import jax
 import jax.numpy as jnp
 
 import jaxdr as jd
-from jaxdr.boundary.shared.background import Behind, ask_behind, background_values, look_behind, seen_edges
+from jaxdr.boundary.shared.background import (
+    Behind,
+    ask_behind,
+    background_values,
+    look_behind,
+    numbers_behind,
+    seen_edges,
+)
 from jaxdr.boundary.shared.path_segments import path_segments
 from jaxdr.geometry.vector import normalize
 
@@ -53,7 +60,8 @@ class UniformEdges(eqx.Module):
         scatterer = paths.scatterer(vertex)
         counts = silhouette & scatterer.above_horizon(seen.edge_point)
         behind, background = look_behind(packed, scatterer, seen, weight, counts, settings)
-        return ask_behind(paths, seen, background, number, 1.0, key_paths, self.name, settings), behind
+        numbers = numbers_behind(key_paths, self.name, number, state.dtype)
+        return ask_behind(paths, seen, background, numbers, 1.0, settings), behind
 
     def image(
         self, context: jd.Context, state: jax.Array, chunk: jd.Chunk, held: Behind | None, answers: jd.Answers | None

@@ -28,6 +28,8 @@ COLUMNS = {
     "SSIM": ("ssim", ".3f"),
     "overlap of masks": ("iou", ".4f"),
     "Chamfer": ("chamfer", ".4f"),
+    "cameras, degrees": ("camera_rms", ".3f"),
+    "aligned": ("camera_rms_aligned", ".3f"),
     "seconds": ("seconds", ".0f"),
 }
 
@@ -125,6 +127,7 @@ def _frames(folder: Path) -> list[dict]:
 
 def run(name: str, photos: Path, work: Path, share: float) -> dict:
     """The row of a case; a fresh process."""
+    from experiments.reconstruction.cameras import camera_errors
     from experiments.reconstruction.score import chamfer
     from jaxdr.optimize.reconstruction.config import LEVELS, reconstruct_config
     from jaxdr.optimize.reconstruction.reconstruct import reconstruct
@@ -146,7 +149,9 @@ def run(name: str, photos: Path, work: Path, share: float) -> dict:
         "psnr_worst": found["psnr"]["worst"],
         "chamfer": chamfer(work / "out/asset.glb", photos / "truth/mesh.obj"),
     }
-    return {"case": name, "seconds": seconds, "cameras": found.get("cameras")} | figures
+    errors = camera_errors(photos / "transforms_train.json", work / "out/transforms.json")
+    figures |= {"camera_rms": errors["rms"], "camera_rms_aligned": errors["rms_aligned"]}
+    return {"case": name, "seconds": seconds} | figures
 
 
 def main() -> None:
