@@ -52,13 +52,22 @@ class Photographs:
 
     Without masks nothing is cut off. Light is averaged over the area of the new pixels. They are read when they are
     asked for, or ahead of that (`expect`); `kept` has as many as fit. `bounds`: of the objects, see `object_bounds`.
+    `corrections`: of the cameras.
     """
 
-    def __init__(self, views: Sequence[View], bounds: Sequence[Bounds | None], pose: Pose, resolution: int, kept: Kept):
+    def __init__(
+        self,
+        views: Sequence[View],
+        bounds: Sequence[Bounds | None],
+        pose: Pose,
+        resolution: int,
+        kept: Kept,
+        corrections: Float[Array, "N 6"] | None = None,
+    ):
         self.views, self.bounds, self.pose, self.resolution, self.kept = views, bounds, pose, resolution, kept
+        self._corrections = corrections
         width, height = reduced_size(views[0], resolution)
         self.height, self.width = _window_size(bounds, (height, width))
-        self._corrections: Float[Array, "N 6"] | None = None
         self._expected: dict[int, Future] = {}
         self._pool = ThreadPoolExecutor(THREADS, "jaxdr read")  # its threads begin when there is something to read
 
@@ -108,14 +117,12 @@ class Photographs:
         return self._some(chosen, None if self._corrections is None else self._corrections[np.asarray(chosen)])
 
     def with_corrections(self, corrections: Float[Array, "N 6"] | None) -> "Photographs":
-        """All of them, with corrected cameras."""
-        return self._some(list(range(len(self))), corrections)
+        """All of them, with corrected cameras if there are corrections."""
+        return self if corrections is None else self._some(list(range(len(self))), corrections)
 
     def _some(self, chosen: list[int], corrections: Float[Array, "M 6"] | None) -> "Photographs":
         views, bounds = [self.views[i] for i in chosen], [self.bounds[i] for i in chosen]
-        some = Photographs(views, bounds, self.pose, self.resolution, self.kept)
-        some._corrections = corrections
-        return some
+        return Photographs(views, bounds, self.pose, self.resolution, self.kept, corrections)
 
     def _read(self, number: int) -> Reduced:
         view = self.views[number]

@@ -63,7 +63,10 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
 
     Without held-out photographs it shows those that were fitted, and says so.
     """
-    views = with_corrections(views, result.unknowns.cameras, result.pose.scale)
+    found = {}
+    if "cameras" in config.unknown:
+        corrections, scale = result.unknowns.cameras, result.pose.scale
+        views, found = with_corrections(views, corrections, scale), {"cameras": sizes(corrections, scale)}
     save_cameras(folder, views.views)
     shown = views.held_out or views.fitted
     tracer = dataclasses.replace(config.integrator.build(), boundary=None)
@@ -86,7 +89,6 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     if config.report.turntable:
         save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
-    found = {"cameras": sizes(result.unknowns.cameras, result.pose.scale)} if "cameras" in config.unknown else {}
     return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict()}
 
 

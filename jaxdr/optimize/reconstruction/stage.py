@@ -151,7 +151,7 @@ def next_unknowns(
         new = mesh_of_writer(lambda: remesh_to(mesh, level.vertices).smooth())
     except ValueError as problem:
         return mesh, unknowns._replace(light=light), str(problem)
-    paint = photos.paint(unknowns.cameras)
+    paint = photos.paint(unknowns.cameras if "cameras" in config.unknown else None)
     old_seen, seen = (np.maximum(seen_colors(each, paint), DARKEST) for each in (mesh, new))
     albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
     albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)

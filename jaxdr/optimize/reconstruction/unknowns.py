@@ -73,7 +73,7 @@ def optimizer(rates: Rates, unknown: Sequence[str], steps: int, start: int) -> o
         return lambda count: decay(count + start)
 
     made: dict[Any, Any] = {"vertices": adam_uniform(rate("vertices"))}
-    for name in ("albedo", "roughness", "light", "exposure", "cameras"):
+    for name in Unknowns._fields[1:]:
         if name not in unknown:
             made[name] = optax.set_to_zero()
         elif name == "roughness":
