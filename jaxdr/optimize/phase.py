@@ -49,7 +49,8 @@ class Phase(NamedTuple):
 
     - `mesh`: the mesh when the topology last changed; `start`: number of steps done by then.
     - `level`: number of the level; `since`: number of steps done when it began.
-    - `steps`: preconditioner; `optimizer`: its learning rate goes on from `start`.
+    - `to_latent`, `from_latent`: of the preconditioner, the second one compiled.
+    - `optimizer`: its learning rate goes on from `start`.
     - `image`: (vertices, camera-to-world, key, spp) -> image.
     - `gradients`: (vertices, views) -> [(loss, its gradient by the vertices)].
     - `update`: jitted (state, gradient by the vertices) -> state.
@@ -59,7 +60,8 @@ class Phase(NamedTuple):
     start: int
     level: int
     since: int
-    steps: LargeSteps
+    to_latent: Callable
+    from_latent: Callable
     optimizer: optax.GradientTransformation
     image: Callable
     gradients: Callable
@@ -67,12 +69,12 @@ class Phase(NamedTuple):
 
     def fresh_state(self) -> State:
         """The state at the start of the phase."""
-        latent = self.steps.to_latent(self.mesh.vertices)
+        latent = self.to_latent(self.mesh.vertices)
         return State(latent, self.optimizer.init(latent))
 
     def vertices(self, state: State) -> Float[Array, "V 3"]:
         """Current vertex positions."""
-        return self.steps.from_latent(state.latent)
+        return self.from_latent(state.latent)
 
     def current_mesh(self, state: State) -> Mesh:
         """The mesh as it is now."""
@@ -105,7 +107,8 @@ def _programs(config: OptimizeConfig, problem: Problem, stage: Level, division: 
         of_view = view_gradient(moved, config.optimizer.loss, stage.image, stage.gradient, division)
         return of_view(mesh.vertices, *view)
 
-    return Programs(jit(image, static_argnums=3), Divided(gradient, division, devices))
+    samples = config.samples.target, config.samples.pictures
+    return Programs(in_pieces(image, samples), Divided(gradient, division, devices))
 
 
 def make_phase(
@@ -127,7 +130,8 @@ def make_phase(
         updates, moments = optimizer.update(steps.from_latent(gradient), state.optimizer, state.latent)
         return State(jnp.asarray(optax.apply_updates(state.latent, updates)), moments)
 
-    return Phase(mesh, start, level, since, steps, optimizer, image, gradients, update)
+    from_latent = jit(lambda latent: steps.from_latent(latent))
+    return Phase(mesh, start, level, since, steps.to_latent, from_latent, optimizer, image, gradients, update)
 
 
 def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
@@ -149,6 +153,20 @@ def view_renderer(problem: Problem, resolution: int) -> Callable:
         return render(viewed, key, spp=spp, integrator=integrator)
 
     return image
+
+
+def in_pieces(image: Callable, samples: Sequence[int]) -> Callable:
+    """`image` (mesh, camera-to-world, key, spp), compiled once for all `samples` per pixel that are multiples of the
+    fewest: more of them are the mean of several images."""
+    program, least = jit(image, static_argnums=3), min(samples)
+
+    def pieces(mesh, to_world, key, spp):
+        if spp % least or spp == least:
+            return program(mesh, to_world, key, spp)
+        count = spp // least
+        return sum(program(mesh, to_world, jax.random.fold_in(key, i), least) for i in range(count)) / count
+
+    return pieces
 
 
 def view_gradient(

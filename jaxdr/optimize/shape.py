@@ -101,7 +101,7 @@ class ShapeTask(Task[Current]):
         The gradient compiles in the other thread while targets are rendered.
         """
         self.plan_integrator()
-        self.programs = make_programs(self.config, self.problem, self.devices)
+        self.programs = self.level_programs()
         phase, state = self.fresh() if saved is None else self.restored(saved)
         self.compiled = self.ahead(self.compile, phase.level, phase.mesh)
         targets = self.targets(phase.level)
@@ -109,6 +109,10 @@ class ShapeTask(Task[Current]):
         if saved is None:
             self.folder.save_mesh("target", self.problem.target)
         return Current(phase, state, targets, self.chamfer(phase, state))
+
+    def level_programs(self) -> list[Programs]:
+        """What renders the views of each level, and their gradients."""
+        return make_programs(self.config, self.problem, self.devices)
 
     def plan_integrator(self) -> None:
         """Where the config leaves the integrator to a plan, measure derivatives of the first view by the vertices."""
@@ -216,7 +220,7 @@ class ShapeTask(Task[Current]):
         }
         if twice:
             # As the optimiser sees them: preconditioned.
-            row["signal_to_noise"] = signal_to_noise(*(phase.steps.from_latent(g) for g in gradients))
+            row["signal_to_noise"] = signal_to_noise(*(phase.from_latent(g) for g in gradients))
         return gradient, row
 
     def shown(self, current: Current, row: dict) -> dict[str, float]:
