@@ -91,9 +91,9 @@ def chart(rows, path):
     for panel, name in zip(panels[0], names, strict=True):
         for row in rows:
             if row["object"] == name:
-                color = {"jaxdr": "C0", "Mitsuba": "C1"}[row["by"]]
-                label = row["by"] if row["seed"] == rows[0]["seed"] else None
-                panel.loglog(*zip(*row["curve"], strict=True), ".-", color=color, label=label, linewidth=1, markersize=3)
+                look = {"color": {"jaxdr": "C0", "Mitsuba": "C1"}[row["by"]], "linewidth": 1, "markersize": 3}
+                look |= {"label": row["by"]} if row["seed"] == rows[0]["seed"] else {}
+                panel.loglog(*zip(*row["curve"], strict=True), ".-", **look)
         panel.axhline(GOAL, color="gray", linewidth=0.7, linestyle=":")
         panel.set(title=name, xlabel="seconds, everything included")
         panel.grid(True, which="both", alpha=0.3)

@@ -3,7 +3,8 @@
     python -m experiments.reconstruction.variants PHOTOS --share 0.5
 
 `PHOTOS`: a NeRF synthetic scene with `truth/mesh.obj`. Each case changes a copy of the photographs or some settings. It
-runs in a process of its own. `--share` is that of the default steps. Held-out photographs are never changed.
+runs in a process of its own. `--share` is that of the default steps. Held-out photographs are never changed. Rows of
+other cases stay in the table.
 """
 
 import dataclasses
@@ -162,11 +163,15 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="share of the default steps")
     options = parser.parse_args()
     share = 0.01 if options.quick else options.share
-    path, rows = common.results(STUDY, options.quick) / "variants.json", []
+    path = common.results(STUDY, options.quick) / "variants.json"
+    same = {"photographs": options.photos.name, "share": share}
+    known = json.loads(path.read_text()) if path.exists() else {}
+    rows = {row["case"]: row for row in known.get("rows", ()) if {key: known[key] for key in same} == same}
     for name in options.case or CASES:
-        rows.append(common.in_fresh_process(run, name, options.photos, common.scratch(STUDY) / "variant", share))
-        print(common.table(rows, COLUMNS), flush=True)
-        common.write_json(path, {"photographs": options.photos.name, "share": share, "rows": rows})
+        rows[name] = common.in_fresh_process(run, name, options.photos, common.scratch(STUDY) / "variant", share)
+        ordered = [rows[case] for case in CASES if case in rows]
+        print(common.table(ordered, COLUMNS), flush=True)
+        common.write_json(path, same | {"rows": ordered})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Maps from uniform numbers in [0, 1)^2 to directions, disks and triangles; discrete choices by such numbers."""
+"""Maps from uniform numbers in [0, 1)^2 to directions, disks and triangles; discrete choices; weights of strategies."""
 
 import math
 
@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr import loops
 from jaxdr.geometry.vector import components, from_components
+from jaxdr.safe_divide import safe_divide
 
 
 def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
@@ -109,3 +110,8 @@ def number_in_rows(
     flat, index = cdf.reshape(-1), row * cdf.shape[1] + entry
     before = jnp.where(entry > 0, flat[index - 1], 0.0)
     return before + left * (flat[index] - before)
+
+
+def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """one / (one + two), 1 where both are zero: the weight of a strategy by the balance heuristic (Veach 1997)."""
+    return safe_divide(one, one + two, one + two > 0, 1.0)

@@ -59,12 +59,6 @@ def random_across(axis: Float[Array, "M 3"], u: Float[Array, " M"]) -> Float[Arr
     return scale(s, jnp.cos(angle)) + scale(t, jnp.sin(angle))
 
 
-def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """one / (one + two), 1 where both are zero: the weight of a strategy by the balance heuristic (Veach 1997)."""
-    either = one + two > 0
-    return safe_divide(one, one + two, either, 1.0)
-
-
 class EmitterChords(NamedTuple):
     """Whole chords of emitters around `centre`, of density `pdf` (per area); `length` is the length on the emitter.
 

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from jaxdr.boundary.line_sampling.chords import (
     EmitterChords,
     angle_ratio,
-    balance,
     emitter_chords,
     emitter_rate,
     lobe_rate,
@@ -32,6 +31,7 @@ from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
 from jaxdr.transport.interaction import SurfacePoint, material_point
 from jaxdr.transport.shading import Scatterer

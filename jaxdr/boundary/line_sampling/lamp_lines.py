@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int
 
-from jaxdr.boundary.line_sampling.chords import Chords, balance, lobe_rate, random_across
+from jaxdr.boundary.line_sampling.chords import Chords, lobe_rate, random_across
 from jaxdr.boundary.line_sampling.crossings import (
     WIDEST,
     ChordKind,
@@ -33,6 +33,7 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import balance
 from jaxdr.transport.interaction import SurfacePoint
 from jaxdr.transport.radiance import Requests
 from jaxdr.transport.shading import Scatterer

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.boundary.line_sampling.chords import LobeChords, balance, lobe_rate, random_across
+from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_rate, random_across
 from jaxdr.boundary.line_sampling.crossings import (
     WIDEST,
     ChordKind,
@@ -23,6 +23,7 @@ from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.vector import cross, dot, normalize, scale
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.radiance import Requests
 from jaxdr.transport.shading import Scatterer
