@@ -67,8 +67,8 @@ def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: 
         # Round to a power of two. The exact number differs from call to call, and Python shows each new text again.
         enough = 1 << (every // capacity).bit_length()
         warnings.warn(
-            f"jaxdr: the silhouettes near {total} segments exceed the capacity of {capacity} and were thinned without "
-            f"bias. {enough} times the capacity, or a smaller reach, avoids it.",
+            f"jaxdr: the silhouettes of {total} segments or chords exceed the capacity of {capacity} and were "
+            f"thinned without bias. {enough} times the capacity, or a smaller reach, avoids it.",
             stacklevel=2,
         )
         kept = _run(kernel, leading, rest, total, probability, lists, counts, device)[0]
