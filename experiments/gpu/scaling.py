@@ -4,12 +4,15 @@
 
 Strong scaling divides a fixed number of views, the largest number of devices. Weak scaling has one view on every
 device. Each number of devices is measured in a process of its own. With `--platform cpu` there are one and two devices,
-and a process has as many cores as devices. So the division is measured, not the threads of one device.
+and a process has as many cores as devices. So the division is measured, not the threads of one device. Another row has
+two processes with one device and one core each, at the same time: what the machine itself gives for two cores.
 """
 
 import json
+import multiprocessing
 import os
 import statistics
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from experiments import common
@@ -18,12 +21,16 @@ from experiments.gradient_scaling.run import scene_of
 CALLS = 5
 
 
-def measure(platform: str, devices: int, views: int, size: int, spp: int) -> dict:
-    """Seconds of the mean gradient of `views` pictures, by all vertices of a mesh; in a fresh process."""
+def measure(platform: str, devices: int, views: int, size: int, spp: int, core: int = 0, together=None) -> dict:
+    """Seconds of the mean gradient of `views` pictures, by all vertices of a mesh; in a fresh process.
+
+    On a CPU its cores are those from number `core` on. `together`: a barrier at which processes wait for one another
+    when all is compiled.
+    """
     os.environ["JAX_PLATFORMS"] = platform
     if platform == "cpu":
         if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:devices])
+            os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[core : core + devices])
         os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + f" --xla_force_host_platform_device_count={devices}"
     import jax
     from jax.sharding import AxisType
@@ -53,8 +60,20 @@ def measure(platform: str, devices: int, views: int, size: int, spp: int) -> dic
         return step(vertices, jax.random.split(jax.random.key(k), views))
 
     _, first = common.seconds_of(call, 0)
+    if together is not None:
+        together.wait()
     times = [common.seconds_of(call, k)[1] for k in range(1, CALLS + 1)]
     return {"devices": devices, "views": views, "first": first, "seconds": statistics.median(times)}
+
+
+def apart(size: int, spp: int) -> dict:
+    """Seconds of one view in each of two processes at the same time, with a core each; those of the slower one."""
+    with multiprocessing.Manager() as manager:
+        together = manager.Barrier(2)
+        with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+            jobs = [pool.submit(measure, "cpu", 1, 1, size, spp, core, together) for core in range(2)]
+            found = [job.result() for job in jobs]
+    return max(found, key=lambda row: row["seconds"]) | {"devices": 2, "views": 2}
 
 
 def device_count(platform: str) -> int:
@@ -84,6 +103,10 @@ def main():
             gain = alone["seconds"] / row["seconds"] * row["views"] / alone["views"]
             rows.append({"scaling": kind, **row, "speed": gain})
             print(json.dumps(rows[-1]), flush=True)
+    if options.platform == "cpu":
+        row, alone = apart(size, spp), rows[-len(counts)]
+        rows.append({"scaling": "two processes", **row, "speed": 2 * alone["seconds"] / row["seconds"]})
+        print(json.dumps(rows[-1]), flush=True)
     folder = options.out or common.results("gpu", options.quick)
     common.write_json(folder / "scaling.json", {"rows": rows})
     columns = {"scaling": ("scaling", ""), "devices": ("devices", "d"), "views": ("views", "d")}
