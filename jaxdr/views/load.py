@@ -31,9 +31,9 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: f
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
     under the names of the pictures, or `mask_path` names them. Without masks, alpha says where the object is.
 
-    Some photographs are held out: frames of `transforms_test.json`, pictures of a COLMAP model called `test_*`, and
-    names that match the pattern `holdout` ("*_7", "test/*"). If that holds out none, and there are at least eight
-    pictures, the first of every eight is held out.
+    Some photographs are held out: frames of `transforms_test.json`, frames with `held_out` true (as `jaxdr reconstruct`
+    writes them), pictures of a COLMAP model called `test_*`, and names that match the pattern `holdout` ("*_7",
+    "test/*"). If that holds out none, and there are at least eight pictures, the first of every eight is held out.
 
     All pictures have one size. Their headers are read now. Their pixels are read when `View.image` or `View.alpha` is
     first used. As many as fit into `keep` GiB are kept; others are read again each time.

@@ -21,7 +21,10 @@ def is_transforms(folder: Path) -> bool:
 
 
 def transforms_frames(folder: Path) -> list[Frame]:
-    """All frames of a folder. Those of `transforms_test.json` are held out. Raises ValueError, with the file."""
+    """All frames of a folder. Held out are those of `transforms_test.json`, and frames that say so with `held_out`.
+
+    Raises ValueError, with the file.
+    """
     if not (folder / TRAIN).is_file():
         return _frames(folder, folder / ALL, False)
     test = _frames(folder, folder / TEST, True) if (folder / TEST).is_file() else []
@@ -60,7 +63,10 @@ def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_ou
         raise ValueError(f"{source}: says neither fl_x nor camera_angle_x; the focal length is needed")
     x, y, w, h = (_number(values, name, source) if name in values else None for name in ("cx", "cy", "w", "h"))
     centre, size = (x, y), (None if w is None else int(w), None if h is None else int(h))
-    return Frame(picture, mask, pose, source, focal, angle, centre, size, held_out)
+    own = entry.get("held_out", held_out)
+    if not isinstance(own, bool):
+        raise ValueError(f"{source}: held_out must be true or false, got {own!r}")
+    return Frame(picture, mask, pose, source, focal, angle, centre, size, own)
 
 
 def _check_lens(values: dict, source: str) -> None:

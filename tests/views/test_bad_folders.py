@@ -68,6 +68,11 @@ def no_focal_length(folder):
     edit_json(folder / "transforms_train.json", lambda document: document.pop("camera_angle_x"))
 
 
+def held_out_by_a_word(folder):
+    write_nerf(folder)
+    _frames(folder, lambda frames: frames[1].update(held_out="yes"))
+
+
 def skewed_pose(folder):
     write_nerf(folder)
     _frames(folder, lambda frames: frames[1]["transform_matrix"][0].__setitem__(0, 2.0))
@@ -134,6 +139,7 @@ IN_PIXELS = (empty_mask, cut_off, not_finite)  # headers do not tell
         (size_is_not_the_cameras, "transforms_train.json: frames[0]", "says height 32, r_0.png has 16 pixels"),
         (distortion, "frames[0]", "k1, p2"),
         (no_focal_length, "frames[0]", "neither fl_x nor camera_angle_x"),
+        (held_out_by_a_word, "frames[1]", "held_out must be true or false, got 'yes'"),
         (skewed_pose, "frames[1]", "a rotation and a translation"),
         (looking_away, "{folder}", "4 of 6 cameras look away"),
         (empty_mask, "r_0.png", "the mask is empty"),

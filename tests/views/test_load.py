@@ -130,6 +130,16 @@ def test_a_pattern_adds_to_the_test_pictures(tmp_path):
     ]
 
 
+def test_frames_say_themselves_that_they_are_held_out(tmp_path):
+    """As `jaxdr reconstruct` writes its cameras."""
+    write_nerf(tmp_path, train=3, test=0)
+    edit_json(
+        tmp_path / "transforms_train.json",
+        lambda document: [frame.update(held_out=i == 1) for i, frame in enumerate(document["frames"])],
+    )
+    assert [view.name for view in jd.load_views(tmp_path).held_out] == ["r_1"]
+
+
 def test_names_that_collide_get_their_folders(tmp_path):
     write_nerf(tmp_path, train=2, test=0)
     write_picture(tmp_path / "more" / "r_0.png")
