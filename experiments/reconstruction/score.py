@@ -12,6 +12,7 @@ It prints JSON with these figures:
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from jaxdr.optimize.reconstruction.sky import TO_WORLD
 from jaxdr.views.evaluate import Evaluation, score_pictures
 from jaxdr.views.pictures import read_picture
 
-SPP, DEPTH = 256, 3
+SPP, TRACER = 256, jd.PathTracer(max_depth=3, boundary=None)
 
 
 def main() -> None:
@@ -32,23 +33,30 @@ def main() -> None:
     parser.add_argument("--sky", type=Path, required=True, help="the sky of truth/relit")
     options = parser.parse_args()
     photos, out, views = options.photos, options.out, jd.load_views(options.photos).held_out
-    asset = jd.load_gltf(out / "asset.glb")
     light = jd.load_image(next(out.glob("light.*")))
-    tracer = jd.PathTracer(max_depth=DEPTH, boundary=None)
-    relit = [_relit(view, photos / "truth" / "relit" / f"r_{i}.png") for i, view in enumerate(views)]
-
-    def under(radiance) -> jd.Scene:
-        return jd.Scene(asset.shapes, views[0].camera, jd.EnvironmentMap(radiance, TO_WORLD))
-
     figures = {
         "chamfer": chamfer(out / "asset.glb", photos / "truth" / "mesh.obj"),
-        "pictures": _summary(score_pictures([_picture(out / "test" / f"{view.name}.png") for view in views], views)),
-        "asset": _summary(jd.evaluate_views(under(light), views, spp=SPP, integrator=tracer)),
-        "relit": _summary(
-            jd.evaluate_views(under(jd.load_image(options.sky)), relit, spp=SPP, integrator=tracer, match_channels=True)
-        ),
+        "asset": _summary(jd.evaluate_views(under(out, light, views), views, spp=SPP, integrator=TRACER)),
+        "relit": _summary(relit(photos, out, options.sky)),
     }
+    if (out / "test").is_dir():  # a run that was stopped has none
+        pictures = [_picture(out / "test" / f"{view.name}.png") for view in views]
+        figures["pictures"] = _summary(score_pictures(pictures, views))
     print(json.dumps(figures, indent=2))
+
+
+def under(out: Path, radiance: np.ndarray, views: Sequence[jd.View]) -> jd.Scene:
+    """The asset of a result under a sky."""
+    asset = jd.load_gltf(out / "asset.glb")
+    return jd.Scene(asset.shapes, views[0].camera, jd.EnvironmentMap(radiance, TO_WORLD))
+
+
+def relit(photos: Path, out: Path, sky: Path) -> Evaluation:
+    """How the asset looks under the sky of `truth/relit`, after one factor for each colour channel."""
+    views = jd.load_views(photos).held_out
+    other = [_relit(view, photos / "truth" / "relit" / f"r_{i}.png") for i, view in enumerate(views)]
+    scene = under(out, jd.load_image(sky), views)
+    return jd.evaluate_views(scene, other, spp=SPP, integrator=TRACER, match_channels=True)
 
 
 def chamfer(found: Path, true: Path) -> float:

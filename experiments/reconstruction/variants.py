@@ -1,10 +1,10 @@
 """What parts of a reconstruction bring, and what photographs that are not as they should be cost.
 
-    python -m experiments.reconstruction.variants PHOTOS --share 0.5
+    python -m experiments.reconstruction.variants PHOTOS --share 0.5 --sky OTHER.hdr
 
-`PHOTOS`: a NeRF synthetic scene with `truth/mesh.obj`. Each case changes a copy of the photographs or some settings. It
-runs in a process of its own. `--share` is that of the default steps. Held-out photographs are never changed. Rows of
-other cases stay in the table.
+`PHOTOS`: photographs with `truth/`; for cases that change them, a NeRF synthetic scene. `--sky`: that of `truth/relit`.
+Each case changes a copy of the photographs or some settings. It runs in a process of its own. `--share` is that of the
+default steps. Held-out photographs are never changed. Rows of other cases stay in the table.
 """
 
 import dataclasses
@@ -27,6 +27,8 @@ COLUMNS = {
     "PSNR": ("psnr", ".2f"),
     "worst": ("psnr_worst", ".2f"),
     "SSIM": ("ssim", ".3f"),
+    "other sky": ("relit", ".2f"),
+    "worst there": ("relit_worst", ".2f"),
     "overlap of masks": ("iou", ".4f"),
     "Chamfer": ("chamfer", ".4f"),
     "cameras, degrees": ("camera_rms", ".3f"),
@@ -104,6 +106,11 @@ CASES = {
     "with interreflection": Case({"integrator": {"max_depth": 3}}),
     "albedo alone unknown": Case({"unknown": ["albedo"]}),
     "light alone unknown": Case({"unknown": ["light"]}),
+    "without the prior of masks": Case({"priors": {"mask": 0.0}}),
+    "without the prior of the albedo": Case({"priors": {"albedo": 0.0}}),
+    "without the prior of the light": Case({"priors": {"light": 0.0}}),
+    "without the prior of white light": Case({"priors": {"white": 0.0}}),
+    "without the background": Case({"priors": {"background": 0.0}}),
     "12 photographs": Case({}, twelve),
     "JPEG of quality 75": Case({}, each_picture(as_jpeg)),
     "masks a pixel too large": Case({}, each_picture(wide_mask)),
@@ -126,10 +133,10 @@ def _frames(folder: Path) -> list[dict]:
     return json.loads((folder / "transforms_train.json").read_text())["frames"]
 
 
-def run(name: str, photos: Path, work: Path, share: float) -> dict:
-    """The row of a case; a fresh process."""
+def run(name: str, photos: Path, work: Path, share: float, sky: Path | None) -> dict:
+    """The row of a case; a fresh process. With `sky` also what it looks like under another one."""
     from experiments.reconstruction.cameras import camera_errors
-    from experiments.reconstruction.score import chamfer
+    from experiments.reconstruction.score import chamfer, relit
     from jaxdr.optimize.reconstruction.config import LEVELS, reconstruct_config
     from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 
@@ -150,8 +157,12 @@ def run(name: str, photos: Path, work: Path, share: float) -> dict:
         "psnr_worst": found["psnr"]["worst"],
         "chamfer": chamfer(work / "out/asset.glb", photos / "truth/mesh.obj"),
     }
-    errors = camera_errors(photos / "transforms_train.json", work / "out/transforms.json")
-    figures |= {"camera_rms": errors["rms"], "camera_rms_aligned": errors["rms_aligned"]}
+    if "camera" in name:
+        errors = camera_errors(photos / "transforms_train.json", work / "out/transforms.json")
+        figures |= {"camera_rms": errors["rms"], "camera_rms_aligned": errors["rms_aligned"]}
+    if sky is not None:
+        other = relit(photos, work / "out", sky).to_dict()["psnr"]
+        figures |= {"relit": other["mean"], "relit_worst": other["worst"]}
     return {"case": name, "seconds": seconds} | figures
 
 
@@ -161,14 +172,16 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--case", choices=CASES, action="append", help="may be repeated; default: all")
     parser.add_argument("--share", type=float, default=1.0, help="share of the default steps")
+    parser.add_argument("--sky", type=Path)
     options = parser.parse_args()
     share = 0.01 if options.quick else options.share
-    path = common.results(STUDY, options.quick) / "variants.json"
+    path = common.results(STUDY, options.quick) / f"variants_{options.photos.name}.json"
     same = {"photographs": options.photos.name, "share": share}
     known = json.loads(path.read_text()) if path.exists() else {}
     rows = {row["case"]: row for row in known.get("rows", ()) if {key: known[key] for key in same} == same}
     for name in options.case or CASES:
-        rows[name] = common.in_fresh_process(run, name, options.photos, common.scratch(STUDY) / "variant", share)
+        work = common.scratch(STUDY) / "variant"
+        rows[name] = common.in_fresh_process(run, name, options.photos, work, share, options.sky)
         ordered = [rows[case] for case in CASES if case in rows]
         print(common.table(ordered, COLUMNS), flush=True)
         common.write_json(path, same | {"rows": ordered})
