@@ -27,10 +27,13 @@ SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if "__ma
 
 
 def run(script: Path, folder: Path, programs: Path) -> str:
-    """What a script prints, without the lines of Warp; `programs` keeps compiled ones."""
+    """What a script prints, without the lines of Warp; `programs` keeps compiled ones.
+
+    Scripts are compiled as users compile them: without the flags that make the tests' own programs fast to compile.
+    """
     # The limit is that of the tests: beside programs that were kept without one, JAX keeps no others.
     kept = {"JAX_COMPILATION_CACHE_DIR": str(programs), "JAX_COMPILATION_CACHE_MAX_SIZE": str(SIZE)}
-    environment = os.environ | kept | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | kept | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": ""}
     done = subprocess.run([sys.executable, str(script)], cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return "\n".join(line for line in done.stdout.splitlines() if not re.match("Warp|Module| {3}", line))

@@ -114,4 +114,5 @@ def number_in_rows(
 
 def balance(one: Float[Array, "*n"], two: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """one / (one + two), 1 where both are zero: the weight of a strategy by the balance heuristic (Veach 1997)."""
-    return safe_divide(one, one + two, one + two > 0, 1.0)
+    both = one + two
+    return safe_divide(one, both, both > 0, 1.0)
