@@ -291,9 +291,8 @@ def _compare(table: dict, path: Path, options) -> int:
         print(f"{variant.folder}: {variant.label}", file=sys.stderr)
     rows = compare(found, lambda table, resume: _run(table, path, how | {"resume": resume}), options.resume)
     for row in rows:
-        print(
-            ", ".join(f"{name} {value:.5g}" if isinstance(value, float) else f"{value}" for name, value in row.items())
-        )
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in row.items() if name != "label")
+        print(f"{row['label']}: {numbers}")
     return 0
 
 
