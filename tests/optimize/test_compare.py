@@ -1,15 +1,19 @@
 """`[[compare]]`: runs of one config that differ in what it says, and their results side by side."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from jaxdr import cli
+from jaxdr.chart.config import chart_config
 from jaxdr.optimize import phase
 from jaxdr.optimize.compare import merged, variants
+from jaxdr.optimize.config import optimize_config
 
 from .fake import render
 
+PAPERS = Path(__file__).resolve().parents[2] / "configs" / "papers"
 CONFIG = """output = "out"
 [target]
 shape = "box"
@@ -97,3 +101,20 @@ def test_all_runs_and_what_is_written(capsys):
     assert cli.main(["optimize", "run.toml"]) == 2
     assert cli.main(["optimize", "run.toml", "--resume"]) == 0
     assert Path("out/a_none/metrics.csv").read_text() == before  # finished before: kept
+
+
+@pytest.mark.parametrize("path", sorted(PAPERS.glob("*.toml")), ids=lambda path: path.stem)
+def test_configs_of_the_papers(path, tmp_path):
+    """They are valid, and say how they are run; meshes may be elsewhere."""
+    table, text = tomllib.loads(path.read_text()), path.read_text()
+    assert f"{'chart' if 'scenes' in table else 'optimize'} configs/papers/{path.name}" in text
+    assert table["output"] == f"runs/{path.stem}"
+    if "scenes" in table:
+        config = chart_config(table, path)
+        assert all(scene.file.endswith(".toml") for scene in config.scenes)
+        return
+    if "path" in table["target"]:
+        (tmp_path / "mesh.obj").write_text("")
+        table["target"]["path"] = str(tmp_path / "mesh.obj")
+    found = [optimize_config(variant.table, path) for variant in variants(table, path)]
+    assert len(found) > 1 and all(config.report.chamfer <= 4 for config in found)
