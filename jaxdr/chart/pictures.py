@@ -1,6 +1,6 @@
 """Pictures of a scene's derivatives, side by side: images at equal samples and equal time, gradients over a sphere."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -13,7 +13,7 @@ BLACK = np.uint8(0)  # where an estimate is not finite
 
 
 def images_picture(
-    reference: Float[np.ndarray, "H W 3"], lines: dict[str, Sequence[Float[np.ndarray, "H W 3"]]]
+    reference: Float[np.ndarray, "H W 3"], lines: Mapping[str, Sequence[Float[np.ndarray, "H W 3"]]]
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The reference and the images of every line in a column each; colours end at the reference's 99th percentile."""
     limit = float(np.percentile(np.abs(reference.mean(-1)), 99)) or 1.0
