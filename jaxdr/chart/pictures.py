@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxdr.images import diverging, labelled_grid
 
@@ -54,4 +54,4 @@ def nearest_vertices(vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:
     latitude, longitude = np.meshgrid(latitude, longitude, indexing="ij")
     flat = np.cos(latitude)
     grid = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)], -1)
-    return cKDTree(directions).query(grid)[1]
+    return KDTree(directions).query(grid)[1]
