@@ -49,7 +49,12 @@ def variants(table: dict, path: Path) -> list[Variant]:
     rest = {key: value for key, value in table.items() if key != KEY}
     good = isinstance(entries, list) and bool(entries) and all(isinstance(entry, dict) for entry in entries)
     require(good, f"{path}: {KEY}", "expected tables [[compare]]", entries)
-    require(isinstance(output, str) and bool(output.strip()), f"{path}: output", "must name a folder", output)
+    require(
+        isinstance(output, str) and bool(output.strip()),
+        f"{path}: output",
+        "must name the folder for the results",
+        output,
+    )
     found: list[Variant] = []
     for number, entry in enumerate(entries):
         place, label = f"{path}: {KEY}[{number}]", entry.get("label")

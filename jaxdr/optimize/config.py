@@ -123,7 +123,7 @@ class Turntable:
     target: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self):
-        require(self.position != self.target, "target", "must differ from position", self.target)
+        require(self.position != self.target, "position", "must differ from target", self.position)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,8 @@ class Integrator:
         only = "" if self.kind == "path" else f'with kind "{self.kind}"'
         only = 'with max_depth or boundary "auto"' if self.planned else only
         for key, default in (("primary", "fixed_ray"), ("sampling", "mis")) if only else ():
-            require(getattr(self, key) == default, key, f"must be {default!r} {only}", getattr(self, key))
+            rule = f"must be {default!r} {only}"
+            require(getattr(self, key) == default, key, rule, getattr(self, key))
         if not self.planned:
             self.build()
             return

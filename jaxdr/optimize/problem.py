@@ -57,7 +57,7 @@ def build_problem(config: OptimizeConfig) -> Problem:
         try:
             shapes[f"shape_{number}"] = other.build()
         except ValueError as problem:
-            raise ValueError(f"shapes[{number}].{problem}") from None
+            raise ValueError(f"shapes.{number}: {problem}") from None
     for number, light in enumerate(config.lights):
         shapes[f"light_{number}"] = _light(light)
     environment = ConstantEnvironment(config.environment) if np.any(config.environment) else None

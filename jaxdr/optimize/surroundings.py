@@ -57,7 +57,7 @@ class FixedShape:
     def __post_init__(self):
         require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
         positive(self, "size")
-        require(self.target != self.position, "target", "must differ from position", self.target)
+        require(self.target != self.position, "position", "must differ from target", self.position)
         if self.shape:
             check_choice("shape", self.shape, PROCEDURAL)
             check_options("parameters", PROCEDURAL[self.shape], self.parameters, self.shape, "parameter")
