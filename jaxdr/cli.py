@@ -28,12 +28,14 @@ from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.boundary.named import OUTSIDE, estimator_class
 from jaxdr.chart.config import chart_config
+from jaxdr.chart.figure import require_matplotlib
 from jaxdr.chart.run import chart
 from jaxdr.compilation import jit
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrators import INTEGRATORS, Integrator, PathTracer
 from jaxdr.integrators.defaults import default_integrator, default_reason
+from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
 from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
@@ -256,12 +258,9 @@ def _optimize(options) -> int:
     path = Path(options.config)
     table = read_toml(path, options.set)
     with _way_to_go_on("optimize", options.config, options=options):
-        if is_recovery(table):
-            config = recovery_config(table, path)
-            summary = recover(config, **_how(options))
-        else:
-            config = optimize_config(table, path)
-            summary = optimize(config, **_how(options))
+        if is_comparison(table):
+            return _compare(table, path, options)
+        config, summary = _run(table, path, _how(options))
     if isinstance(config, RecoveryConfig):
         pairs = {"loss": (summary["loss_initial"], summary["loss_final"]), **summary["errors"]}
         changes = ", ".join(f"{name} {before:.3g} -> {after:.3g}" for name, (before, after) in pairs.items())
@@ -271,6 +270,29 @@ def _optimize(options) -> int:
         f"{config.output}: Chamfer distance {summary['chamfer_initial']:.5f} -> {summary['chamfer_final']:.5f} "
         f"({summary['chamfer_ratio']:.1f} times smaller) in {summary['seconds']:.0f} s"
     )
+    return 0
+
+
+def _run(table: dict, path: Path, how: dict[str, Any]) -> tuple[Any, dict]:
+    """(config, summary) of a run of `jaxdr optimize`."""
+    if is_recovery(table):
+        config = recovery_config(table, path)
+        return config, recover(config, **how)
+    config = optimize_config(table, path)
+    return config, optimize(config, **how)
+
+
+def _compare(table: dict, path: Path, options) -> int:
+    """All runs of a config with `[[compare]]`; a mistake in any of them shows before the first."""
+    require_matplotlib()
+    found, how = variants(table, path), _how(options)
+    for variant in found:
+        (recovery_config if is_recovery(variant.table) else optimize_config)(variant.table, path)
+        print(f"{variant.folder}: {variant.label}", file=sys.stderr)
+    rows = compare(found, lambda table, resume: _run(table, path, how | {"resume": resume}), options.resume)
+    for row in rows:
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in row.items() if name != "label")
+        print(f"{row['label']}: {numbers}")
     return 0
 
 

@@ -81,6 +81,9 @@ class FiniteDifferences:
 class ChartScene:
     """A scene `file` (Mitsuba XML or glTF), or a `procedural` one by its name, with `options`.
 
+    The file may be a config of `jaxdr optimize` that makes a mesh from a sphere. The scene is then a view of its
+    target, shape `object`, or of what it starts from: see `jaxdr.chart.scenes.view_of_config`.
+
     `directly_visible`: whether the shape that moves is in view. If only its shadow is, Mitsuba's integrators leave out
     their interior and primary terms, which are zero.
     """
@@ -157,18 +160,23 @@ class Estimator:
 class Vertices:
     """The gradient by every vertex, in reverse mode, of half the mean squared difference to the image at t = `target`.
 
-    The difference is rendered once, with `image_samples` per pixel, and kept fixed. The reference is the mean of
+    The difference is rendered once, with `image_samples` per pixel, and kept fixed. With `residual` "ones" the gradient
+    is that of the sum of all values of the image, and there is no target. The reference is the mean of
     `batches` runs of the estimator with the label `reference`, with `samples` per pixel each.
     """
 
     reference: str
-    target: float
+    target: float = 0.0
+    residual: Literal["difference", "ones"] = "difference"
     image_samples: int = 256
     samples: int = 64
     batches: int = 16
 
     def __post_init__(self):
-        require(self.target != 0, "target", "must not be zero: at the optimum there is no gradient", self.target)
+        if self.residual == "ones":
+            require(self.target == 0, "target", 'has no meaning with residual "ones"', self.target)
+        else:
+            require(self.target != 0, "target", "must not be zero: at the optimum there is no gradient", self.target)
         for key in ("image_samples", "samples"):
             require(getattr(self, key) >= 1, key, "must be at least 1", getattr(self, key))
         require(self.batches >= 4, "batches", "must be at least 4: their spread is the noise", self.batches)

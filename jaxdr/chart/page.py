@@ -43,7 +43,10 @@ TABLE = {  # heading -> (key, format)
 
 
 class Section(NamedTuple):
-    """What the page shows of a scene. `images` are pairs (caption, derivative image), and `charts` are PNGs."""
+    """What the page shows of a scene. `images` are pairs (caption, derivative image), and `charts` are PNGs.
+
+    `pictures`: pixels of files beside the page, by the ends of their names.
+    """
 
     title: str
     about: Sequence[str]
@@ -51,6 +54,7 @@ class Section(NamedTuple):
     images: Sequence[tuple[str, Float[np.ndarray, "H W 3"]]]
     rows: Sequence[dict]
     terms: Sequence[dict]
+    pictures: dict[str, np.ndarray]
 
 
 def page(title: str, about: Sequence[str], sections: Sequence[Section]) -> str:
@@ -85,7 +89,7 @@ def _images(images: Sequence[tuple[str, np.ndarray]]) -> str:
         if not np.isfinite(image).all():
             shown.append(f"<figure><figcaption class='bad'>{html.escape(caption)}: not finite</figcaption></figure>")
             continue
-        picture = _embedded(_png(diverging(image.mean(-1), limit)))
+        picture = _embedded(png_of(diverging(image.mean(-1), limit)))
         shown.append(f"<figure><img alt='' src='{picture}'><figcaption>{html.escape(caption)}</figcaption></figure>")
     return f"<p class='note'>Blue to red: ±{limit:.3g}.</p><div class='images'>{''.join(shown)}</div>"
 
@@ -99,7 +103,8 @@ def _table(rows: Sequence[dict], columns: dict[str, tuple[str, str]]) -> str:
     return "\n".join([*lines, "</table>"])
 
 
-def _png(pixels: np.ndarray) -> bytes:
+def png_of(pixels: np.ndarray) -> bytes:
+    """8-bit pixels as the bytes of a PNG."""
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, format="png")
     return stream.getvalue()

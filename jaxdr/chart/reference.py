@@ -54,7 +54,13 @@ def difference_batches(scene: ChartScene, case: Case, key: PRNGKeyArray) -> Call
 
 
 def residual(options: Vertices, scene: ChartScene, case: Case, key: PRNGKeyArray) -> Float[np.ndarray, "H W 3"]:
-    """Derivative of half the mean squared difference between the images at rest and at `target`, by the one at rest."""
+    """Derivative of half the mean squared difference between the images at rest and at `target`, by the one at rest.
+
+    With `residual` "ones" it is one everywhere: the derivative of the sum.
+    """
+    if options.residual == "ones":
+        _, _, width, height = case.scene.camera.film.window
+        return np.ones((height, width, 3), case.rest.dtype)
     image = _still(case, scene.max_depth, options.image_samples)
     one, two = (np.asarray(image(t, jax.random.fold_in(key, i))) for i, t in enumerate((0.0, options.target)))
     return (one - two) / one.size

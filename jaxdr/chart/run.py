@@ -9,8 +9,9 @@ from jaxdr.chart.config import ChartConfig, Stored
 from jaxdr.chart.figure import chart_png, require_matplotlib
 from jaxdr.chart.folder import ChartFolder
 from jaxdr.chart.machine import machine
-from jaxdr.chart.page import Section, page
+from jaxdr.chart.page import Section, page, png_of
 from jaxdr.chart.peers import require_mitsuba
+from jaxdr.chart.pictures import images_picture, vertices_picture
 from jaxdr.chart.reference import stored_reference
 from jaxdr.chart.scene_run import SceneRun, mean_image
 from jaxdr.chart.scenes import describe, load_case
@@ -48,6 +49,8 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
             folder.write_text("terms.csv", csv_text(terms, TERM_COLUMNS))
             for suffix, png in zip(("", "_vertices"), section.charts, strict=False):
                 folder.write_bytes(f"{scene.name}{suffix}.png", png)
+            for suffix, pixels in section.pictures.items():
+                folder.write_bytes(f"{scene.name}_{suffix}.png", png_of(pixels))
             folder.write_text("index.html", page("Speed against accuracy", _about(config), sections))
             jax.clear_caches()
     counts = {kind: sum(row["status"].startswith(kind) for row in rows) for kind in ("ok", "over", "refused", "not")}
@@ -72,7 +75,7 @@ def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: 
     """Rows, rows of terms, and the section of the page of one scene."""
     run = SceneRun(config, scene, case, folder, interruption)
     run.measure()
-    rows, images = [], []
+    rows, images, gradients = [], [], {}
     for cell in run.cells():
         name, status = run.lines[cell.line], folder.status(cell.file)
         row = {"scene": scene.name, "estimator": name, "samples": cell.samples, "status": status["status"]}
@@ -80,6 +83,8 @@ def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: 
             calls = folder.calls(cell, config.keys)
             row |= row_of(calls, len(run.positions), run.image, run.vertices)
             images.append((row, calls["image"][0], mean_image(calls["image"])))
+            if run.vertices is not None and "vertices" in calls:
+                gradients[name] = calls["vertices"][0]  # the line's largest number of samples is the last
         row |= {key: status.get(key) for key in ("compile_seconds", "vertex_compile_seconds")}
         row["program_mb"] = megabytes(status.get("program_bytes"))
         memory = folder.status(f"{scene.name}/{cell.line:02d}_memory")
@@ -98,7 +103,37 @@ def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: 
     if config.vertices is not None:
         charts.append(chart_png(f"{scene.name}, gradient by vertices", rows, "vertex_"))
     charts = [png for png in charts if png is not None]
-    return rows, terms, Section(scene.name, _about_scene(run), charts, _images(run, images), rows, terms)
+    shown, pictures = _images(run, images), {}
+    if images:
+        pictures["images"] = images_picture(run.image[0], _columns(images))
+    if gradients and run.vertices is not None:
+        vertices = np.asarray(case.rest, np.float64)
+        pictures["vertices_map"] = vertices_picture(vertices, {"reference": run.vertices[0], **gradients})
+    return rows, terms, Section(scene.name, _about_scene(run), charts, shown, rows, terms, pictures)
+
+
+def _by_line(images: list) -> dict[str, list]:
+    """The (row, one call, mean of all) of every line, with rising samples."""
+    lines = dict.fromkeys(row["estimator"] for row, _, _ in images)
+    return {name: [entry for entry in images if entry[0]["estimator"] == name] for name in lines}
+
+
+def _equal_time(entries: list, seconds: float):
+    """Of the entries of a line the one whose call takes closest to so many seconds."""
+    return min(entries, key=lambda entry: abs(np.log(entry[0]["seconds"] / seconds)))
+
+
+def _columns(images: list) -> dict[str, list[np.ndarray]]:
+    """Of every line one call at equal samples, one at about equal time, and the mean of all calls of its last rung."""
+    lines = _by_line(images)
+    counts = [{row["samples"] for row, _, _ in entries} for entries in lines.values()]
+    common = max(set.intersection(*counts), default=0)
+    seconds = min(entries[-1][0]["seconds"] for entries in lines.values())
+    columns = {}
+    for name, entries in lines.items():
+        same = [entry for entry in entries if entry[0]["samples"] == common] or entries[-1:]
+        columns[name] = [same[0][1], _equal_time(entries, seconds)[1], entries[-1][2]]
+    return columns
 
 
 def _images(run: SceneRun, images: list) -> list[tuple[str, np.ndarray]]:
@@ -107,11 +142,10 @@ def _images(run: SceneRun, images: list) -> list[tuple[str, np.ndarray]]:
     The single calls take about equally long.
     """
     shown = [("reference", run.image[0])]
-    lines = dict.fromkeys(row["estimator"] for row, _, _ in images)
-    last = {name: [entry for entry in images if entry[0]["estimator"] == name] for name in lines}
+    last = _by_line(images)
     equal = min((entries[-1][0]["seconds"] for entries in last.values()), default=0.0)
     for name, entries in last.items():
-        row, one, _ = min(entries, key=lambda entry: abs(np.log(entry[0]["seconds"] / equal)))
+        row, one, _ = _equal_time(entries, equal)
         shown.append((f"{name}, one call: {row['samples']} spp, {row['seconds']:.2g} s", one.astype(np.float64)))
     for name, entries in last.items():
         row, _, mean = entries[-1]

@@ -12,8 +12,13 @@ from jaxtyping import Array, Float
 from jaxdr.geometry import shapes
 from jaxdr.geometry.shapes import plane, transformed
 from jaxdr.moving import Moving
+from jaxdr.optimize.compare import KEY as COMPARE
+from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.config_checks import check_choice, check_options
+from jaxdr.optimize.problem import OBJECT, build_problem
 from jaxdr.optimize.recovery import scenes as recovery_scenes
+from jaxdr.optimize.recovery.config import is_recovery
+from jaxdr.optimize.strict_toml import read_toml
 from jaxdr.scene.bsdf import Diffuse, TwoSided
 from jaxdr.scene.camera import Perspective, look_at
 from jaxdr.scene.emitters import AreaEmitter
@@ -73,7 +78,9 @@ def check_scene_options(name: str, options: dict) -> None:
 def load_case(name: str, file: str, procedural: str, options: dict, motion) -> Case:
     """A scene and its `motion` (`jaxdr.chart.config.Motion`). Raises ValueError, which starts with the scene's name."""
     try:
-        if file:
+        if file.endswith(".toml"):
+            scene = view_of_config(file, **options)
+        elif file:
             reader = load_gltf if is_gltf(Path(file)) else load_mitsuba
             scene = reader(file, **options)
         else:
@@ -81,6 +88,30 @@ def load_case(name: str, file: str, procedural: str, options: dict, motion) -> C
         return _case(scene, motion)
     except (TypeError, ValueError) as problem:
         raise ValueError(f"scene {name}: {problem}") from None
+
+
+def view_of_config(file: str, *, view: int = 0, resolution: int = 0, initial: bool = False) -> Scene:
+    """View number `view` of a config of `jaxdr optimize`: of its target, or with `initial` of what it starts from.
+
+    The shape is `object`. `resolution`: width and height in pixels; 0 for the config's. `[[compare]]` is left out.
+    Raises ValueError for configs that can't be read, and for a view that they don't have.
+    """
+    path = Path(file)
+    table = read_toml(path)
+    if is_recovery(table):
+        raise ValueError(f"{path}: expected a config that makes a mesh from a sphere, not one with [scene]")
+    config = optimize_config({key: value for key, value in table.items() if key != COMPARE}, path)
+    if not 0 <= view < config.cameras.views:
+        raise ValueError(f"options.view: {path} has {config.cameras.views} views, got {view}")
+    problem = build_problem(config)
+    scene, pose = problem.scene, jnp.asarray(problem.views[view])
+    old, mesh = scene.shapes[OBJECT], problem.target
+    mesh = scene.shapes[OBJECT].mesh if initial else mesh
+    mesh = mesh.with_vertices(mesh.vertices @ pose[:3, :3].T.astype(mesh.vertices.dtype)) if problem.turned else mesh
+    size = resolution or config.cameras.resolution
+    camera = dataclasses.replace(scene.camera, film=Film(size, size))
+    viewed = Scene({**scene.shapes, OBJECT: Shape(mesh, old.bsdf)}, camera, scene.environment)
+    return viewed if problem.turned else viewed.replace({"camera.to_world": pose})
 
 
 def nudged(case: Case, t: float, number: int) -> float:

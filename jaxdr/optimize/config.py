@@ -9,7 +9,7 @@ from typing import Any, Literal
 from jaxdr.boundary.named import estimator_class
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.integrators import PathTracer
+from jaxdr.integrators import INTEGRATORS, BidirectionalPathTracer, PathTracer
 from jaxdr.optimize.config_checks import (
     at_least,
     check_choice,
@@ -22,6 +22,7 @@ from jaxdr.optimize.config_checks import (
 )
 from jaxdr.optimize.field_aligned import LEAST
 from jaxdr.optimize.strict_toml import build, read_toml
+from jaxdr.optimize.surroundings import FixedShape, material_of
 from jaxdr.plan.plan import AUTO
 
 Color = float | tuple[float, float, float]
@@ -47,7 +48,8 @@ class Target:
     """The shape to be found: a procedural `shape` with `parameters`, or the mesh at `path`.
 
     It is moved so that its bounding box is centred at the origin, its longest side `size` long; the axis `up` of
-    the file becomes z.
+    the file becomes z. `material` is that of `jaxdr.optimize.surroundings.FixedShape`; without it the object is
+    diffuse, with a `reflectance`.
     """
 
     shape: str = ""
@@ -57,8 +59,10 @@ class Target:
     up: Literal["x", "y", "z"] = "z"
     shading: Literal["flat", "smooth"] = "flat"
     reflectance: Color = 0.5
+    material: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
+        material_of(self.material)
         require(bool(self.shape) != bool(self.path), "shape", "give either a shape or a path", self.shape)
         positive(self, "size")
         if self.shape:
@@ -109,6 +113,20 @@ class Cameras:
 
 
 @dataclass(frozen=True)
+class Turntable:
+    """In place of cameras that go round: one camera at `position`, which looks at `target`, and the object turns.
+
+    In view number i the object is turned so that camera i of `Cameras` would see of it what is seen from -y, with z up.
+    """
+
+    position: Vector
+    target: Vector = (0.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        require(self.position != self.target, "position", "must differ from target", self.position)
+
+
+@dataclass(frozen=True)
 class Light:
     """Rectangular area emitter that faces the point `target`; RGB or grey `radiance`."""
 
@@ -137,11 +155,12 @@ class Floor:
 
 @dataclass(frozen=True)
 class Integrator:
-    """The path tracer: see `jaxdr.PathTracer`. `boundary` names an estimator, also "FILE.py:CLASS" or "MODULE:CLASS",
-    or is "none" (interior term only); `boundary_options` are the estimator's arguments. With "auto" for `max_depth`,
-    `boundary` or both `jaxdr.plan` measures before the run begins; so it does for both where a file says nothing about
-    the integrator."""
+    """The path tracer: see `jaxdr.PathTracer`; with `kind` "bdpt" the bidirectional one. `boundary` names an estimator,
+    also "FILE.py:CLASS" or "MODULE:CLASS", or is "none" (interior term only); `boundary_options` are the estimator's
+    arguments. With "auto" for `max_depth`, `boundary` or both `jaxdr.plan` measures before the run begins; so it does
+    for both where a file says nothing about the integrator."""
 
+    kind: Literal["path", "bdpt"] = "path"
     max_depth: int | Literal["auto"] = 2
     primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
     sampling: Literal["mis", "emitter"] = "mis"
@@ -149,12 +168,15 @@ class Integrator:
     boundary_options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
+        only = "" if self.kind == "path" else f'with kind "{self.kind}"'
+        only = 'with max_depth or boundary "auto"' if self.planned else only
+        for key, default in (("primary", "fixed_ray"), ("sampling", "mis")) if only else ():
+            rule = f"must be {default!r} {only}"
+            require(getattr(self, key) == default, key, rule, getattr(self, key))
         if not self.planned:
             self.build()
             return
-        for key, default in (("primary", "fixed_ray"), ("sampling", "mis")):
-            rule = f'must be {default!r} with max_depth or boundary "auto"'
-            require(getattr(self, key) == default, key, rule, getattr(self, key))
+        require(self.kind == "path", "kind", 'must be "path" with max_depth or boundary "auto"', self.kind)
         if self.boundary == AUTO:
             require(not self.boundary_options, "boundary_options", 'boundary "auto" has none', self.boundary_options)
         else:
@@ -179,11 +201,17 @@ class Integrator:
         except ValueError as problem:
             raise ValueError(f"boundary_options: {problem}") from None
 
-    def build(self) -> PathTracer:
+    def build(self) -> PathTracer | BidirectionalPathTracer:
         """The integrator, unless it is `planned`; ValueErrors start with the key that is wrong."""
         boundary = self.estimator()
         self._check_depth()
-        return PathTracer(int(self.max_depth), boundary, self.primary, self.sampling)
+        depth = int(self.max_depth)
+        if self.kind == "path":
+            return PathTracer(depth, boundary, self.primary, self.sampling)
+        try:
+            return INTEGRATORS[self.kind](depth, boundary=boundary)
+        except ValueError as problem:
+            raise ValueError(f"boundary: {problem}") from None
 
     def _check_depth(self) -> None:
         require(int(self.max_depth) >= 1, "max_depth", "must be at least 1", self.max_depth)
@@ -328,6 +356,8 @@ class OptimizeConfig:
     lights: tuple[Light, ...] = (Light(),)
     environment: Color = 0.0
     floor: Floor | None = None
+    shapes: tuple[FixedShape, ...] = ()
+    turntable: Turntable | None = None
     integrator: Integrator = Integrator()
     samples: Samples = Samples()
     optimizer: Optimizer = Optimizer()
@@ -387,10 +417,13 @@ def read_config(path: Path, overrides: Sequence[str] = ()) -> OptimizeConfig:
 def optimize_config(table: dict, path: Path) -> OptimizeConfig:
     """The config in a TOML table, which was read from `path`."""
     config = build(OptimizeConfig, with_integrator(table), str(path))
-    if not config.target.path:
-        return config
-    file = found_file(path, "target.path", config.target.path, "a mesh file")
-    return dataclasses.replace(config, target=dataclasses.replace(config.target, path=file))
+
+    def found(part, key: str):
+        return dataclasses.replace(part, path=found_file(path, f"{key}.path", part.path, "a mesh file"))
+
+    shapes = [found(s, f"shapes[{i}]") if s.path else s for i, s in enumerate(config.shapes)]
+    target = found(config.target, "target") if config.target.path else config.target
+    return dataclasses.replace(config, target=target, shapes=tuple(shapes))
 
 
 def with_integrator(table: dict) -> dict:

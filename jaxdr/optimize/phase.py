@@ -142,14 +142,16 @@ def learning_rate(options: Optimizer, start: int) -> optax.Schedule:
 
 
 def view_renderer(problem: Problem, resolution: int) -> Callable:
-    """Function (mesh, camera-to-world, key, spp) -> square image of the scene with `mesh` as the object."""
+    """Function (mesh, view's matrix, key, spp) -> square image of the scene with `mesh` as the object."""
     scene, integrator = problem.scene, problem.integrator
     old = scene.shapes[OBJECT]
     camera = dataclasses.replace(scene.camera, film=Film(resolution, resolution))
 
     def image(mesh, to_world, key, spp):
-        shapes = {**scene.shapes, OBJECT: Shape(mesh, old.bsdf, old.emitter)}
-        viewed = Scene(shapes, camera, scene.environment, scene.lights).replace({"camera.to_world": to_world})
+        turned = mesh.with_vertices(mesh.vertices @ to_world[:3, :3].T) if problem.turned else mesh
+        shapes = {**scene.shapes, OBJECT: Shape(turned, old.bsdf, old.emitter)}
+        viewed = Scene(shapes, camera, scene.environment, scene.lights)
+        viewed = viewed if problem.turned else viewed.replace({"camera.to_world": to_world})
         return render(viewed, key, spp=spp, integrator=integrator)
 
     return image

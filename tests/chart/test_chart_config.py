@@ -8,7 +8,7 @@ import pytest
 
 from jaxdr import cli
 from jaxdr.chart.config import chart_config
-from jaxdr.chart.scenes import load_case, nudged
+from jaxdr.chart.scenes import load_case, nudged, view_of_config
 from jaxdr.optimize.strict_toml import read_toml
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -62,6 +62,7 @@ def test_defaults_and_names():
         ("estimators=[{boundary='LineSampling', integrator='bdpt'}]", "estimators[0].options: BidirectionalPathTracer"),
         ("scenes=[]", "scenes: give at least one"),
         ("peers=true", "scenes[0].file: peers read Mitsuba XML files only"),
+        ("vertices={reference='x', target=0.1, residual='ones'}", "vertices.target: has no meaning with residual"),
         ("vertices={reference='x', target=0.1}", "vertices.reference: expected a label among LineSampling"),
     ],
 )
@@ -125,6 +126,36 @@ def test_configs_of_the_project(name, workplace):
     config = chart_config(table, workplace / "chart.toml")
     assert config.keys % config.positions == 0
     assert len({estimator.boundary for estimator in config.estimators}) > 1
+
+
+SHAPE_RUN = """output = "x"
+[target]
+shape = "duck"
+parameters = { subdivisions = 1 }
+[cameras]
+views = 4
+resolution = 20
+[turntable]
+position = [0, -3, 0]
+[integrator]
+boundary = "none"
+[[compare]]
+label = "a"
+"""
+
+
+def test_a_scene_may_be_a_view_of_a_config_of_optimize(workplace):
+    (workplace / "run.toml").write_text(SHAPE_RUN)
+    target, start = (view_of_config("run.toml", view=1, initial=initial) for initial in (False, True))
+    assert target.camera.film.width == 20 and "light_0" in target.shapes
+    sizes = [len(scene.shapes["object"].mesh.vertices) for scene in (target, start)]
+    assert sizes == [42, 642]
+    assert view_of_config("run.toml", resolution=8).camera.film.height == 8
+    with pytest.raises(ValueError, match=r"options\.view: run\.toml has 4 views, got 4"):
+        view_of_config("run.toml", view=4)
+    (workplace / "other.toml").write_text('output = "x"\n[scene]\nname = "still_life"\n')
+    with pytest.raises(ValueError, match="expected a config that makes a mesh"):
+        view_of_config("other.toml")
 
 
 @pytest.mark.parametrize("motion", ["{shape='ball', kind='rotate'}", "{shape='ball', kind='vertices', vertex=3}"])

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxdr as jd
@@ -97,7 +98,19 @@ def test_rows_against_the_closed_form(asked, capsys):
         assert float(row["deviation"]) == pytest.approx(expected, rel=0.1)
     page = Path("out/index.html").read_text()
     assert page.count("data:image/png;base64,") == 2 + 1 + 2 * 2 and "src='http" not in page
-    assert "standard errors" in page and Path("out/ball.png").exists() and Path("out/ball_vertices.png").exists()
+    assert "standard errors" in page
+    for name in ("ball", "ball_vertices", "ball_images", "ball_vertices_map"):
+        assert Path(f"out/{name}.png").exists(), name
+
+
+def test_gradient_of_the_sum_by_vertices(asked):
+    """The stand-in's image is a pattern times the mean x: the sum's gradient by any vertex is the same, along x."""
+    vertices = "vertices={reference='LineSampling', residual='ones', samples=64, batches=4}"
+    assert run(settings=[*SETTINGS, vertices, "estimators=[{boundary='LineSampling'}]"]) == 0
+    found = np.load("out/references/ball/vertices_0.npy")
+    pattern = 3 * 8 * np.linspace(1.0, 2.0, 8).sum()
+    np.testing.assert_allclose(found[:, 0], pattern / len(found), rtol=0.02)
+    assert not found[:, 1:].any()
 
 
 def test_resume_gives_the_same_rows(asked, capsys, monkeypatch):

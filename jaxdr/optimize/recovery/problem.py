@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.images import load_image
-from jaxdr.integrators import PathTracer
+from jaxdr.integrators import BidirectionalPathTracer, PathTracer
 from jaxdr.optimize.problem import camera_poses
 from jaxdr.optimize.recovery.config import Parameter, RecoveryConfig
 from jaxdr.optimize.recovery.parameters import Bounded, Motion, Parametrization, Plain, Smoothed
@@ -37,7 +37,7 @@ class Problem(NamedTuple):
     images: Float[np.ndarray, "N H W 3"] | None
     views: Float[np.ndarray, "N 4 4"]
     fixed_views: bool
-    integrator: PathTracer | None
+    integrator: PathTracer | BidirectionalPathTracer | None
 
     def start(self) -> Latents:
         """Latent numbers at the start."""
