@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.baselines.quadric_sampling.dual_bounds import one_sided
 from jaxdr.boundary.baselines.quadric_sampling.silhouette_tree import Nodes
-from jaxdr.geometry.vector import dot, norm, normalize, scale, z_of
+from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals, z_of
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -25,10 +25,16 @@ BALLS = 16  # at most so many balls around the emitters
 
 
 class Balls(NamedTuple):
-    """Balls that contain all area emitters; detached."""
+    """Balls that contain all area emitters; detached.
+
+    `normal`: where each ball contains one face, the unit normal of this face, and `corner` one of its corners: only
+    what lies before the face hides its light. Else None.
+    """
 
     centre: Float[Array, "B 3"]
     radius: Float[Array, " B"]
+    normal: Float[Array, "B 3"] | None
+    corner: Float[Array, "B 3"]
 
 
 def emitter_balls(packed: PackedScene) -> Balls | None:
@@ -39,9 +45,11 @@ def emitter_balls(packed: PackedScene) -> Balls | None:
     balls = min(BALLS, count)
     each = -(-count // balls)
     number = np.minimum(np.arange(balls * each), count - 1).reshape(balls, each)
-    points = packed.vertices[packed.faces[packed.emitter_faces[number]]].reshape(balls, -1, 3)
+    triangles = packed.vertices[packed.faces[packed.emitter_faces[number]]]
+    points = triangles.reshape(balls, -1, 3)
     centre = 0.5 * (points.min(1) + points.max(1))
-    return Balls(centre, norm(points - centre[:, None]).max(1))
+    normal = normalize(triangle_normals(triangles[:, 0])) if each == 1 else None
+    return Balls(centre, norm(points - centre[:, None]).max(1), normal, points[:, 0])
 
 
 class Importance(NamedTuple):
@@ -73,7 +81,7 @@ class Importance(NamedTuple):
             distance2 > 0, jnp.arcsin(jnp.clip(jnp.sqrt(radius2) / jnp.maximum(distance, 1e-30), 0, 1)), 0
         )
         angle = jnp.where(distance * distance > radius2, angle, jnp.pi)
-        light = self._light(position, towards, angle)
+        light = self._light(nodes, position, towards, angle)
         weight = jnp.where(counts & (light > 0), nodes.weight, 0.0)
         value = weight / distance2 * (DEFENCE + self._bsdf(towards, angle)) * light
         return (1.0 - BLIND) * _shares(value) + BLIND * _shares(weight)
@@ -91,7 +99,7 @@ class Importance(NamedTuple):
         values = [luminance(self.scatterer.eval(normalize(nearest[:, k]))) for k in range(2)]
         return jnp.stack(values, -1)
 
-    def _light(self, position, towards, angle):
+    def _light(self, nodes, position, towards, angle):
         """1 where the cone may meet an emitter; else `BEYOND`, or 0 where no other light counts."""
         other = jnp.where(self.other, BEYOND, 0.0)[:, None].astype(towards.dtype)
         if self.balls is None:
@@ -104,7 +112,14 @@ class Importance(NamedTuple):
             ratio = jnp.clip(radius / jnp.where(outside, distance, radius), 0.0, 1.0)
             between = jnp.arccos(jnp.clip(dot(towards, scale(offset, 1.0 / jnp.maximum(distance, 1e-30))), -1.0, 1.0))
             # A little wider than computed: near one the inverse cosine rounds by the root of the unit.
-            meets = meets | ~outside | (between <= angle + jnp.arcsin(ratio) + 1e-3)
+            here = ~outside | (between <= angle + jnp.arcsin(ratio) + 1e-3)
+            if self.balls.normal is not None:
+                # The outline of the emitter lies in its plane, but for rounding.
+                normal, corner = self.balls.normal[k], self.balls.corner[k]
+                rounding = 16 * jnp.finfo(normal.dtype).eps * jnp.abs(corner).max()
+                height = dot(normal, nodes.centre - corner) + dot(jnp.abs(normal), nodes.extent)
+                here = here & (height > rounding)
+            meets = meets | here
         return jnp.where(meets, 1.0, other)
 
 
