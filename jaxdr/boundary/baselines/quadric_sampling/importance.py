@@ -19,6 +19,7 @@ from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.shading import Scatterer
 
 DEFENCE = 0.05  # per solid angle: what every node has beside its BSDF value
+NEAREST = 0.25  # a node's squared distance is at least this share of its squared radius
 BLIND = 0.2  # share of the descents that look at nothing but weights: a large node's distance says little
 BEYOND = 0.2  # what nodes before no emitter have where other light counts as well
 BALLS = 16  # at most so many balls around the emitters
@@ -72,7 +73,7 @@ class Importance(NamedTuple):
         counts = (nodes.weight > 0) & ~silent & ~below
         radius2 = dot(nodes.extent, nodes.extent)
         gap = jnp.maximum(jnp.abs(offset) - nodes.extent, 0.0)
-        distance2 = dot(gap, gap) + 0.25 * radius2
+        distance2 = dot(gap, gap) + NEAREST * radius2
         distance2 = jnp.where(distance2 > 0, distance2, 1.0)
         distance = norm(offset)
         towards = normalize(jnp.where((distance > 0)[..., None], offset, normal))
