@@ -1,5 +1,6 @@
 """All cases by name, and their references, which are kept beside this file."""
 
+import dataclasses
 import json
 from collections.abc import Callable
 from functools import cache
@@ -10,7 +11,7 @@ import jax
 import numpy as np
 
 from tests.stability import deep, emitters, reflections, shadows, soups
-from tests.stability.case import ESTIMATORS, Case
+from tests.stability.case import ESTIMATORS, Case, Expected
 from tests.stability.measure import Reference, verdict
 
 THEMES: tuple[Callable[[], list[Case]], ...] = (
@@ -21,6 +22,10 @@ THEMES: tuple[Callable[[], list[Case]], ...] = (
     reflections.cases,
     deep.cases,
 )
+RARE = Expected(
+    "noisy", "edges are drawn without regard to what hides them: few draws find the border of a shadow of a small light"
+)
+RARELY = ("tiny_light", "interpenetrating")  # found rarely by `QuadricSampling`
 REFERENCES = Path(__file__).parent / "references"
 RESULTS = Path(__file__).parents[2] / "experiments" / "stability" / "results"
 
@@ -31,6 +36,9 @@ def catalogue() -> dict[str, Case]:
     made = [case for theme in THEMES for case in theme()]
     found = {case.name: case for case in made}
     assert len(found) == len(made), "two cases have the same name"
+    for name in RARELY:
+        expected = dict(found[name].expected) | {"QuadricSampling": RARE}
+        found[name] = dataclasses.replace(found[name], expected=expected)
     return found
 
 

@@ -1,7 +1,9 @@
-"""Earlier estimators, for comparison. Each has a file.
+"""Estimators for comparison. Each has a file or a folder.
 
 `redner_was` is `RednerWAS` (Bangaru et al. 2020): warped areas on the sphere of directions, direct light only. It uses
-the velocity fields of `warped_area`.
+the velocity fields of `warped_area`. `quadric_sampling` is `QuadricSampling` (Soroka et al. 2025): edges from a tree
+that leaves out parts without silhouettes.
 """
 
+from jaxdr.boundary.baselines.quadric_sampling import QuadricSampling as QuadricSampling
 from jaxdr.boundary.baselines.redner_was import RednerWAS as RednerWAS
