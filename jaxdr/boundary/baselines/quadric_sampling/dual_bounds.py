@@ -92,7 +92,7 @@ def _farthest2(matrix, apart, least):
         for k in range(i):
             rest = rest - factor[i][k][:, None] * solved[k]
         solved.append(rest / factor[i][i][:, None])
-    return sum(y * y for y in solved).max(1)
+    return jnp.square(jnp.stack(solved)).sum(0).max(1)
 
 
 def one_sided(bounds: DualBounds, offset: Float[Array, "*n 3"], slack: Float[Array, "*n"]) -> Bool[Array, "*n"]:

@@ -140,7 +140,8 @@ def _level(slots: _Slots, count: int) -> Float[Array, "count 32"]:
 def _nodes(rows: Float[Array, "*n 32"]) -> Nodes:
     parts = jnp.split(rows, np.cumsum(SIZES)[:-1].tolist(), axis=-1)
     parts = [part[..., 0] if size == 1 else part for part, size in zip(parts, SIZES, strict=True)]
-    return Nodes(*parts[:6], DualBounds(*parts[6:]))
+    centre, size, extent, weight, slack, unbounded = parts[:6]
+    return Nodes(centre, size, extent, weight, slack, unbounded, DualBounds(*parts[6:]))
 
 
 def draw_edges(
