@@ -54,4 +54,4 @@ def nearest_vertices(vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:
     latitude, longitude = np.meshgrid(latitude, longitude, indexing="ij")
     flat = np.cos(latitude)
     grid = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)], -1)
-    return KDTree(directions).query(grid)[1]
+    return np.asarray(KDTree(directions).query(grid)[1])

@@ -1,4 +1,4 @@
-"""Edge sampling with silhouettes drawn from a tree (Li et al. 2018; Soroka et al. 2025); docs/quadric_sampling.md."""
+"""Edge sampling with silhouettes drawn from a tree (Li et al. 2018; Soroka et al. 2025); docs/baselines.md."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
