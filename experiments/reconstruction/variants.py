@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--sky", type=Path)
     options = parser.parse_args()
     share = 0.01 if options.quick else options.share
-    path = common.results(STUDY, options.quick) / f"variants_{options.photos.name}.json"
+    path = common.results(STUDY, options.quick) / f"variants_{options.photos.name}_{round(100 * share)}.json"
     same = {"photographs": options.photos.name, "share": share}
     known = json.loads(path.read_text()) if path.exists() else {}
     rows = {row["case"]: row for row in known.get("rows", ()) if {key: known[key] for key in same} == same}
