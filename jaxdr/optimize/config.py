@@ -160,12 +160,12 @@ class Integrator:
     arguments. With "auto" for `max_depth`, `boundary` or both `jaxdr.plan` measures before the run begins; so it does
     for both where a file says nothing about the integrator."""
 
-    kind: Literal["path", "bdpt"] = "path"
     max_depth: int | Literal["auto"] = 2
     primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
     sampling: Literal["mis", "emitter"] = "mis"
     boundary: str = "KernelDensity"
     boundary_options: dict[str, Any] = field(default_factory=dict)
+    kind: Literal["path", "bdpt"] = "path"
 
     def __post_init__(self):
         only = "" if self.kind == "path" else f'with kind "{self.kind}"'

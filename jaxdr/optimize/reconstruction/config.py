@@ -176,6 +176,8 @@ class ReconstructConfig:
         require(len(self.levels) >= 1, "levels", "there must be at least one", self.levels)
         primary = self.integrator.primary
         require(primary == "fixed_ray", "integrator.primary", 'must be "fixed_ray" with box pixels', primary)
+        kind = self.integrator.kind
+        require(kind == "path", "integrator.kind", 'must be "path" here', kind)
         require(
             not self.integrator.planned,
             "integrator",

@@ -184,6 +184,11 @@ def test_a_file_of_settings_and_overrides(tmp_path):
     assert made.levels == LEVELS and made.steps == sum(level.steps for level in LEVELS)
 
 
+def test_bidirectional_paths_are_refused():
+    with pytest.raises(ValueError, match=r"integrator\.kind: must be \"path\" here"):
+        reconstruct_config({"integrator": {"kind": "bdpt"}}, "settings.toml", "photos", "out")
+
+
 def test_cameras_are_corrected_and_written(tmp_path):
     """Those of fitted photographs; others stay as they are."""
     photos, output = write_nerf(tmp_path / "nerf", train=4, test=2), tmp_path / "out"
