@@ -39,7 +39,7 @@ def main() -> None:
         "asset": _summary(jd.evaluate_views(under(out, light, views), views, spp=SPP, integrator=TRACER)),
         "relit": _summary(relit(photos, out, options.sky)),
     }
-    if (out / "test").is_dir():  # a run that was stopped has none
+    if any((out / "test").glob("*.png")):  # a run that was stopped has none
         pictures = [_picture(out / "test" / f"{view.name}.png") for view in views]
         figures["pictures"] = _summary(score_pictures(pictures, views))
     print(json.dumps(figures, indent=2))
