@@ -1,7 +1,7 @@
 """Boundary segments from edges, in the middle of paths (Zhang et al. 2020; Yan et al. 2022); docs/guided_edges.md."""
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,11 +26,10 @@ from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, 
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
+from jaxdr.boundary.shared.refusals import Asked, edge_refusal, edge_refusals, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, stream_of
 from jaxdr.geometry.vector import scale
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
@@ -73,17 +72,6 @@ class _Drawn(NamedTuple):
     used: Int[Array, ""]
 
 
-def _refusal(what: str, covered: str, found: Callable[[PackedScene], Any]) -> Refusal:
-    def message(asked: Asked) -> str | None:
-        packed = asked.packed
-        if packed is None or not found(packed):
-            return None
-        covers = covered.format(type(packed.camera).__name__)
-        return f"render: GuidedEdges covers {covers}; take KernelDensity or LineSampling, {INTERIOR}"
-
-    return Refusal(what, "`KernelDensity`, `LineSampling`", message)
-
-
 class GuidedEdges(eqx.Module):
     """Boundary term from segments that are drawn on edges. All fields are static.
 
@@ -118,22 +106,9 @@ class GuidedEdges(eqx.Module):
     name = "boundary"
 
     refusals = (
-        _refusal(
-            "mirrors and smooth glass",
-            "no visibility changes over mirrors and smooth glass",
-            lambda packed: packed.has_delta_lobes,
-        ),
-        _refusal(
-            "interpolated normals",
-            "no horizons of surfaces with interpolated normals",
-            lambda packed: packed.normals is not None,
-        ),
-        _refusal(
-            "rough glass",
-            "nothing that is seen through rough glass",
-            lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
-        ),
-        _refusal(
+        *edge_refusals("GuidedEdges"),
+        edge_refusal(
+            "GuidedEdges",
             "cameras other than `Perspective`",
             "no {} camera, only Perspective",
             lambda packed: not isinstance(packed.camera, Perspective),

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from jaxdr.moving import Moving
+from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path_settings import PathSettings
@@ -38,3 +39,40 @@ def refuse(refusals: Iterable[Refusal], asked: Any) -> None:
         message = refusal.message(asked)
         if message is not None:
             raise ValueError(message)
+
+
+def edge_refusal(name: str, what: str, covered: str, found: Callable[[PackedScene], Any]) -> Refusal:
+    """A refusal of the estimator `name`, which draws edges, where `found` says so; {} in `covered` is the camera."""
+
+    def message(asked: Asked) -> str | None:
+        packed = asked.packed
+        if packed is None or not found(packed):
+            return None
+        covers = covered.format(type(packed.camera).__name__)
+        return f"render: {name} covers {covers}; take KernelDensity or LineSampling, {INTERIOR}"
+
+    return Refusal(what, "`KernelDensity`, `LineSampling`", message)
+
+
+def edge_refusals(name: str) -> tuple[Refusal, ...]:
+    """What no estimator that draws edges covers."""
+    return (
+        edge_refusal(
+            name,
+            "mirrors and smooth glass",
+            "no visibility changes over mirrors and smooth glass",
+            lambda packed: packed.has_delta_lobes,
+        ),
+        edge_refusal(
+            name,
+            "interpolated normals",
+            "no horizons of surfaces with interpolated normals",
+            lambda packed: packed.normals is not None,
+        ),
+        edge_refusal(
+            name,
+            "rough glass",
+            "nothing that is seen through rough glass",
+            lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
+        ),
+    )

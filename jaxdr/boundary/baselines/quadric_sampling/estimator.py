@@ -1,7 +1,6 @@
 """Edge sampling with silhouettes drawn from a tree (Li et al. 2018; Soroka et al. 2025); docs/baselines.md."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,11 +26,10 @@ from jaxdr.boundary.shared.background import (
 )
 from jaxdr.boundary.shared.blocks import map_over_blocks
 from jaxdr.boundary.shared.path_segments import PathSegments, path_segments
-from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
+from jaxdr.boundary.shared.refusals import Asked, edge_refusals, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry.vector import corners, dot, norm, scale
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.radiance import Answers, Requests
@@ -57,15 +55,6 @@ class _Points(NamedTuple):
     weight: Float[Array, " C"]
 
 
-def _refusal(what: str, covered: str, found: Callable[[PackedScene], Any]) -> Refusal:
-    def message(asked: Asked) -> str | None:
-        if asked.packed is None or not found(asked.packed):
-            return None
-        return f"render: QuadricSampling covers {covered}; take KernelDensity or LineSampling, {INTERIOR}"
-
-    return Refusal(what, "`KernelDensity`, `LineSampling`", message)
-
-
 class QuadricSampling(eqx.Module):
     """Every path vertex looks past silhouette edges that it draws from a tree; for comparison. Unbiased.
 
@@ -81,23 +70,7 @@ class QuadricSampling(eqx.Module):
 
     name = "boundary"
 
-    refusals = (
-        _refusal(
-            "mirrors and smooth glass",
-            "no visibility changes over mirrors and smooth glass",
-            lambda packed: packed.has_delta_lobes,
-        ),
-        _refusal(
-            "interpolated normals",
-            "no horizons of surfaces with interpolated normals",
-            lambda packed: packed.normals is not None,
-        ),
-        _refusal(
-            "rough glass",
-            "nothing that is seen through rough glass",
-            lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
-        ),
-    )
+    refusals = edge_refusals("QuadricSampling")
 
     def __check_init__(self):
         if self.samples < 1:
