@@ -136,6 +136,14 @@ class Mesh(eqx.Module):
             raise ValueError(f"Mesh.with_vertices: this mesh needs shape {self.vertices.shape}, got {vertices.shape}")
         return self._with({"vertices": vertices})
 
+    def with_uvs(self, uvs: ArrayLike, uv_faces: ArrayLike) -> "Mesh":
+        """The same mesh with other texture coordinates; on the host. Raises ValueError as the constructor does."""
+        points = _checked_floats("uvs", uvs, 2)
+        corners = _checked_indices("uv_faces", uv_faces, len(points), "uvs")
+        if len(corners) != len(self.faces):
+            raise ValueError(f"Mesh: uv_faces has {len(corners)} rows for {len(self.faces)} faces; give one per face")
+        return self._with({"uvs": as_array(points), "uv_faces": as_array(corners, np.int32)})
+
     def vertex_normals(self) -> Float[Array, "G 3"]:
         """Unit normal of every smoothing group: face normals weighted by corner angle (Thürmer and Wüthrich 1998).
 

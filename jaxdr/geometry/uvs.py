@@ -28,4 +28,4 @@ def spherical_uvs(mesh: Mesh) -> Mesh:
     others = np.where(pole, 0.0, u).sum(1) / np.maximum((~pole).sum(1), 1)
     u = np.where(pole, others[:, None], u)
     uvs, index = np.unique(np.stack([u, v], -1).reshape(-1, 2), axis=0, return_inverse=True)
-    return Mesh(mesh.vertices, mesh.faces, uvs, index.reshape(-1, 3), mesh.normal_faces)
+    return mesh.with_uvs(uvs, index.reshape(-1, 3))

@@ -100,10 +100,13 @@ def mesh_of_writer(make: Callable[[], Mesh]) -> Mesh:
     def arrays():
         mesh = make()
         smooth = np.asarray(mesh.normal_faces is not None)
-        return {"vertices": np.asarray(mesh.vertices), "faces": np.asarray(mesh.faces), "smooth": smooth}
+        made = {"vertices": np.asarray(mesh.vertices), "faces": np.asarray(mesh.faces), "smooth": smooth}
+        if mesh.uvs is not None:
+            made |= {"uvs": np.asarray(mesh.uvs), "uv_faces": np.asarray(mesh.uv_faces)}
+        return made
 
     found = of_writer(arrays)
-    mesh = Mesh(found["vertices"], found["faces"])
+    mesh = Mesh(found["vertices"], found["faces"], found.get("uvs"), found.get("uv_faces"))
     return mesh.smooth() if found["smooth"] else mesh
 
 

@@ -48,6 +48,11 @@ class View:
         return self.picture.masked
 
     @property
+    def mask(self) -> Path | None:
+        """The file of its mask; None where alpha is in the picture, in memory, or unknown."""
+        return self.picture.mask if isinstance(self.picture, PictureFile) else None
+
+    @property
     def width(self) -> int:
         """Width, in pixels."""
         return self.picture.width

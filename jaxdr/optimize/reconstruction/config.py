@@ -81,6 +81,7 @@ class Level:
     - `vertices`: of the mesh. `lam`: strength of its preconditioner.
     - `sky`: rows of the sky.
     - `views`: how many go into the gradient of a step.
+    - `texture`: width of a texture of the albedo, in texels; with 0 the albedo is at the vertices.
     """
 
     steps: int
@@ -89,8 +90,11 @@ class Level:
     views: int = 2
     lam: float = 4.0
     sky: int = 17
+    texture: int = 0
 
     def __post_init__(self):
+        if self.texture:
+            require(16 <= self.texture <= 8192, "texture", "must be 0, or between 16 and 8192", self.texture)
         for name, least in (("steps", 1), ("resolution", 8), ("vertices", 50), ("views", 1), ("sky", 3)):
             at_least(least, self, name)
         not_negative(self, "lam")
@@ -117,7 +121,7 @@ class Samples:
 @dataclass(frozen=True)
 class Report:
     """How often, in steps: `pictures` on the way, a `checkpoint`. `turntable`: its frames, 0 for none. `texture`: width
-    of the textures, in pixels."""
+    of the textures of `asset.glb` that hold what was found at vertices, in pixels."""
 
     pictures: int = 50
     checkpoint: int = 50
@@ -143,7 +147,7 @@ class Memory:
 
 LEVELS = (
     Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
-    Level(steps=220, resolution=200, vertices=12000, views=2, sky=33),
+    Level(steps=220, resolution=200, vertices=12000, views=2, sky=33, texture=512),
 )
 
 

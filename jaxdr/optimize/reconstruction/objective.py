@@ -106,9 +106,10 @@ def view_gradient(
 
 
 class Expected(NamedTuple):
-    """What the priors need: edges of the mesh, shares of the sphere of the light's rows, and its backdrop or zeros."""
+    """What the priors need: `neighbours`, rows of the albedo, that is, edges of the mesh or pairs of texels; shares of
+    the sphere of the light's rows, and its backdrop or zeros."""
 
-    edges: Int[Array, "E 2"]
+    neighbours: Int[Array, "E 2"]
     solid_angles: Float[Array, "H 1"]
     radiance: Float[Array, "H W 3"]
     weight: Float[Array, "H W"]
@@ -117,8 +118,8 @@ class Expected(NamedTuple):
 
 def prior_loss(unknowns: Unknowns, expected: Expected, weights: Priors) -> Float[Array, ""]:
     """The weighted sum of the priors: see `Priors`."""
-    albedo, light = reflectance(unknowns.albedo), unknowns.light
-    a, b = expected.edges[:, 0], expected.edges[:, 1]
+    albedo, light = reflectance(unknowns.albedo).reshape(-1, 3), unknowns.light
+    a, b = expected.neighbours[:, 0], expected.neighbours[:, 1]
     smooth = huber(albedo[a] - albedo[b], JUMP).mean()
     even = huber(light - jnp.roll(light, 1, axis=1), LAMP).mean() + huber(light[1:] - light[:-1], LAMP).mean()
     radiance = jnp.exp(light)

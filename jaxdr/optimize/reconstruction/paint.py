@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.reconstruction.atlas import Texels, covered, filled, interpolated
 from jaxdr.optimize.reconstruction.pictures import Cut, Photographs
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, Backdrop, columns_of, directions, solid_angles
 
@@ -13,17 +14,34 @@ LIFT = 1e-3  # of the longest side: visibility is asked for from so far above th
 GREY = 0.3  # mean albedo to start with, a common one; the light takes the rest
 DARKEST, BRIGHTEST = 0.03, 0.9  # albedo to start with
 ROWS = 9  # of the light that is solved for: shading of dull surfaces tells no more
-BLOCK = 256  # vertices at once
+BLOCK = 1 << 17  # points at once: of many texels and photographs colours take 400 MB
+DETAIL = 3.0  # most by which the paint that finer points show changes the albedo
 SMOOTH, ROUNDS = 0.03, 4  # weight of differences of neighbouring directions; rounds of reweighting
 
 
-def seen_colors(mesh: Mesh, photographs: Photographs) -> Float[np.ndarray, "V 3"]:
-    """Median colour of every vertex over the photographs that see it; of what none of them sees, that of the rest.
+def seen_colors(mesh: Mesh, photographs: Photographs, texels: Texels | None = None) -> Float[np.ndarray, "P 3"]:
+    """Median colour of every vertex, or of `texels`, over the photographs that see it; of what none sees, that of the
+    rest.
 
     Highlights are in few of them, so the median is the dull part.
     """
     points, normals = np.asarray(mesh.vertices, float), np.asarray(mesh.vertex_normals(), float)
+    if texels is not None:
+        points, normals = (interpolated(mesh, texels, values) for values in (points, normals))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     surface = _surface(mesh)
+    starts = range(0, len(points), BLOCK)
+    blocks = [(points[i : i + BLOCK], normals[i : i + BLOCK]) for i in starts]
+    colors = np.concatenate([_medians(surface, *block, photographs) for block in blocks])
+    known = np.isfinite(colors[:, 0])
+    colors[~known] = np.median(colors[known], axis=0) if known.any() else GREY
+    return colors
+
+
+def _medians(
+    surface, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], photographs: Photographs
+) -> Float[np.ndarray, "n 3"]:
+    """Median colour of points on the surface over the photographs that see them; NaN where none does."""
     seen = np.full((len(photographs), len(points), 3), np.nan, np.float32)
     for cut, shown in zip(photographs, seen, strict=True):
         height, width, _ = cut.color.shape
@@ -39,13 +57,28 @@ def seen_colors(mesh: Mesh, photographs: Photographs) -> Float[np.ndarray, "V 3"
             whole = np.minimum(cut.alpha, cut.trust)[row, column] > 0.99
             free, column, row = free[whole], column[whole], row[whole]
         shown[free] = cut.color[row, column]
-    known = np.isfinite(seen[..., 0]).any(0)
-    colors = np.full(points.shape, GREY)
-    if known.any():
-        for part in np.split(np.flatnonzero(known), range(BLOCK, int(known.sum()), BLOCK)):
-            colors[part] = np.nanmedian(seen[:, part], axis=0)  # it takes ten times the memory of its argument
-        colors[~known] = np.median(colors[known], axis=0)
-    return colors
+    seen.sort(axis=0)  # NaN last; `nanmedian` takes ten times the memory, and longer
+    count = np.isfinite(seen[..., 0]).sum(0)
+    below, above = (np.maximum(middle, 0)[None, :, None] for middle in ((count - 1) // 2, count // 2))
+    above = np.minimum(above, len(seen) - 1)
+    return 0.5 * (np.take_along_axis(seen, below, 0) + np.take_along_axis(seen, above, 0))[0].astype(float)
+
+
+def detailed(
+    albedo: Float[np.ndarray, "P 3"], seen: Float[np.ndarray, "P 3"], blurred: Float[np.ndarray, "P 3"]
+) -> Float[np.ndarray, "P 3"]:
+    """The albedo times what photographs show of points, relative to what coarser points could hold of that."""
+    seen, blurred = (np.maximum(colors, DARKEST) for colors in (seen, blurred))
+    return np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
+
+
+def painted(
+    mesh: Mesh, albedo: Float[np.ndarray, "V 3"], photographs: Photographs, size: int
+) -> Float[np.ndarray, "size size 3"]:
+    """The albedo at vertices as a texture with the detail that photographs show between them."""
+    texels = covered(mesh, size)
+    at_texels, blurred = (interpolated(mesh, texels, each) for each in (albedo, seen_colors(mesh, photographs)))
+    return filled(texels, detailed(at_texels, seen_colors(mesh, photographs, texels), blurred), size)
 
 
 def first_light_and_albedo(

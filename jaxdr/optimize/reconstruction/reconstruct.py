@@ -13,16 +13,15 @@ from jaxdr.optimize.checkpoint import Checkpoint, Place
 from jaxdr.optimize.devices import Device, chosen_devices
 from jaxdr.optimize.phase import finite
 from jaxdr.optimize.problem import views_of_step
-from jaxdr.optimize.processes import mesh_of_writer
 from jaxdr.optimize.progress import NotFinite
-from jaxdr.optimize.reconstruction.asset import require_xatlas
+from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
-from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, next_unknowns
+from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, mesh_of_level, next_unknowns
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
 from jaxdr.optimize.run import Say, Task, run
@@ -110,7 +109,7 @@ class ReconstructionTask(Task[Current]):
 
     def fresh(self) -> tuple[Stage, State]:
         level = self.config.levels[0]
-        mesh = mesh_of_writer(lambda: remesh_to(self.surface, level.vertices).smooth())
+        mesh = mesh_of_level(level, lambda: remesh_to(self.surface, level.vertices))
         unknowns = first_unknowns(self.config, self.photos, mesh)
         stage = make_stage(self.config, self.photos, 0, 0, mesh, self.devices)
         return stage, stage.fresh(unknowns)
@@ -118,12 +117,13 @@ class ReconstructionTask(Task[Current]):
     def restored(self, saved: Checkpoint) -> tuple[Stage, State]:
         """Stage and state of a checkpoint."""
         place = saved.place
-        mesh = Mesh(place.vertices, place.faces).smooth()
+        level = self.config.levels[place.level]
+        mesh = mesh_of_level(level, lambda: Mesh(place.vertices, place.faces))
         stage = make_stage(self.config, self.photos, place.level, place.start, mesh, self.devices)
-        rows = self.config.levels[place.level].sky
+        rows, points = level.sky, (level.texture, level.texture) if level.texture else (len(mesh.vertices),)
         template = Unknowns(
             mesh.vertices,
-            jnp.zeros((len(mesh.vertices), 3)),
+            jnp.zeros((*points, 3)),
             jnp.zeros((len(mesh.vertices), 1)),
             jnp.zeros((rows, 2 * (rows - 1), 3)),
             jnp.zeros((len(self.fitted), 3)),

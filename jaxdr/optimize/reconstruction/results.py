@@ -106,6 +106,7 @@ def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
             "h": view.height,
             "held_out": view.held_out,
         }
+        | ({"mask_path": str(view.mask.resolve())} if view.mask else {})
         for view in views
     ]
     folder.write_text("transforms.json", json.dumps({"frames": frames}, indent=1) + "\n")

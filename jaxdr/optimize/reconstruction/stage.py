@@ -1,6 +1,7 @@
 """A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,13 +14,14 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.devices import Device, Divided, divide
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.processes import mesh_of_writer
+from jaxdr.optimize.reconstruction.atlas import at_vertices, covered, neighbours, unwrapped
 from jaxdr.optimize.reconstruction.config import Level, ReconstructConfig
 from jaxdr.optimize.reconstruction.objective import Expected, Photograph, prior_loss, view_gradient
 from jaxdr.optimize.reconstruction.paint import (
-    BRIGHTEST,
-    DARKEST,
     ROWS,
+    detailed,
     first_light_and_albedo,
+    painted,
     seen_colors,
 )
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
@@ -40,7 +42,6 @@ from jaxdr.optimize.remesh import remesh_to
 
 FIRST_ROUGHNESS = 0.5
 DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
-DETAIL = 3.0  # most by which the paint that a finer mesh shows changes the albedo
 
 
 class Stage(NamedTuple):
@@ -112,21 +113,33 @@ def _expected(mesh: Mesh, backdrop: Backdrop | None, level: Level) -> Expected:
     if backdrop is None:
         nothing = np.zeros((level.sky, columns))
         backdrop = Backdrop(np.ones((level.sky, columns, 3)), nothing, nothing)
-    edges = jnp.asarray(mesh.edges.vertices, jnp.int32)
-    return Expected(edges, *(jnp.asarray(x, float) for x in (angles, *backdrop)))
+    pairs = neighbours(covered(mesh, level.texture), level.texture) if level.texture else mesh.edges.vertices
+    return Expected(jnp.asarray(pairs, jnp.int32), *(jnp.asarray(x, float) for x in (angles, *backdrop)))
+
+
+def mesh_of_level(level: Level, make: Callable[[], Mesh]) -> Mesh:
+    """The mesh that the writing process makes, smooth, with texture coordinates if the level has a texture."""
+
+    def ready() -> Mesh:
+        mesh = make().smooth()
+        return unwrapped(mesh, level.texture) if level.texture else mesh
+
+    return mesh_of_writer(ready)
 
 
 def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> Unknowns:
     """The paint and the light that explain the dull colours that photographs show, half rough."""
-    count = len(mesh.vertices)
+    count, level = len(mesh.vertices), config.levels[0]
     radiance, albedo = first_light_and_albedo(mesh, seen_colors(mesh, photos.paint()), photos.backdrop(ROWS))
+    if level.texture:
+        albedo = painted(mesh, albedo, photos.paint(), level.texture)
     radiance = np.maximum(radiance, DIM * radiance.mean())
     roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
         np.asarray(mesh.vertices),
         _logit(albedo),
         np.full((count, 1), _logit(roughness)),
-        resampled(np.log(radiance), config.levels[0].sky),
+        resampled(np.log(radiance), level.sky),
         np.zeros((len(photos.views), 3)),
         np.zeros((len(photos.views), 6)),
     )
@@ -142,18 +155,27 @@ def next_unknowns(
 ) -> tuple[Mesh, Unknowns, str]:
     """(the mesh remeshed for a level, the unknowns carried over, why remeshing failed or nothing: then it is the same).
 
-    A finer mesh shows more of the paint: what photographs show of it, relative to what the old mesh could hold of that,
-    multiplies the albedo.
+    A finer mesh and a texture show more of the paint: what photographs show of it, relative to what the mesh before
+    could hold of that, multiplies the albedo.
     """
     level = config.levels[number]
     light = jnp.asarray(resampled(np.asarray(unknowns.light), level.sky), float)
+    albedo, roughness = unknowns.albedo, unknowns.roughness
+    if albedo.ndim == 3:
+        albedo = at_vertices(mesh, albedo)
+    photographs = partial(photos.paint, unknowns.cameras if "cameras" in config.unknown else None)
+    problem = ""
     try:
-        new = mesh_of_writer(lambda: remesh_to(mesh, level.vertices).smooth())
-    except ValueError as problem:
-        return mesh, unknowns._replace(light=light), str(problem)
-    paint = photos.paint(unknowns.cameras if "cameras" in config.unknown else None)
-    old_seen, seen = (np.maximum(seen_colors(each, paint), DARKEST) for each in (mesh, new))
-    albedo, roughness, blurred = carried(mesh, new, reflectance(unknowns.albedo), unknowns.roughness, old_seen)
-    albedo = np.clip(albedo * np.clip(seen / blurred, 1 / DETAIL, DETAIL), DARKEST, BRIGHTEST)
-    values = (new.vertices, _logit(albedo), roughness, light, unknowns.exposure, unknowns.cameras)
-    return new, Unknowns(*(jnp.asarray(value, float) for value in values)), ""
+        new = mesh_of_level(level, lambda: remesh_to(mesh, level.vertices))
+    except ValueError as refused:
+        problem, new = str(refused), mesh
+        if level.texture:
+            new = mesh_of_level(level, lambda: mesh)
+    else:
+        old_seen, seen = (seen_colors(each, photographs()) for each in (mesh, new))
+        albedo, roughness, blurred = carried(mesh, new, reflectance(jnp.asarray(albedo)), roughness, old_seen)
+        albedo = _logit(detailed(albedo, seen, blurred))
+    if level.texture:
+        albedo = _logit(painted(new, np.asarray(reflectance(jnp.asarray(albedo))), photographs(), level.texture))
+    values = (new.vertices, albedo, roughness, light, unknowns.exposure, unknowns.cameras)
+    return new, Unknowns(*(jnp.asarray(value, float) for value in values)), problem

@@ -17,20 +17,22 @@ from jaxdr.optimize.reconstruction.sky import environment
 from jaxdr.scene.bsdf import Principled
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.scene import Scene, Shape
-from jaxdr.scene.textures import VertexColors
+from jaxdr.scene.textures import Bitmap, VertexColors
 
 OBJECT = "object"
 ROUGHEST, SMOOTHEST = 1.0, 0.05
 
 
 class Unknowns(NamedTuple):
-    """Vertices; logits of albedo and roughness at them; logarithms of the light and of the exposures of N photographs.
+    """Vertices; logits of albedo and roughness; logarithms of the light and of the exposures of N photographs.
 
-    `cameras`: corrections of their poses, see `cameras.corrected`; shifts are in units of the object's longest side.
+    `albedo` is at the vertices [V, 3], or a texture [S, S, 3] over the texture coordinates of the mesh. `roughness` is
+    at the vertices: highlights tell of it, which are few and large, so it has to be smooth. `cameras`: corrections of
+    their poses, see `cameras.corrected`; shifts are in units of the object's longest side.
     """
 
     vertices: Float[Array, "V 3"]
-    albedo: Float[Array, "V 3"]
+    albedo: Float[Array, "*P 3"]
     roughness: Float[Array, "V 1"]
     light: Float[Array, "H W 3"]
     exposure: Float[Array, "N 3"]
@@ -44,7 +46,7 @@ class State(NamedTuple):
     optimizer: optax.OptState
 
 
-def reflectance(logits: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
+def reflectance(logits: Float[Array, "*P 3"]) -> Float[Array, "*P 3"]:
     """Albedo in (0, 1)."""
     return jax.nn.sigmoid(logits)
 
@@ -56,9 +58,9 @@ def roughness_of(logits: Float[Array, "V 1"]) -> Float[Array, " V"]:
 
 def scene_of(mesh: Mesh, unknowns: Unknowns, camera: Camera) -> Scene:
     """The scene: an object of a principled material that is no metal, under a sky."""
-    bsdf = Principled(
-        VertexColors(reflectance(unknowns.albedo)), 0.0, VertexColors(roughness_of(unknowns.roughness)[:, None])
-    )
+    albedo = reflectance(unknowns.albedo)
+    paint = VertexColors(albedo) if albedo.ndim == 2 else Bitmap(albedo)
+    bsdf = Principled(paint, 0.0, VertexColors(roughness_of(unknowns.roughness)[:, None]))
     shape = Shape(mesh.with_vertices(unknowns.vertices), bsdf)
     return Scene({OBJECT: shape}, camera, environment(unknowns.light))
 

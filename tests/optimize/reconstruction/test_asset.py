@@ -1,4 +1,4 @@
-"""The asset: textures over an atlas, and a GLB that looks in `load_gltf` as the vertex colours did."""
+"""The asset: a GLB that looks in `load_gltf` as vertex colours and textures did."""
 
 import json
 
@@ -10,7 +10,8 @@ import trimesh
 import jaxdr as jd
 from jaxdr.geometry import shapes
 from jaxdr.images import from_srgb
-from jaxdr.optimize.reconstruction.asset import bake, unwrap, write_glb
+from jaxdr.optimize.reconstruction.asset import write_glb
+from jaxdr.optimize.reconstruction.atlas import bake, unwrapped
 from jaxdr.scene.camera import look_at
 
 pytest.importorskip("xatlas")
@@ -21,24 +22,6 @@ def painted():
     points = np.asarray(mesh.vertices, float)
     albedo = 0.4 + 0.5 * points * [1, -1, 0.5]
     return mesh, albedo, 0.5 + 0.4 * points[:, 2]
-
-
-def test_charts_do_not_overlap_and_textures_are_what_the_vertices_say():
-    mesh, albedo, _ = painted()
-    atlas, size = unwrap(mesh), 256
-    assert (np.asarray(mesh.faces) == atlas.vertices[atlas.faces]).all()
-    assert 0 <= atlas.uvs.min() and atlas.uvs.max() <= 1
-    corners = atlas.uvs[atlas.faces]
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    assert np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum() / 2 < 1
-    texture = bake(atlas, albedo, size)
-    # At the middle of every face, (0, 0) at the lower left.
-    middle = corners.mean(1)
-    row, column = ((1 - middle[:, 1]) * size).astype(int), (middle[:, 0] * size).astype(int)
-    wanted = albedo[np.asarray(mesh.faces)].mean(1)
-    np.testing.assert_allclose(texture[row, column], wanted, atol=0.02)
-    # Beyond the charts the nearest values go on.
-    assert texture.min() > 0.1 and texture.max() < 0.7
 
 
 def test_the_file_has_textures_normals_and_its_place(tmp_path):
@@ -57,10 +40,16 @@ def test_the_file_has_textures_normals_and_its_place(tmp_path):
     assert len(header["meshes"]) == 1 and "extensionsRequired" not in header
 
 
-def test_it_looks_as_the_vertex_colours_did(tmp_path):
+@pytest.mark.parametrize("textured", [False, True])
+def test_it_looks_as_the_paint_did(tmp_path, textured):
     mesh, albedo, roughness = painted()
+    paint = jd.VertexColors(albedo)
+    if textured:
+        mesh = unwrapped(mesh, 256)
+        albedo = bake(mesh, albedo, 256)
+        paint = jd.Bitmap(albedo)
     write_glb(tmp_path / "asset.glb", mesh, albedo, roughness, 256)
-    bsdf = jd.Principled(jd.VertexColors(albedo), 0.0, jd.VertexColors(roughness[:, None]))
+    bsdf = jd.Principled(paint, 0.0, jd.VertexColors(roughness[:, None]))
     camera = jd.Perspective(look_at((0.5, -2, 0.7), (0, 0, 0), (0, 0, 1)), 35.0, jd.Film(32, 32))
     loaded = jd.load_gltf(tmp_path / "asset.glb", width=32)
     tracer, key = jd.PathTracer(max_depth=2, boundary=None), jax.random.key(0)
@@ -73,4 +62,4 @@ def test_it_looks_as_the_vertex_colours_did(tmp_path):
 def test_without_xatlas_its_remedy_is_said(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
     with pytest.raises(ImportError, match=r"jaxdr\[reconstruct\]"):
-        unwrap(painted()[0])
+        unwrapped(painted()[0], 64)

@@ -26,7 +26,7 @@ TABLE = {
     "samples": {"image": 1, "gradient": 1, "pictures": 4},
     "levels": [
         {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 1, "sky": 3},
-        {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 2, "sky": 3},
+        {"steps": 2, "resolution": SIZE, "vertices": 60, "views": 2, "sky": 3, "texture": 32},
     ],
     "report": {"checkpoint": 3, "pictures": 3, "texture": 32, "turntable": 2},
 }

@@ -106,10 +106,10 @@ def test_noise_does_not_move_the_minimum():
 
 
 def expected(weight=0.0, radiance=1.0, clipped=0.0) -> Expected:
-    edges = jnp.asarray([[0, 1], [1, 2]], jnp.int32)
+    pairs = jnp.asarray([[0, 1], [1, 2]], jnp.int32)
     full = jnp.ones((3, 4))
     return Expected(
-        edges,
+        pairs,
         jnp.asarray(solid_angles(3), float),
         jnp.full((3, 4, 3), radiance),
         weight * full,

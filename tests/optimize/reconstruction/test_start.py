@@ -9,8 +9,9 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry import shapes
+from jaxdr.optimize.reconstruction.atlas import covered, interpolated, unwrapped
 from jaxdr.optimize.reconstruction.hull import initial_surface
-from jaxdr.optimize.reconstruction.paint import first_light_and_albedo, seen_colors
+from jaxdr.optimize.reconstruction.paint import first_light_and_albedo, painted, seen_colors
 from jaxdr.optimize.reconstruction.pictures import Pose, cuts
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, directions, solid_angles
 from jaxdr.scene.camera import look_at
@@ -117,6 +118,22 @@ def test_paint_is_what_the_photographs_show():
     upper, lower = colors[z > 0.08], colors[z < -0.08]
     np.testing.assert_allclose(upper, np.broadcast_to([0.6, 0.2, 0.1], upper.shape), atol=0.01)
     np.testing.assert_allclose(lower, np.broadcast_to([0.1, 0.2, 0.6], lower.shape), atol=0.01)
+
+
+def test_a_texture_shows_paint_between_the_vertices():
+    pytest.importorskip("xatlas")
+
+    def paint(point):  # rings that are finer than the mesh
+        return np.full(3, 0.6 if np.sin(20 * np.arcsin(np.clip((point[2] - CENTRE[2]) / RADIUS, -1, 1))) > 0 else 0.3)
+
+    mesh = unwrapped(shapes.sphere(2, radius=0.5).smooth(), 128)
+    photographs = cuts(all_around(paint=paint), Pose(CENTRE, 2 * RADIUS), 64)
+    at_vertices = seen_colors(mesh, photographs)
+    texels = covered(mesh, 128)
+    wanted = np.apply_along_axis(paint, 1, CENTRE + 2 * RADIUS * interpolated(mesh, texels, np.asarray(mesh.vertices)))
+    texture = painted(mesh, at_vertices, photographs, 128).reshape(-1, 3)[texels.index]
+    coarse = interpolated(mesh, texels, at_vertices)
+    assert np.abs(texture - wanted).mean() < 0.4 * np.abs(coarse - wanted).mean()
 
 
 def test_what_no_photograph_shows_gets_the_colour_of_the_rest():
