@@ -15,8 +15,10 @@ from jaxdr.cli import main
 from jaxdr.optimize.progress import Interrupted, Stopped
 from jaxdr.optimize.reconstruction import reconstruct
 from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
+from jaxdr.optimize.reconstruction.output import OutputFolder
+from jaxdr.optimize.reconstruction.results import save_cameras
 from jaxdr.views import pictures
-from tests.views.folders import SIZE, tell_apart, write_nerf
+from tests.views.folders import SIZE, tell_apart, write_colmap, write_nerf
 
 for package in ("gpytoolbox", "skimage", "xatlas"):
     pytest.importorskip(package)
@@ -200,3 +202,14 @@ def test_cameras_are_corrected_and_written(tmp_path):
     found = jd.load_views(output)
     for before, after in zip(given.views, found.views, strict=True):
         assert (np.abs(before.to_world - after.to_world).max() > 1e-4) != before.held_out
+
+
+def test_masks_are_named_for_those_who_read_the_result_again(tmp_path):
+    views = jd.load_views(write_colmap(tmp_path / "photos"))
+    assert views.masked and views.views[0].mask is not None
+    folder = OutputFolder(config(tmp_path / "photos", tmp_path / "out"))
+    folder.path.mkdir()
+    save_cameras(folder, views.views)
+    again = jd.load_views(tmp_path / "out")
+    for one, other in zip(views.views, again.views, strict=True):
+        assert other.mask == one.mask and (other.alpha == one.alpha).all()
