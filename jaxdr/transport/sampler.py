@@ -42,8 +42,9 @@ def lattice(
     return _to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
 
 
-def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, ""] | int, dtype=jnp.float32):
-    """Four uniform numbers for every path at a bounce, [n, 4], which do not depend on the path's row.
+def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, "*#n"] | int, dtype=jnp.float32):
+    """Four uniform numbers for every path at a bounce, or at a bounce of its own, [n, 4]; they do not depend on the
+    path's row.
 
     They are a hash of the path's number, the bounce and two words from the key.
     """

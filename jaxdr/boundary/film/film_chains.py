@@ -25,8 +25,10 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from jaxdr import loops
 from jaxdr.boundary.shared.allocation import allocate, capacity, pixel_importance, shares
 from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.shared.edge_reservoir import Bundles, EdgeTable, draw_edges, edge_table, may_cross, passes, volume
+from jaxdr.boundary.shared.edge_table import edge_table
 from jaxdr.boundary.shared.term import Chunk, Context, streams
+from jaxdr.geometry.bundles import Bundles, may_cross, passes, volume
+from jaxdr.geometry.queries import EdgeTable, draw_edges
 from jaxdr.geometry.vector import corners, from_components, norm, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import Camera, View
@@ -43,6 +45,7 @@ FLOOR = 0.2  # importance that every pixel keeps, relative to the mean
 STEPS = 5  # of Newton's method
 CONVERGED = 1e-3  # pixels: largest last step of Newton's method, and largest distance between equal solutions
 TRIALS = 256  # at most; a warning reports crossings that need more
+PLACES, LEAST_PLACES = 16, 4096  # a round makes one trial for every 16 chords, and at least so many
 NEAR = 1e-3  # a hit beside an edge may be nearer than the edge by this share of the distance
 CONTACT = 4e-5  # an edge nearer than this share of the coordinates belongs to the mirror itself
 BESIDE_ON_FILM = 2e-5  # distance of both rays from the edge, as a share of the film's larger side
@@ -94,7 +97,8 @@ def edges_of_chains(packed: PackedScene, moving: tuple[bool, ...], rays: str) ->
 class Jumps(NamedTuple):
     """Points of the film at which the image jumps; detached.
 
-    `weight` is the weight of the crossing over |∂g/∂x|. `faces` are those that the chain hits.
+    `weight` is the weight of the crossing over |∂g/∂x|, zero where there is no jump. `faces` are those that the chain
+    hits.
     """
 
     crossings: ChainCrossings
@@ -143,11 +147,11 @@ class FilmChains:
 
         def find(slots, number):
             crossings, valid = slots
-            key = jax.random.fold_in(key_trials, number[0])
-            return _jumps(packed, state, crossings, valid & (number < used), key, settings)
+            return _jumps(packed, state, crossings, valid & (number < used), settings)
 
         jumps, one, two = map_over_blocks(find, slots, used)
-        return joined([one, two]), (jumps, used)
+        trials = _trials(packed, state, jumps, key_trials, settings)  # 1 / P
+        return joined([one, two]), (jumps._replace(weight=jumps.weight * trials), used)
 
     def image(self, context: Context, state, chunk: Chunk, held, answers: Answers | None) -> Float[Array, "H W 3"]:
         """Jumps x normal velocities."""
@@ -203,7 +207,8 @@ def _candidates(
     segments = settings.max_depth - 1
     seeds = jax.random.bits(key_seed, (segments, count), jnp.uint32)
     rows = jax.tree.map(lambda x: x[1:].reshape(segments * count, *x.shape[2:]), (bundles, chain.reached))
-    found = draw_edges(table, rows[0], rows[1], seeds.reshape(-1), REACH)
+    reached = rows[0]._replace(end=jnp.where(rows[1], rows[0].end, 0.0))
+    found = draw_edges(table, reached, seeds.reshape(-1), REACH, settings.rays)
     found = jax.tree.map(lambda x: x.reshape(segments, count), found)
     # Choose one of the segments, in proportion to the importance of its candidates.
     cumulative = jnp.cumsum(found.total, 0)
@@ -274,27 +279,44 @@ def _find(detached, table: EdgeTable, crossings: ChainCrossings, settings) -> Fo
     return Found(chords.centre + scale(chords.towards, t), valid)
 
 
-def _trials(detached, table, crossings: ChainCrossings, target: Found, key, settings) -> Float[Array, " C"]:
-    """How many random centres on each chord it takes until one finds `target`: 1 / P on average."""
-    chords = crossings.chords
+def _trials(detached, table, jumps: Jumps, key, settings) -> Float[Array, " C"]:
+    """How many random centres on a chord it takes until one finds its jump: 1 / P on average. 0 where there is none.
 
-    def unfinished(state):
-        number, done, _ = state
-        return (number < TRIALS) & ~done.all()
+    Most chords need a few trials, some need hundreds. So the trials of a round are made for those chords alone that
+    have not found their jump. When few are left, each of them makes several trials at once.
+    """
+    valid = jumps.weight > 0
+    count, dtype = valid.shape[0], jumps.weight.dtype
+    places = min(count, max(count // PLACES, LEAST_PLACES))
+    place = jnp.arange(places)
+
+    def searching(trials, found):
+        return valid & ~found & (trials < TRIALS)
 
     def trial(state):
-        number, done, count = state
-        u = uniform(jax.random.fold_in(key, number), done.shape, target.film_point.dtype)
-        centre = target.film_point + scale(chords.towards, REACH * (2 * u - 1))
-        again = _find(detached, table, crossings._replace(chords=chords._replace(centre=centre)), settings)
-        same = again.valid & (norm(again.film_point - target.film_point) < CONVERGED)
-        return number + 1, done | same, count + ~done
+        trials, found = state
+        left = searching(trials, found)
+        several = jnp.clip(places // jnp.maximum(left.sum(), 1), 1, TRIALS)
+        (rows,) = jnp.nonzero(left, size=places, fill_value=0)
+        rank, ahead = place // several, place % several
+        row = rows[rank]
+        number = trials[row] + ahead
+        crossings, x = jax.tree.map(lambda table: table[row], (jumps.crossings, jumps.film_point))
+        u = path_numbers(key, row, number, dtype)[:, 0]
+        centre = x + scale(crossings.chords.towards, REACH * (2 * u - 1))
+        again = _find(detached, table, crossings._replace(chords=crossings.chords._replace(centre=centre)), settings)
+        same = again.valid & (norm(again.film_point - x) < CONVERGED) & (number < TRIALS)
+        first = jnp.full(places, several).at[rank].min(jnp.where(same, ahead, several))
+        worked = place < jnp.minimum(left.sum(), places // several)
+        target = jnp.where(worked, rows, count)  # out of range: nothing is written
+        done = jnp.minimum(trials[rows] + jnp.minimum(first + 1, several), TRIALS)
+        return trials.at[target].set(done, mode="drop"), found.at[target].set(first < several, mode="drop")
 
-    nothing = jnp.zeros_like(crossings.weight)
-    _, done, count = loops.while_loop(unfinished, trial, (jnp.int32(0), ~target.valid, nothing))
-    lost = (~done).sum()
-    loops.cond(lost > 0, lambda: jax.debug.callback(_report, lost, target.valid.sum()), lambda: None)
-    return count
+    start = jnp.zeros(count, jnp.int32), jnp.zeros(count, bool)
+    trials, found = loops.while_loop(lambda state: searching(*state).any(), trial, start)
+    lost = (valid & ~found).sum()
+    loops.cond(lost > 0, lambda: jax.debug.callback(_report, lost, valid.sum()), lambda: None)
+    return trials.astype(dtype)
 
 
 def _report(lost, total):
@@ -318,10 +340,8 @@ def _volume(packed, crossings: ChainCrossings, film_point, faces, settings) -> F
     return volume(origin, direction, start, end - start)
 
 
-def _jumps(
-    packed, table: EdgeTable, crossings: ChainCrossings, valid, key, settings
-) -> tuple[Jumps, Requests, Requests]:
-    """(where chords cross edges, requests for the radiance on both sides)."""
+def _jumps(packed, table: EdgeTable, crossings: ChainCrossings, valid, settings) -> tuple[Jumps, Requests, Requests]:
+    """(where chords cross edges, requests for the radiance on both sides). The factor 1 / P is not in the weights."""
     chords = crossings.chords
     found = _find(packed, table, crossings, settings)
     valid = valid & found.valid
@@ -339,9 +359,8 @@ def _jumps(
     step = scale(gradient, BESIDE_ON_FILM * max(packed.camera.film.width, packed.camera.film.height) / steepness)
     sides = jax.vmap(lambda x: _side(packed, table, crossings, view, x, settings))(jnp.stack([x - step, x + step]))
     valid = valid & sides.valid.all(0) & (sides.volume[0] < 0) & (sides.volume[1] > 0)
-    trials = _trials(packed, table, crossings, Found(x, valid), key, settings)
     # (pi / 2) k / p, with k = 1 / (2 r P).
-    weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight * trials
+    weight = 0.25 * math.pi / REACH * chords.inverse * crossings.weight
     jumps = Jumps(crossings, x, jnp.where(valid, weight / steepness, 0.0), faces.T)
     one, two = (
         request(

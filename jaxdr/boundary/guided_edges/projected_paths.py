@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr import loops
 from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments, lines_past
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, LunePoints, passing
-from jaxdr.boundary.shared.edge_reservoir import passes
 from jaxdr.boundary.shared.face_neighbours import connect_faces
 from jaxdr.geometry import queries
+from jaxdr.geometry.bundles import passes
 from jaxdr.geometry.vector import dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where

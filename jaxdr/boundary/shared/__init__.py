@@ -6,7 +6,7 @@
   background.
 - `sampled_arcs`: kernels along arcs of directions.
 - `emitter_planes`, `face_neighbours`: which emitting faces lie in one plane, and which faces meet at an edge.
-- `texture_jumps`, `folds`, `edge_reservoir`: which edges count.
+- `texture_jumps`, `folds`, `edge_table`: which edges count.
 - `blocks`, `allocation`: spend work where it is needed.
 - `refusals`: what an estimator does not cover.
 """

@@ -10,6 +10,7 @@ from jaxdr.geometry.queries.api import ANSWER as ANSWER
 from jaxdr.geometry.queries.api import CHOICES as CHOICES
 from jaxdr.geometry.queries.api import IMPLEMENTATIONS as IMPLEMENTATIONS
 from jaxdr.geometry.queries.api import closest_hit as closest_hit
+from jaxdr.geometry.queries.api import draw_edges as draw_edges
 from jaxdr.geometry.queries.api import edge_candidates as edge_candidates
 from jaxdr.geometry.queries.api import edge_tree as edge_tree
 from jaxdr.geometry.queries.api import occluded as occluded
@@ -21,8 +22,10 @@ from jaxdr.geometry.queries.records import BESIDE as BESIDE
 from jaxdr.geometry.queries.records import NO_GROUP as NO_GROUP
 from jaxdr.geometry.queries.records import UNBOUNDED as UNBOUNDED
 from jaxdr.geometry.queries.records import Candidates as Candidates
+from jaxdr.geometry.queries.records import DrawnEdges as DrawnEdges
 from jaxdr.geometry.queries.records import EdgePoints as EdgePoints
 from jaxdr.geometry.queries.records import EdgeSet as EdgeSet
+from jaxdr.geometry.queries.records import EdgeTable as EdgeTable
 from jaxdr.geometry.queries.records import Geometry as Geometry
 from jaxdr.geometry.queries.records import Hit as Hit
 from jaxdr.geometry.queries.records import Lines as Lines

@@ -14,16 +14,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Int, UInt32
 
+from jaxdr.geometry.bundles import Bundles
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 from jaxdr.geometry.queries.batches import asked
 from jaxdr.geometry.queries.embree import scene as embree_scene
 from jaxdr.geometry.queries.jax import queries as jax_queries
 from jaxdr.geometry.queries.records import (
     Candidates,
+    DrawnEdges,
     EdgePoints,
     EdgeSet,
+    EdgeTable,
     Geometry,
     Hit,
     Lines,
@@ -157,6 +160,19 @@ def point_candidates(
     query = _module(implementation).point_candidates
     options = {"capacity": capacity, "both_sides": both_sides}
     return Candidates(*_asked(query, (geometry, edges, points, strips, seed), **options))
+
+
+def draw_edges(
+    table: EdgeTable, bundles: Bundles, seed: UInt32[Array, " N"], reach: float, implementation: str = "auto"
+) -> DrawnEdges:
+    """For each bundle one of the edges that it may cross within `reach`, drawn in proportion to their importance.
+
+    The importance is 1 for silhouettes, and that of the table for other edges. Candidates go through a reservoir (Chao
+    1982) whose random numbers come from `seed`, so there is no list that could overflow.
+    """
+    query = _module(implementation).draw_edges
+    edge, *rest = _asked(query, (table,), (bundles, seed), reach=reach)
+    return DrawnEdges(edge, *(x.astype(bundles.end.dtype) for x in rest))
 
 
 def sector_crossings(

@@ -95,6 +95,24 @@ class SectorQuery(NamedTuple):
     group: Int[Array, " N"]
 
 
+class EdgeTable(NamedTuple):
+    """Edges at which what a ray sees may jump; detached. `importance` is that of a crease; zero leaves an edge out."""
+
+    ends: Float[Array, "E 2 3"]
+    normals: Float[Array, "E 2 3"]
+    interior: Bool[Array, " E"]
+    importance: Float[Array, " E"]
+    tree: EdgeTree
+
+
+class DrawnEdges(NamedTuple):
+    """For each bundle an edge, its importance, and the sum over all candidates: zero if there is none."""
+
+    edge: Int[Array, " N"]
+    importance: Float[Array, " N"]
+    total: Float[Array, " N"]
+
+
 class Hit(NamedTuple):
     """Nearest hit: `face`, -1 on a miss; ray parameter `t`, huge on a miss; barycentric coordinates in the face.
 

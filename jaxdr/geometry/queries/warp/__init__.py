@@ -1,7 +1,7 @@
 """Queries by Warp, on CPU and CUDA.
 
 `queries` has one function for each query. It finds the structures over faces in `structures` (kept by content, refitted
-by `tree_kernels`), and launches `kernels` and `sector_kernels` by `launch`, which slices batches over threads on CPUs.
-`records` passes JAX's arrays to the kernels as structs. Kernels are written in Warp's language, so type checkers skip
-this folder.
+by `tree_kernels`), and launches `kernels`, `sector_kernels` and `bundle_kernels` by `launch`, which slices batches
+over threads on CPUs. `records` passes JAX's arrays to the kernels as structs. Kernels are in Warp's language, so type
+checkers skip this folder.
 """

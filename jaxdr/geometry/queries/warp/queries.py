@@ -14,7 +14,7 @@ import warp as wp
 
 from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.queries.bvh_cache import HostArrays
-from jaxdr.geometry.queries.warp import kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp import bundle_kernels, kernels, records, sector_kernels, tree_kernels
 from jaxdr.geometry.queries.warp.device_arrays import number_above
 from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
 from jaxdr.geometry.queries.warp.records import Call, Numbers
@@ -182,6 +182,25 @@ def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides
     options, dims = jnp.stack([seed, jnp.int32(both_sides)]), [capacity, capacity, 1, 1]
     *lists, count, weight = _point_candidates_call(geometry, edges, points, strips, options, dims=dims)
     return *lists, count[0], weight[0]
+
+
+def _draw_edges(table, tree, bundles, seed, reach, edge, importance, total):
+    rest = [table, tree, bundles, seed, reach, edge, importance, total]
+    launch(bundle_kernels.draw_edges, bundles.end.shape[0], [], rest, edge.device)
+
+
+_draw_edges_call = Call(
+    _draw_edges,
+    [records.EdgeTable, records.EdgeTree, records.Bundles, Numbers, REAL],
+    [WHOLE, REAL, REAL],
+    bundle_kernels,
+)
+
+
+def draw_edges(table, bundles, seed, reach):
+    """(edge, importance, total) for each bundle: see `queries.draw_edges`."""
+    n = bundles.end.shape[0]
+    return _draw_edges_call(table, table.tree, bundles, seed, jnp.full(1, reach, jnp.float32), dims=[n, n, n])
 
 
 def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):

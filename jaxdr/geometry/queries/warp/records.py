@@ -60,6 +60,23 @@ class StripQuery:
 
 
 @wp.struct
+class EdgeTable:
+    ends: wp.array2d(dtype=wp.vec3)
+    normals: wp.array2d(dtype=wp.vec3)
+    interior: wp.array(dtype=int)
+    importance: wp.array(dtype=float)
+
+
+@wp.struct
+class Bundles:
+    origin: wp.array(dtype=wp.vec3)
+    direction: wp.array(dtype=wp.vec3)
+    origin_rate: wp.array(dtype=wp.vec3)
+    direction_rate: wp.array(dtype=wp.vec3)
+    end: wp.array(dtype=float)
+
+
+@wp.struct
 class SectorQuery:
     apex: wp.array(dtype=wp.vec3)
     first: wp.array(dtype=wp.vec3)

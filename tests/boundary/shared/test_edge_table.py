@@ -7,7 +7,9 @@ import pytest
 
 import jaxdr as jd
 from jaxdr import sizes
-from jaxdr.boundary.shared.edge_reservoir import Bundles, draw_edges, edge_table, may_cross
+from jaxdr.boundary.shared.edge_table import edge_table
+from jaxdr.geometry.bundles import Bundles, may_cross
+from jaxdr.geometry.queries import draw_edges
 from jaxdr.geometry.shapes import displaced_sphere
 from jaxdr.scene.packed import pack
 
@@ -43,8 +45,8 @@ def importances(table, bundles):
     return np.asarray(jnp.where(crosses & (table.importance > 0), jnp.where(silhouette, 1.0, table.importance), 0.0))
 
 
-@pytest.mark.parametrize("platform", ["cpu", "gpu"])
-def test_all_candidates_and_each_as_often_as_it_should(platform, monkeypatch):
+@pytest.mark.parametrize(("rays", "platform"), [("warp", "cpu"), ("jax", "cpu"), ("jax", "gpu")])
+def test_all_candidates_and_each_as_often_as_it_should(rays, platform, monkeypatch):
     """In two blocks, and in one as on a GPU."""
     monkeypatch.setattr(sizes, "platform", lambda: platform)
     packed, bundles = scene_and_bundles()
@@ -54,7 +56,8 @@ def test_all_candidates_and_each_as_often_as_it_should(platform, monkeypatch):
     rows = np.repeat(np.arange(BUNDLES), COPIES)
     active, bundles = jnp.asarray(rows % 7 != 0), jax.tree.map(lambda x: x[rows], bundles)
     seed = jax.random.bits(jax.random.key(0), rows.shape, jnp.uint32)
-    found = jax.tree.map(np.asarray, draw_edges(table, bundles, active, seed, REACH))
+    bundles = bundles._replace(end=jnp.where(active, bundles.end, 0.0))
+    found = jax.tree.map(np.asarray, draw_edges(table, bundles, seed, REACH, rays))
     some = found.total > 0
     np.testing.assert_array_equal(some, np.asarray(active) & (expected.sum(1) > 0)[rows])
     np.testing.assert_allclose(found.total[some], expected.sum(1)[rows][some], rtol=1e-5)
