@@ -227,7 +227,7 @@ THING = jd.Shape(tetrahedron([0, 0, 0], 0.5), BLACK)
 def test_through_an_interface(name, motion):
     """Glass fills all that is below; its index or its slope changes where an object in it is seen."""
     scene = jd.Scene({"glass": jd.Shape(WEDGE, GLASS), "object": THING}, above(), SKY)
-    check(gradients(scene, name, motion, 2, 32), differences(scene, name, motion, 2, 12, step=1e-2))
+    check(gradients(scene, name, motion, 2, 32), differences(scene, name, motion, 2, 64, step=1e-2))
 
 
 @pytest.mark.slow
@@ -246,5 +246,5 @@ def test_through_glass(kind):
     scene = jd.Scene(shapes | {"object": THING}, above(), SKY)
     depth = {"slab": 4, "pane": 2, "bump": 4}[kind]
     motion = [1.0, 0.3, 0.2]
-    found = gradients(scene, "object.vertices", motion, depth, 32)
+    found = gradients(scene, "object.vertices", motion, depth, 64)
     check(found, differences(scene, "object.vertices", motion, depth, 16))
