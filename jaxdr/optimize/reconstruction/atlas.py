@@ -113,8 +113,7 @@ def require_xatlas() -> Any:
 
 
 def _coordinates(mesh: Mesh) -> tuple[Float[np.ndarray, "T 2"], Int[np.ndarray, "F 3"]]:
-    if mesh.uvs is None:
-        raise ValueError("atlas: the mesh has no texture coordinates; call `unwrapped` first")
+    assert mesh.uvs is not None  # `unwrapped` gives some
     return np.asarray(mesh.uvs, float), np.asarray(mesh.uv_faces)
 
 

@@ -94,7 +94,7 @@ class Level:
 
     def __post_init__(self):
         if self.texture:
-            require(16 <= self.texture <= 8192, "texture", "must be 0, or between 16 and 8192", self.texture)
+            require(16 <= self.texture <= 8192, "texture", "must be between 16 and 8192, or 0", self.texture)
         for name, least in (("steps", 1), ("resolution", 8), ("vertices", 50), ("views", 1), ("sky", 3)):
             at_least(least, self, name)
         not_negative(self, "lam")

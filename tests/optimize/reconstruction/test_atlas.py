@@ -74,8 +74,3 @@ def test_neighbours_stay_inside_of_charts(mesh):
     assert PADDING > 1 and len(pairs) > 2 * len(points)
     distance = np.linalg.norm(one - other, axis=1)
     assert distance.max() < 6 * np.median(distance)
-
-
-def test_without_texture_coordinates_their_remedy_is_said():
-    with pytest.raises(ValueError, match="unwrapped"):
-        covered(MESH, SIZE)
