@@ -179,6 +179,17 @@ def test_in_strips_of_a_mirror(monkeypatch):
     assert 0.2 < (found.mean * truth.mean).sum() / (truth.mean**2).sum() < 0.8
 
 
+def test_it_does_not_matter_how_many_trials_are_made_at_once(monkeypatch):
+    scene = before_a_mirror(louvre())
+    expected = gradients(scene, "object.vertices", MOTION, 2, 1, spp=4)
+    monkeypatch.setattr(film_chains, "PLACES", 1 << 20)
+    monkeypatch.setattr(film_chains, "LEAST_PLACES", 48)
+    jax.clear_caches()
+    found = gradients(scene, "object.vertices", MOTION, 2, 1, spp=4)
+    assert np.abs(expected.each).max() > 0
+    np.testing.assert_allclose(found.each, expected.each, rtol=1e-4, atol=1e-5 * np.abs(expected.each).max())
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:jaxdr. the derivative lacks")
 @pytest.mark.parametrize("boundary", [jd.KernelDensity(), jd.LineSampling()], ids=lambda b: type(b).__name__)
