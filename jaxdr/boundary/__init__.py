@@ -10,6 +10,7 @@ baselines. To add an estimator, add a folder and a line here.
 from collections.abc import Callable
 from typing import Any
 
+from jaxdr.boundary.baselines.markov_chains import MarkovChains
 from jaxdr.boundary.baselines.quadric_sampling import QuadricSampling
 from jaxdr.boundary.baselines.redner_was import RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges
@@ -22,6 +23,7 @@ ESTIMATORS: dict[str, Callable[..., Any]] = {
     "GuidedEdges": GuidedEdges,
     "KernelDensity": KernelDensity,
     "LineSampling": LineSampling,
+    "MarkovChains": MarkovChains,
     "QuadricSampling": QuadricSampling,
     "RednerWAS": RednerWAS,
     "WarpedArea": WarpedArea,

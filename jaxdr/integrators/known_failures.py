@@ -6,6 +6,7 @@ arrays. So they work under `jit` and cost nothing.
 
 from typing import Any, NamedTuple
 
+from jaxdr.boundary.baselines.markov_chains import MarkovChains
 from jaxdr.boundary.baselines.redner_was import RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
@@ -46,7 +47,7 @@ def traits(scene: Scene) -> Traits:
 
 def known_failure(boundary: Any, found: Traits) -> str | None:
     """Why a boundary estimator is biased on such a scene, with any number of samples, and the remedy; None if not."""
-    if isinstance(boundary, KernelDensity | GuidedEdges) and found.fine is not None:
+    if isinstance(boundary, KernelDensity | GuidedEdges | MarkovChains) and found.fine is not None:
         return (
             f"it is too large by 6 % or more on meshes of {FINE:,} faces or more, such as {found.fine}: silhouettes "
             "that are hidden by no more than rounding count as visible; take LineSampling"

@@ -83,7 +83,7 @@ def test_nothing_is_said_of_what_is_right(boundary):
 def test_fine_meshes(monkeypatch):
     assert known_failure(jd.KernelDensity(), traits(scene())) is None
     monkeypatch.setattr(known_failures, "FINE", 12)
-    for boundary in (jd.KernelDensity(), jd.GuidedEdges()):
+    for boundary in (jd.KernelDensity(), jd.GuidedEdges(), jd.MarkovChains()):
         assert "such as box" in (known_failure(boundary, traits(scene())) or "")
     assert known_failure(RIGHT, traits(scene())) is None
 

@@ -22,12 +22,13 @@ ESTIMATORS = {
     "RednerWAS": (jd.RednerWAS("path_space", sigma0=0.03), "emitter"),
     "GuidedEdges": (jd.GuidedEdges(), "mis"),
     "QuadricSampling": (jd.QuadricSampling(), "mis"),
+    "MarkovChains": (jd.MarkovChains(), "mis"),
     # Options that some cases are about.
     "KernelDensity, radius 0.2": (jd.KernelDensity(0.2), "mis"),
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),
 }
-COLUMNS = tuple(ESTIMATORS)[1:7]
+COLUMNS = tuple(ESTIMATORS)[1:8]
 
 
 def integrator(estimator: str, max_depth: int):

@@ -7,16 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from jaxdr.boundary.guided_edges.beam import Detected, detect, image, moves
-from jaxdr.boundary.guided_edges.boundary_segments import (
-    BoundaryEnds,
-    BoundarySegments,
-    DirectionSampling,
-    EmitterSampling,
-    segment_ends,
-)
+from jaxdr.boundary.guided_edges.beam import detect, moves
+from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.guided_edges.flux_maps import flux_maps
@@ -25,19 +19,19 @@ from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
 from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
-from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
-from jaxdr.boundary.shared.refusals import Asked, edge_refusal, edge_refusals, refuse
-from jaxdr.boundary.shared.term import Chunk, Context, stream_of
+from jaxdr.boundary.guided_edges.seen_segments import DrawnSegments, ask_sources, seen_segments, segments_image
+from jaxdr.boundary.shared.blocks import map_over_blocks
+from jaxdr.boundary.shared.refusals import Asked, edge_refusals, perspective_refusal, refuse
+from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry.vector import scale
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path_settings import PathSettings
-from jaxdr.transport.radiance import Answers, Requests, joined, request
-from jaxdr.transport.sampler import lattice, path_numbers
+from jaxdr.transport.radiance import Answers, Requests, joined
+from jaxdr.transport.sampler import lattice
 
 
 class GuidedEdgesState(NamedTuple):
@@ -47,29 +41,6 @@ class GuidedEdgesState(NamedTuple):
     moving: Bool[Array, " S"]
     guides: tuple[Defended, ...]
     order: EdgeOrder | None = None
-
-
-class _Row(NamedTuple):
-    """Segments in slots, and how the camera sees them (as in `Detected`, but with the slots first); detached.
-
-    `sent`: emission of the source over the density of the segment. `inverse`: one over the density of the segment, for
-    light that the source scatters.
-    """
-
-    segments: BoundarySegments
-    ends: BoundaryEnds
-    value: Float[Array, "n B 3"]
-    film_point: Float[Array, "n B 2"]
-    lens: Float[Array, "n 2"] | None
-    sent: Float[Array, "n 3"]
-    inverse: Float[Array, " n"]
-
-
-class _Drawn(NamedTuple):
-    """The segments of one strategy; the first `used` slots are filled."""
-
-    rows: _Row
-    used: Int[Array, ""]
 
 
 class GuidedEdges(eqx.Module):
@@ -105,15 +76,7 @@ class GuidedEdges(eqx.Module):
 
     name = "boundary"
 
-    refusals = (
-        *edge_refusals("GuidedEdges"),
-        edge_refusal(
-            "GuidedEdges",
-            "cameras other than `Perspective`",
-            "no {} camera, only Perspective",
-            lambda packed: not isinstance(packed.camera, Perspective),
-        ),
-    )
+    refusals = (*edge_refusals("GuidedEdges"), perspective_refusal("GuidedEdges"))
 
     def __check_init__(self):
         guides = "none", "grid", "kdtree", "projective"
@@ -259,7 +222,7 @@ class GuidedEdges(eqx.Module):
 
     def draw(
         self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray
-    ) -> tuple[Requests | None, list["_Drawn"]]:
+    ) -> tuple[Requests | None, list[DrawnSegments]]:
         """Segments of all strategies, and requests for what their sources scatter."""
         count, drawn, asked = max(1, round(chunk.paths * self.samples)), [], []
         for number in range(len(self.plans(context.packed, context.settings))):
@@ -269,34 +232,25 @@ class GuidedEdges(eqx.Module):
         return joined(asked) if asked else None, drawn
 
     def image(
-        self, context: Context, state: GuidedEdgesState, chunk: Chunk, held: list["_Drawn"], answers: Answers | None
+        self,
+        context: Context,
+        state: GuidedEdgesState,
+        chunk: Chunk,
+        held: list[DrawnSegments],
+        answers: Answers | None,
     ) -> Float[Array, "H W 3"]:
         """Boundary term, an estimate of the whole film by itself: zero in value, right in derivative."""
-        packed, settings = context.packed, context.settings
+        packed = context.packed
         _, _, width, height = packed.camera.film.window
-        total, bounces = jnp.zeros((height, width, 3), packed.vertices.dtype), settings.max_depth - 1
-        plans = self.plans(packed, settings)
-        for plan, drawn in zip(plans, held, strict=True):
-            gathered = None
-            if plan.gathered and answers is not None:
-                gathered = answers.total.reshape(bounces - 1, -1, 3).swapaxes(0, 1)
-
-            def values(block, number, drawn=drawn):
-                block, gathered = block
-                radiance = jnp.broadcast_to(block.sent[:, None], block.value.shape)
-                if gathered is not None:
-                    radiance = radiance.at[:, :-1].add(gathered * block.inverse[:, None, None])
-                radiance = jnp.where((number < drawn.used)[:, None, None], radiance, 0.0)
-                seen = Detected(block.value.swapaxes(0, 1), block.film_point.swapaxes(0, 1), block.lens)
-                parts = block.segments, block.ends, seen, radiance.swapaxes(0, 1)
-                return image(packed, state.lunes, *parts, context.form)
-
-            total += sum_over_blocks(values, (drawn.rows, gathered), drawn.used)
+        total = jnp.zeros((height, width, 3), packed.vertices.dtype)
+        for plan, drawn in zip(self.plans(packed, context.settings), held, strict=True):
+            scattered = answers.total if plan.gathered and answers is not None else None
+            total += segments_image(packed, state.lunes, drawn, scattered, context.form)
         return chunk.share * total
 
     def _draw(
         self, context: Context, prepared: GuidedEdgesState, number: int, count: int, key
-    ) -> tuple[list[Requests], "_Drawn"]:
+    ) -> tuple[list[Requests], DrawnSegments]:
         """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
         packed, settings, lunes = context.packed, context.settings, prepared.lunes
         plans = self.plans(packed, settings)
@@ -321,23 +275,15 @@ class GuidedEdges(eqx.Module):
                 u = primary[slot] if own else p.strategy.numbers(packed, lunes, segments, ends)
                 pdf.append(p.strategy.density(packed, lunes, segments, ends) * g.pdf(u, count))
             seen = detect(packed, segments, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
-            value, share = seen.value.swapaxes(0, 1), lunes.share[segments.point.row]
-            lit = (value != 0).any(-1)
-            sent, asked = jnp.zeros_like(segments.towards), []
+            share, lit = lunes.share[segments.point.row], (seen.value != 0).any((0, 2))
+            sent = jnp.zeros_like(segments.towards)
             if plan.emission:
                 density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
                 sent = emitted(packed, ends.source, -segments.towards)
-                sent = jnp.where(lit.any(-1)[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
-            if plan.gathered:
-                # Not from the lattice of the segments: these numbers would differ from theirs by a constant shift.
-                numbers = path_numbers(key_source, slot, 0, value.dtype)
-                stream = stream_of(self.name) + slot.astype(jnp.uint32)
-                for b in range(settings.max_depth - 2):  # bounces on the detector's side; the source has the rest
-                    bounces = jnp.where(lit[:, b], settings.max_depth - 2 - b, 0)
-                    asked.append(request(ends.source, -segments.towards, numbers, bounces, stream, 0.0))
+                sent = jnp.where(lit[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
             inverse = safe_divide(share, pdf[number], pdf[number] > 0)
-            row = _Row(segments, ends, value, seen.film_point.swapaxes(0, 1), seen.lens, sent, inverse)
-            return asked, row
+            row = seen_segments(segments, ends, seen, sent, inverse)
+            return ask_sources(row, slot, self.name, key_source, settings.max_depth) if plan.gathered else [], row
 
         asked, found = map_over_blocks(rows, slots, used)
-        return asked, _Drawn(found, used)
+        return asked, DrawnSegments(found, used)

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import spreads_through
+from jaxdr.scene.camera import Perspective
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path_settings import PathSettings
@@ -75,4 +76,14 @@ def edge_refusals(name: str) -> tuple[Refusal, ...]:
             "nothing that is seen through rough glass",
             lambda packed: any(spreads_through(group.bsdf) for group in packed.bsdfs),
         ),
+    )
+
+
+def perspective_refusal(name: str) -> Refusal:
+    """What estimators do not cover that join points of the scene with a pinhole."""
+    return edge_refusal(
+        name,
+        "cameras other than `Perspective`",
+        "no {} camera, only Perspective",
+        lambda packed: not isinstance(packed.camera, Perspective),
     )
