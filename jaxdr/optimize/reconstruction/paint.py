@@ -73,11 +73,11 @@ def detailed(
 
 
 def painted(
-    mesh: Mesh, albedo: Float[np.ndarray, "V 3"], photographs: Photographs, size: int
+    mesh: Mesh, albedo: Float[np.ndarray, "V 3"], seen: Float[np.ndarray, "V 3"], photographs: Photographs, size: int
 ) -> Float[np.ndarray, "size size 3"]:
-    """The albedo at vertices as a texture with the detail that photographs show between them."""
+    """The albedo at vertices as a texture with the detail that photographs show between them; `seen`: `seen_colors`."""
     texels = covered(mesh, size)
-    at_texels, blurred = (interpolated(mesh, texels, each) for each in (albedo, seen_colors(mesh, photographs)))
+    at_texels, blurred = (interpolated(mesh, texels, each) for each in (albedo, seen))
     return filled(texels, detailed(at_texels, seen_colors(mesh, photographs, texels), blurred), size)
 
 

@@ -1,7 +1,7 @@
 """A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -130,9 +130,10 @@ def mesh_of_level(level: Level, make: Callable[[], Mesh]) -> Mesh:
 def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> Unknowns:
     """The paint and the light that explain the dull colours that photographs show, half rough."""
     count, level = len(mesh.vertices), config.levels[0]
-    radiance, albedo = first_light_and_albedo(mesh, seen_colors(mesh, photos.paint()), photos.backdrop(ROWS))
+    seen = seen_colors(mesh, photos.paint())
+    radiance, albedo = first_light_and_albedo(mesh, seen, photos.backdrop(ROWS))
     if level.texture:
-        albedo = painted(mesh, albedo, photos.paint(), level.texture)
+        albedo = painted(mesh, albedo, seen, photos.paint(), level.texture)
     radiance = np.maximum(radiance, DIM * radiance.mean())
     roughness = (FIRST_ROUGHNESS - SMOOTHEST) / (ROUGHEST - SMOOTHEST)
     values = (
@@ -171,11 +172,13 @@ def next_unknowns(
         problem, new = str(refused), mesh
         if level.texture:
             new = mesh_of_level(level, lambda: mesh)
-    else:
-        old_seen, seen = (seen_colors(each, photographs()) for each in (mesh, new))
+    seen = cache(lambda: seen_colors(new, photographs()))
+    if not problem:
+        old_seen = seen_colors(mesh, photographs())
         albedo, roughness, blurred = carried(mesh, new, reflectance(jnp.asarray(albedo)), roughness, old_seen)
-        albedo = _logit(detailed(albedo, seen, blurred))
+        albedo = _logit(detailed(albedo, seen(), blurred))
     if level.texture:
-        albedo = _logit(painted(new, np.asarray(reflectance(jnp.asarray(albedo))), photographs(), level.texture))
+        shares = np.asarray(reflectance(jnp.asarray(albedo)))
+        albedo = _logit(painted(new, shares, seen(), photographs(), level.texture))
     values = (new.vertices, albedo, roughness, light, unknowns.exposure, unknowns.cameras)
     return new, Unknowns(*(jnp.asarray(value, float) for value in values)), problem

@@ -1,7 +1,5 @@
 """`QuadricSampling`: what its bounds leave out, probabilities of edges, exact derivatives of shadows, two bounces."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,9 +17,8 @@ from jaxdr.transport.interaction import material_point
 from jaxdr.transport.shading import Scatterer
 from tests.gradients.floor_point import BOX, QUADRANGLE, check_derivatives, estimates, exact, mean_and_error
 from tests.gradients.floor_point import scene as point_scene
-from tests.test_write_an_estimator import KEYS, STEP, box_scene
-
-LIT_BOX = box_scene()
+from tests.gradients.lit_box import SCENE as LIT_BOX
+from tests.gradients.lit_box import check_shadow
 
 
 def patches(patch: int, count: int, spread: float):
@@ -147,36 +144,10 @@ def test_open_blockers_and_broken_densities(monkeypatch, wrong):
     assert np.all(off < 4.5 * error) == (wrong is None), (off, error)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def by_x(tracer, spp, differences, key):
-    """Derivative of the mean image by a translation of the box, [8, 8]: by `render`'s rule, or central differences."""
-    vertices = LIT_BOX.parameters()["box.vertices"]
-
-    def image(x):
-        moved = LIT_BOX.replace({"box.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
-        return jd.render(moved, key, spp=spp, integrator=tracer).mean(-1)
-
-    if differences:
-        return (image(STEP) - image(-STEP)) / (2 * STEP)
-    return jax.jvp(image, (0.0,), (1.0,))[1]
-
-
 @pytest.mark.parametrize("depth", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_soft_shadow_moves_as_differences_say(depth):
     """By quarters of the film, and as a whole; at depth 3 also what the lit box sends to the floor."""
-
-    def quarters(tracer, spp, differences):
-        rows = np.stack([by_x(tracer, spp, differences, key) for key in KEYS])
-        return rows.reshape(len(KEYS), 2, 4, 2, 4).mean((2, 4))
-
-    found = quarters(jd.PathTracer(depth, jd.QuadricSampling(4)), 64, False)
-    right = quarters(jd.PathTracer(depth, boundary=None), 1024, True)
-    error = np.sqrt((found.var(0, ddof=1) + right.var(0, ddof=1)) / len(KEYS))
-    size = np.abs(right.mean(0)).max()
-    assert np.all(error < 0.05 * size), (error, size)
-    assert np.all(np.abs(found.mean(0) - right.mean(0)) < 4.5 * error), (found.mean(0), right.mean(0), error)
-    whole = (found - right).mean((1, 2))
-    assert abs(whole.mean()) < 4.5 * whole.std(ddof=1) / len(KEYS) ** 0.5
+    check_shadow(jd.QuadricSampling(4), depth)
 
 
 def test_what_is_not_covered():

@@ -131,7 +131,7 @@ def test_a_texture_shows_paint_between_the_vertices():
     at_vertices = seen_colors(mesh, photographs)
     texels = covered(mesh, 128)
     wanted = np.apply_along_axis(paint, 1, CENTRE + 2 * RADIUS * interpolated(mesh, texels, np.asarray(mesh.vertices)))
-    texture = painted(mesh, at_vertices, photographs, 128).reshape(-1, 3)[texels.index]
+    texture = painted(mesh, at_vertices, at_vertices, photographs, 128).reshape(-1, 3)[texels.index]
     coarse = interpolated(mesh, texels, at_vertices)
     assert np.abs(texture - wanted).mean() < 0.4 * np.abs(coarse - wanted).mean()
 

@@ -7,6 +7,7 @@ import warp as wp
 
 from jaxdr.geometry import bundles as bundle_of_rays
 from jaxdr.geometry import edge_tree
+from jaxdr.geometry.queries.warp.kernels import after, part
 from jaxdr.geometry.queries.warp.records import Bundles, EdgeTable, EdgeTree
 
 wp.set_module_options({"enable_backward": False})
@@ -109,8 +110,7 @@ def draw_edges(
         inside = bool(False)
         if tree.node[node, 1][3] > 0.0:
             box = tree.node[node, 0]
-            centre = wp.vec3(box[0], box[1], box[2])
-            inside = within(o, d, origin_speed, direction_speed, end, centre, box[3], reach[0])
+            inside = within(o, d, origin_speed, direction_speed, end, part(box), box[3], reach[0])
         if inside and node < leaves:
             node = 2 * node
         else:
@@ -130,11 +130,7 @@ def draw_edges(
                             if hashed(seed[i], e) < importance / total:
                                 chosen = e
                                 of_chosen = importance
-            node += 1
-            while node % 2 == 0:
-                node = node // 2
-            if node == 1:
-                node = 0
+            node = after(node)
     edge_out[i] = chosen
     importance_out[i] = of_chosen
     total_out[i] = total

@@ -237,6 +237,17 @@ def faces_all_alike(to_center: wp.vec3, size: float, axis: wp.vec3, cosine: floa
 
 
 @wp.func
+def after(node: int):
+    """The node after the subtree of one: n + 1, divided by 2 until it is odd; 0 after the last."""
+    following = node + 1
+    while following % 2 == 0:
+        following = following // 2
+    if following == 1:
+        following = 0
+    return following
+
+
+@wp.func
 def part(row: wp.vec4):
     """The first three numbers of a row."""
     return wp.vec3(row[0], row[1], row[2])
@@ -294,7 +305,7 @@ def edge_candidates(
 
     An edge of `rank` (radius) <= 0 is left out, as is a segment of `scale` <= 0. `options` = [seed, both_sides];
     `found` = [kept, all]. The tree is walked without a stack. Nodes are numbered from 1, and the children of n are 2n
-    and 2n + 1. After the subtree of n comes that of n + 1 divided by 2 until it is odd.
+    and 2n + 1. After the subtree of n comes `after(n)`.
     """
     i = start + wp.tid()
     if strips.scale[i] <= 0.0:
@@ -358,11 +369,7 @@ def edge_candidates(
                                 if j < segment_out.shape[0]:
                                     segment_out[j] = i
                                     edge_out[j] = e
-            node = node + 1
-            while node % 2 == 0:
-                node = node // 2
-            if node == 1:
-                node = 0
+            node = after(node)
 
 
 @wp.kernel

@@ -10,7 +10,7 @@ import warp as wp
 
 from jaxdr.geometry import edge_tree
 from jaxdr.geometry.queries import records
-from jaxdr.geometry.queries.warp.kernels import faces_all_alike, keeps, part
+from jaxdr.geometry.queries.warp.kernels import after, faces_all_alike, keeps, part
 from jaxdr.geometry.queries.warp.records import EdgeSet, EdgeTree, Geometry, SectorQuery
 
 wp.set_module_options({"enable_backward": False})  # answers are discrete: no derivative to compile
@@ -302,11 +302,7 @@ def sector_crossings(
                                                     crossed[slot] = e
                                                     steps[slot] = hides
                                                 count += 1
-                node = node + 1
-                while node % 2 == 0:
-                    node = node // 2
-                if node == 1:
-                    node = int(0)
+                node = after(node)
         if count > 0 and not by_rays:
             if walks == 0:
                 # Quantitative invisibility: count the layers in front of the chord's centre, and go back to its start.
