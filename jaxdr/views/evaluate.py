@@ -18,7 +18,8 @@ UNSCALED = np.ones(3)
 class Score(NamedTuple):
     """Agreement of one rendering with its photograph: `psnr` in dB, `ssim`, and `iou` of the masks or None.
 
-    PSNR and SSIM are of 8-bit sRGB, over black where the photograph has a mask or alpha.
+    PSNR and SSIM are of 8-bit sRGB, over black where the photograph has a mask or alpha. Pixels at the border of a mask
+    show what is behind the object, too, in the photograph and in the rendering.
     """
 
     name: str
@@ -101,7 +102,7 @@ def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
     """The factors that bring the pictures closest to the photographs (least squares), where those are not clipped."""
     above, below = np.zeros(3), np.zeros(3)
     for picture, view in zip(pictures, views, strict=True):
-        image, alpha = view.picture.read()
+        image, alpha = view.cut_out()
         photograph = over_black(image, alpha).astype(float)
         mask = np.ones(image.shape[:2]) if alpha is None else alpha
         inside = (photograph.max(-1, keepdims=True) < 0.99) & (mask > 0.5)[..., None]
@@ -114,7 +115,7 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
     """The score of one picture whose colours are multiplied by `scale`; see `score_pictures`."""
     structural_similarity = require_skimage()
     _check_shape(picture, view)
-    image, alpha = view.picture.read()
+    image, alpha = view.cut_out()
     both = picture[..., :3] * scale, over_black(image, alpha)
     rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
     error = float(((rendered - photograph) ** 2).mean())

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
-from jaxdr.views.pictures import PictureFile, Pixels
+from jaxdr.views.pictures import Colors, PictureFile, Pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,8 @@ class View:
     - `to_world`: camera to world; the columns are left, up, forward, position, as in `jaxdr.look_at`.
     - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
     - `held_out`: kept for evaluation, never used in fitting.
-    - `backdrop`: whether the picture shows what is behind the object. A picture that its own alpha cuts out does not.
+    - `backdrop`: whether the picture shows what is behind the object. A picture that its own alpha cuts out does not. In
+      one with a mask, pixels at the border of the mask show the object and what is behind it, mixed.
     """
 
     name: str
@@ -81,11 +82,19 @@ class View:
     @property
     def over_black(self) -> Float[np.ndarray, "H W 3"]:
         """Linear RGB of the object over black."""
-        return over_black(*self.picture.read())
+        return over_black(*self.cut_out())
+
+    def cut_out(self) -> Colors:
+        """(linear RGB, alpha or None): what a rendering of the object is compared with.
+
+        A picture with a backdrop is cut out as with scissors: pixels count in full where alpha is above one half.
+        """
+        image, alpha = self.picture.read()
+        return image, scissors(alpha) if self.backdrop and alpha is not None else alpha
 
     def with_picture(self, image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> "View":
-        """The same camera with other pixels, in memory."""
-        return replace(self, picture=Pixels(image, alpha))
+        """The same camera with other pixels, in memory, which `alpha` cuts out."""
+        return replace(self, picture=Pixels(image, alpha), backdrop=alpha is None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +123,11 @@ class Views:
 def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:
     """Colours multiplied by alpha, if there is one."""
     return image if alpha is None else image * alpha[..., None]
+
+
+def scissors(alpha: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """1 where alpha is above one half, else 0."""
+    return (alpha > 0.5).astype(alpha.dtype)
 
 
 def common_point(poses: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "3"]:

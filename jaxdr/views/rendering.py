@@ -1,4 +1,4 @@
-"""Renderings of a scene like photographs with alpha: the object without what is behind it, and its coverage."""
+"""Renderings of a scene like photographs: the object, cut out as it is there, and its coverage."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +19,7 @@ from jaxdr.scene.camera import Perspective
 from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.film import Box, Film
 from jaxdr.scene.scene import Scene, Shape
-from jaxdr.views.record import View
+from jaxdr.views.record import View, over_black, scissors
 
 
 class Pinhole(NamedTuple):
@@ -79,9 +79,14 @@ def render_views(
 ) -> list[Float[np.ndarray, "H W 4"]]:
     """Pictures [H, W, 4] of a scene from the cameras of photographs: linear RGB multiplied by alpha, and alpha.
 
-    What is behind the object is left out, except in pictures of photographs without alpha. `spp`: samples per pixel.
-    `integrator`: default as in `render`. Views of the same size share a compiled program. Raises ValueError for
-    spp < 1.
+    They are like the photographs (`View.backdrop`):
+
+    - without alpha: everything is seen, and alpha is the coverage of the object.
+    - cut out by their own alpha: what is behind the object is left out, also in the pixels that it covers in part.
+    - with a mask: alpha is 1 where the object covers more than half of a pixel, else 0. These pixels show everything.
+
+    `spp`: samples per pixel. `integrator`: default as in `render`. Views of the same size share a compiled program.
+    Raises ValueError for spp < 1.
     """
     return list(each_rendered(scene, views, spp, seed, integrator))
 
@@ -97,17 +102,20 @@ def each_rendered(
     for i, view in enumerate(views):
         program = _program(view.width, view.height, int(spp), integrator)
         parts = program(scene, Pinhole.of(view), jax.random.fold_in(key, i))
-        yield picture(parts, behind=not view.masked)
+        yield _like(view, parts)
 
 
-def picture(parts: Layers, behind: bool = False) -> Float[np.ndarray, "H W 4"]:
-    """Colours and alpha on the host. The object is over black, or with `behind` over what is behind it."""
-    alpha = np.asarray(parts.alpha)
-    if behind:
+def _like(view: View, parts: Layers) -> Float[np.ndarray, "H W 4"]:
+    """Colours and alpha on the host, cut out as the photograph is; see `render_views`."""
+    alpha = np.clip(np.asarray(parts.alpha), 0.0, 1.0)
+    if not view.masked:
         color = np.asarray(parts.full)
+    elif view.backdrop:
+        alpha = scissors(alpha)
+        color = over_black(np.asarray(parts.full), alpha)
     else:
         color = np.where(alpha[..., None] > 0, np.maximum(np.asarray(parts.over_black), 0.0), 0.0)
-    return np.concatenate([color, np.clip(alpha, 0.0, 1.0)[..., None]], -1)
+    return np.concatenate([color, alpha[..., None]], -1)
 
 
 @lru_cache(maxsize=8)

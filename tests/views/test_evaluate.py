@@ -1,5 +1,7 @@
 """Renderings of the views of photographs, and their scores."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 import jaxdr as jd
 from jaxdr.geometry import shapes
 from jaxdr.views.evaluate import score_pictures
+from jaxdr.views.pictures import Pixels
 from jaxdr.views.rendering import Layers
-from tests.views.folders import SIZE, write_nerf
+from tests.views.folders import SIZE, write_colmap, write_nerf
 
 pytest.importorskip("skimage")
 TRACER = jd.PathTracer(max_depth=2, boundary=None)
@@ -71,6 +74,25 @@ def test_a_scene_agrees_with_its_own_pictures(views):
     brighter = jd.evaluate_views(ball(views.views[0], 2.0), own, spp=64, match_channels=True, integrator=TRACER)
     np.testing.assert_allclose(brighter.scale, 0.5, rtol=0.01)
     assert brighter.to_dict()["psnr"]["mean"] > 40
+
+
+def test_photographs_with_masks_show_what_is_behind_at_the_border(tmp_path):
+    """A photograph of a scene, and the mask that goes with it, agree with the scene. Over black they would not."""
+    given = jd.load_views(write_colmap(tmp_path)).held_out[0]
+    bare = given.with_picture(given.image, None)
+    scene = ball(given, 0.7)
+    (photograph,) = jd.render_views(scene, [bare], spp=64, integrator=TRACER)
+    mask = (photograph[..., 3] > 0.5).astype(np.float32)
+    view = dataclasses.replace(given, picture=Pixels(photograph[..., :3].astype(np.float32), mask))
+    assert view.backdrop and view.masked
+    (picture,) = jd.render_views(scene, [view], spp=64, integrator=TRACER)
+    np.testing.assert_array_equal(picture[..., 3], mask)
+    np.testing.assert_allclose(picture[..., :3], mask[..., None] * photograph[..., :3], atol=1e-6)
+    np.testing.assert_allclose(view.over_black, picture[..., :3], atol=1e-6)
+    (score,) = jd.evaluate_views(scene, [view], spp=64, integrator=TRACER).scores
+    assert score.psnr > 60 and score.iou == 1
+    soft = dataclasses.replace(view, picture=Pixels(view.image, 0.4 + 0.2 * mask))
+    np.testing.assert_array_equal(soft.over_black, view.over_black)
 
 
 def test_psnr_ssim_and_overlap_of_known_pictures(views):

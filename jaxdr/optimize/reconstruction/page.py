@@ -18,7 +18,6 @@ from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.scene.camera import look_at
 from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, Score
-from jaxdr.views.pictures import Pixels
 from jaxdr.views.record import View
 from jaxdr.views.rendering import render_views
 
@@ -69,7 +68,7 @@ def save_turntable(
     scale = min(1.0, TURN_SIZE / max(like.width, like.height))
     width, height = round(like.width * scale), round(like.height * scale)
     blank = np.zeros((height, width, 3), np.float32)  # with alpha, so without the sky behind
-    small = dataclasses.replace(like, picture=Pixels(blank, blank[..., 0]), focal=like.focal * scale)
+    small = dataclasses.replace(like.with_picture(blank, blank[..., 0]), focal=like.focal * scale)
     views = []
     for angle in 2 * np.pi * np.arange(frames) / frames:
         offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])
