@@ -1,6 +1,6 @@
 """The race: Chamfer distance against seconds, jaxdr beside Mitsuba with the same optimisation.
 
-    python -m experiments.race.run [--objects spot penguin teapot] [--seeds 0]
+    python -m experiments.race.run [--objects spot penguin teapot pawn] [--seeds 0]
 
 Each run has a process of its own, one after the other. Seconds include everything: compiling and targets, too.
 """
@@ -15,7 +15,8 @@ from experiments import common
 
 STUDY = "race"
 GOAL = 0.003  # Chamfer distance over the diagonal of the target's bounding box
-OBJECTS = {"spot": ("spot_low.obj", "y"), "penguin": ("penguin.obj", "y"), "teapot": ("teapot.obj", "y")}
+MESHES = {"spot": "spot_low.obj", "penguin": "penguin.obj", "teapot": "teapot.obj"}
+OBJECTS = (*MESHES, "pawn")  # the pawn is that of the quickstart
 COLUMNS = {
     "object": ("object", ""),
     "seed": ("seed", "d"),
@@ -34,11 +35,12 @@ def one_run(side, name, seed, options):
     from jaxdr.optimize.shape import optimize
 
     folder = common.scratch(STUDY) / f"{name}_{seed}_{side}"
-    file, up = OBJECTS[name]
-    changes = [f"output={folder}", f"seed={seed}", f"target.path={options.data / file}", f"target.up={up}"]
-    changes += ["report.chamfer=5", "report.pictures=1000", *options.set]
+    changes = [f"output={folder}", f"seed={seed}", "report.chamfer=5", "report.pictures=1000"]
+    if name in MESHES:
+        changes += [f"target.path={options.data / MESHES[name]}", "target.up=y"]
+    changes += options.set
     changes += ["optimizer.iterations=10", "samples.target=4"] if options.quick else []
-    config = read_config(Path(options.config), changes)
+    config = read_config(Path(options.config if name in MESHES else "configs/quickstart.toml"), changes)
     if side == "jaxdr":
         summary = optimize(config, overwrite=True)
     else:
@@ -108,7 +110,7 @@ def main():
     parser.add_argument("--objects", nargs="+", choices=OBJECTS, default=list(OBJECTS))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--by", nargs="+", choices=("jaxdr", "Mitsuba"), default=["jaxdr", "Mitsuba"])
-    parser.add_argument("--config", default="configs/spot_levels.toml")
+    parser.add_argument("--config", default="configs/spot_levels.toml", help="for all but the pawn of the quickstart")
     parser.add_argument("--data", type=Path, default=common.ROOT.parent / "shared/data", help="folder of the meshes")
     parser.add_argument("--set", action="append", default=[], help="change a value of the config; repeatable")
     options = parser.parse_args()
