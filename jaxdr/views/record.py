@@ -20,8 +20,8 @@ class View:
     - `to_world`: camera to world; the columns are left, up, forward, position, as in `jaxdr.look_at`.
     - `focal`: focal length, in pixels; `centre`: principal point, in pixels from the upper left corner.
     - `held_out`: kept for evaluation, never used in fitting.
-    - `backdrop`: whether the picture shows what is behind the object. A picture that its own alpha cuts out does not. In
-      one with a mask, pixels at the border of the mask show the object and what is behind it, mixed.
+    - `backdrop`: whether the picture shows what is behind the object. A picture that its own alpha cuts out does not.
+      In one with a mask, pixels at the border of the mask show the object and what is behind it, mixed.
     """
 
     name: str

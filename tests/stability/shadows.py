@@ -17,12 +17,6 @@ TURN_SMALL = rotation((0.6, 0.5, 0.8), 0.4)
 
 SOFT = Expected("noisy", "by nature: the penumbra is many kernels wide (2026 paper, Fig. 13)")
 NARROW = Expected("noisy", "its kernel is 0.006 of the segment by default; wider ones are less noisy")
-NO_EDGE = Expected(
-    "biased",
-    "by nature: the curve in which two surfaces intersect is no edge of a mesh, and its motion in the image is missed; "
-    "shadows are promised, and what is missing is 4 % here",
-)
-
 SOFT_SPHERE = Expected("noisy", "as the others of narrow kernels; 0.03 radian is small in a light that fills the sky")
 SHORT = Expected(
     "biased",
@@ -116,7 +110,7 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
-            expected={"GuidedEdges": NO_EDGE} | NOISY,
+            expected=NOISY,
         ),
         case(
             "rising_through",
@@ -124,7 +118,7 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
-            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), NO_EDGE) | NOISY,
+            expected=NOISY,
         ),
         case(
             "emitter_at_wall",

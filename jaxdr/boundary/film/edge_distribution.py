@@ -1,14 +1,20 @@
-"""The distribution of points on edges in the image: projected length times an estimate of the jump of radiance."""
+"""The distribution of points on edges in the image: projected length times an estimate of the jump of radiance.
 
+Where two surfaces pass through each other, what they share is a crease, too. It is no edge of a mesh. Its segments are
+found anew for every scene, and are further rows of the distribution.
+"""
+
+import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.folds import SMOOTH
 from jaxdr.boundary.shared.texture_jumps import glow_jumps, seam_jumps
+from jaxdr.geometry import queries
 from jaxdr.geometry.vector import (
     between,
     components,
@@ -25,15 +31,22 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
-from jaxdr.transport.sampler import lattice, sample_cdf, uniform
+from jaxdr.transport.keys import fixed_key
+from jaxdr.transport.path_settings import PathSettings
+from jaxdr.transport.sampler import lattice, sample_cdf, seed_of, uniform
 
+ROOM = 16  # pairs of faces that pass through each other, for each row of faces in a square of all faces
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
 
 
 class EdgeDistribution(NamedTuple):
-    """The distribution of edge points; detached. It has a row for each edge of the moving shapes.
+    """The distribution of edge points; detached. Rows are edges of the moving shapes, then segments of intersections.
 
-    - `edge`: the number of the edge.
+    - `edge`: the number of the edge, -1 where faces intersect.
+    - `ends`: the ends of the edge.
+    - `faces`, `opposite`: the faces at the edge, and the vertices of these faces that are not on it; padded with -1.
+      Where faces intersect there are no `opposite` vertices.
+    - `share`: which share of a jump counts.
     - `start`, `end`: film points of the visible part of the edge.
     - `clip`: fractions of the 3D edge at the ends of the part between near and far plane.
     - `homogeneous`: denominators of the projection there.
@@ -44,6 +57,10 @@ class EdgeDistribution(NamedTuple):
     """
 
     edge: Int[Array, " E"]
+    ends: Float[Array, "E 2 3"]
+    faces: Int[Array, "E K"]
+    opposite: Int[Array, "E K"]
+    share: Float[Array, " E"]
     start: Float[Array, "E 2"]
     end: Float[Array, "E 2"]
     clip: Float[Array, "E 2"]
@@ -55,12 +72,53 @@ class EdgeDistribution(NamedTuple):
     extent: Float[Array, " E"] | None = None
 
 
-def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray) -> EdgeDistribution:
-    """Distributions over silhouettes and creases of the `moving` shapes; `key` draws a few emitter samples."""
+class _Rows(NamedTuple):
+    """Edges of the moving shapes, then segments that faces share which pass through each other; see `EdgeDistribution`.
+
+    `intersection` tells which are of the second kind.
+    """
+
+    edge: Int[Array, " E"]
+    ends: Float[Array, "E 2 3"]
+    faces: Int[Array, "E K"]
+    opposite: Int[Array, "E K"]
+    share: Float[Array, " E"]
+    intersection: Bool[Array, " E"]
+
+
+def _rows(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, settings: PathSettings) -> _Rows:
+    edges, number = packed.edges, packed.edges_of(moving)
+    ends, one = packed.vertices[edges.vertices[number]], jnp.ones(number.shape, packed.vertices.dtype)
+    room = ROOM * (4 + math.isqrt(packed.faces.shape[0]))
+    moves = jnp.asarray(moving)[packed.face_shape]
+    indirect = settings.max_depth > 2
+    found = queries.face_intersections(packed.geometry, moves, seed_of(key), room, indirect, settings.rays)
+    none = jnp.full((room, edges.faces.shape[1]), -1, jnp.int32)
+    valid = found.first >= 0
+    weight = jnp.where(valid, found.weight, 0.0)
+    rows = (
+        (number, jnp.full(room, -1, jnp.int32)),
+        (ends, jnp.where(valid[:, None, None], found.ends, ends[:1])),
+        (edges.faces[number], none.at[:, :2].set(jnp.stack([found.first, found.second], -1))),
+        (edges.opposite[number], none),
+        (edges.shared(number, one), weight),
+        (jnp.zeros(number.shape, bool), jnp.ones(room, bool)),
+    )
+    return _Rows(*(jnp.concatenate(pair) for pair in rows))
+
+
+def edge_distribution(
+    packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, settings: PathSettings, material: bool = False
+) -> EdgeDistribution:
+    """Distributions over silhouettes and creases of the `moving` shapes.
+
+    A query finds where surfaces pass through each other. If there are too many places, `key` chooses some. With
+    `material` these are the only creases.
+    """
     packed = jax.tree.map(stop_gradient, packed)
-    camera, number = packed.camera, packed.edges_of(moving)
+    camera, rows = packed.camera, _rows(packed, moving, key, settings)
     view = camera.view()
-    p0, p1 = (view.local(end) for end in corners(packed.vertices[packed.edges.vertices[number]]))
+    p0, p1 = (view.local(end) for end in corners(rows.ends))
     z0, z1 = z_of(p0), z_of(p1)
     (near0, near1), (far0, far1) = (
         _clip(sign * (limit - z0), sign * (limit - z1))
@@ -78,11 +136,16 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
         blur0, blur1 = camera.blur(q0), camera.blur(q1)
         extent, margin = extent + jnp.abs(blur0 - blur1), jnp.maximum(jnp.abs(blur0), jnp.abs(blur1))
     s0, s1 = _inside_window(camera.film, start, end, margin)
-    length = jnp.where(in_front, extent * jnp.maximum(s1 - s0, 0.0), 0.0)
-    silhouette, importance = _importance(packed, moving, number, key)
+    length = jnp.where(in_front & (rows.share > 0), extent * jnp.maximum(s1 - s0, 0.0), 0.0)
+    silhouette, importance = _importance(packed, moving, rows, fixed_key(0))
     mass = length * importance
+    crease = rows.intersection if material else ~silhouette
     return EdgeDistribution(
-        edge=number,
+        edge=rows.edge,
+        ends=rows.ends,
+        faces=rows.faces,
+        opposite=rows.opposite,
+        share=rows.share,
         start=start,
         end=end,
         clip=from_components(t0, t1),
@@ -90,7 +153,7 @@ def edge_distribution(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKe
         range=from_components(s0, s1),
         importance=importance,
         silhouettes=jnp.cumsum(jnp.where(silhouette, mass, 0.0)),
-        creases=jnp.cumsum(jnp.where(silhouette, 0.0, mass)),
+        creases=jnp.cumsum(jnp.where(crease, mass, 0.0)),
         extent=extent if camera.aperture else None,
     )
 
@@ -116,15 +179,18 @@ def _inside_window(film, start, end, margin=None):
     return low.max(-1), high.min(-1)
 
 
-def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array, " E"], key):
+def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key):
     """(is a silhouette, estimate of the jump of radiance per unit length of projected edge).
 
     The jump at a crease has three parts: the difference of the unshadowed light that the two faces receive from a few
     emitter samples; a share of their fold, which stands for all other light; and the difference of their textures. The
-    jump at a silhouette is the light that the brighter face receives, and a typical value for the background. These
-    estimates change the noise only.
+    jump at a silhouette is the light that the brighter face receives, and a typical value for the background; so is it
+    where surfaces pass through each other, which may have different materials. These estimates change the noise only.
     """
     faces, row_of = packed.faces_of(moving)
+    own, edges = faces.shape[0], packed.edges_of(moving).shape[0]
+    number, sharing = rows.edge[:edges], jnp.maximum(rows.faces[edges:, :2], 0)
+    faces = jnp.concatenate([faces, sharing.T.reshape(-1)])
     triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
     corner, normal = corners(triangles)[0], normalize(triangle_normals(triangles))
     front = dot(normal, packed.camera.view().towards(corner)) > 0
@@ -140,11 +206,14 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     first, second = components(pair)
     face0 = row_of(first)
     face1 = jnp.where(second >= 0, row_of(second), face0)
+    added = own + jnp.arange(sharing.shape[0])
+    face0, face1 = jnp.concatenate([face0, added]), jnp.concatenate([face1, added + sharing.shape[0]])
+    interior = jnp.concatenate([interior, jnp.ones(added.shape, bool)])
     # Edges of one face or of more than two count as silhouettes. Both sides are estimated, so either kind is right.
-    silhouette = ~interior | (front[face0] != front[face1])
+    silhouette = ~interior | ((front[face0] != front[face1]) & ~rows.intersection)
     if packed.camera.aperture:  # add the edges that are silhouettes from a part of the aperture
         turns = packed.camera.turns(corner, normal)
-        silhouette = silhouette | turns[face0] | turns[face1]
+        silhouette = silhouette | ((turns[face0] | turns[face1]) & ~rows.intersection)
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
     mean = received.mean()
@@ -152,11 +221,11 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], number: Int[Array
     crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.has_seams:
         light = 0.5 * (received[face0] + received[face1]) + 0.1 * typical
-        crease = crease + light * seam_jumps(packed, number)
+        crease = crease + light * jnp.pad(seam_jumps(packed, number), (0, sharing.shape[0]))
     if packed.glow:  # radiance x pi: the irradiance with which a white surface would look as bright
-        crease = crease + jnp.pi * glow_jumps(packed, number)
+        crease = crease + jnp.pi * jnp.pad(glow_jumps(packed, number), (0, sharing.shape[0]))
     bright = jnp.maximum(received[face0], received[face1])
-    return silhouette, jnp.where(silhouette, 0.5 * (typical + bright), crease)
+    return silhouette, jnp.where(silhouette | rows.intersection, 0.5 * (typical + bright), crease)
 
 
 def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:

@@ -1,4 +1,4 @@
-"""Discontinuities in the image plane: silhouettes and creases that the camera sees directly.
+"""Discontinuities in the image plane: silhouettes, creases and intersections of surfaces that the camera sees directly.
 
 With the camera ray fixed, the image is an integral over the film whose integrand jumps across projected edges. Its
 derivative is the line integral of (L on one side - L on the other) times the normal velocity of the edge. The two sides
@@ -21,7 +21,6 @@ from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.splat import splat
 from jaxdr.transport.interaction import SurfacePoint, intersect, on_fixed_ray
-from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.near_field import footprint
 from jaxdr.transport.path import Lobe
 from jaxdr.transport.path_settings import PathSettings
@@ -31,12 +30,14 @@ from jaxdr.transport.sampler import LENS_DIMENSIONS, lattice
 from jaxdr.transport.shading import Scatterer
 
 KINDS = ("silhouettes", "creases")
+PARALLEL = 1e-6  # sine² of the angle between two faces; of smaller angles they share no line that could be told
 
 
 class FilmEdgePoints(NamedTuple):
     """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
 
-    - `along`: the point's fraction of its `edge`.
+    - `along`: the point's fraction of its `edge`; the edge is -1 where faces intersect.
+    - `point`: its position.
     - `lens`: the point of the aperture that it is seen through; None without an aperture.
     - `film_point`, `normal`: its film position, and the line's unit normal on the film, towards the first side.
     - `weight`: 1 / (count x density per pixel of length).
@@ -47,6 +48,7 @@ class FilmEdgePoints(NamedTuple):
 
     edge: Int[Array, " n"]
     along: Float[Array, " n"]
+    point: Float[Array, "n 3"]
     lens: Float[Array, "n 2"] | None
     film_point: Float[Array, "n 2"]
     normal: Float[Array, "n 2"]
@@ -59,26 +61,19 @@ class FilmEdgePoints(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Edge points, and what is behind them.
-
-    `behind` is the side (0 or 1) whose hit is farther; `face`, `barycentric` and `hit` describe that hit. `seen` tells
-    which points count, `crease` which are on creases.
-    """
+    """Edge points. `seen` tells which count, `bounded` the sides on which light in material form ends there."""
 
     points: FilmEdgePoints
-    behind: Int[Array, " n"]
-    face: Int[Array, " n"]
-    barycentric: Float[Array, "n 3"]
-    hit: Bool[Array, " n"]
     seen: Bool[Array, " n"]
-    crease: Bool[Array, " n"]
+    bounded: Bool[Array, "2 n"]
 
 
 class FilmEdges:
     """Term of the edges in the image, from as many points on silhouettes as on creases, stratified along the edges.
 
     Where first hits are material points, creases do not count. Light in material form has a boundary at a silhouette
-    only on the surface behind it. There the edge's velocity counts relative to that surface.
+    only on the surface behind it. There the edge's velocity counts relative to that surface. Where surfaces intersect
+    it has a boundary on both.
     """
 
     def __init__(self, *kinds: str):
@@ -88,19 +83,16 @@ class FilmEdges:
 
     def prepare(self, context: Context, key) -> EdgeDistribution | None:
         """Distributions over the edges of what moves relative to the camera."""
-        if not any(context.moving.seen) or not self._kinds(context.form):
+        if not any(context.moving.seen):
             return None
-        del key  # a fixed key: the same edges are drawn whether the two kinds are one term or two
-        return edge_distribution(context.packed, context.moving.seen, fixed_key(0))
-
-    def _kinds(self, form: Form) -> tuple[str, ...]:
-        return tuple(kind for kind in self.kinds if kind == "silhouettes" or form != Form.MATERIAL)
+        material = context.form == Form.MATERIAL
+        return edge_distribution(context.packed, context.moving.seen, key, context.settings, material)
 
     def draw(self, context: Context, state: EdgeDistribution, chunk: Chunk, key):
         """Points on edges, and requests for the radiance on both sides."""
         packed, settings, form = context.packed, context.settings, context.form
         del key  # each kind has a key from the chunk's: the same points are drawn whether the kinds are one term or two
-        count, kinds = max(1, round(chunk.paths * context.edge_samples)), self._kinds(form)
+        count, kinds = max(1, round(chunk.paths * context.edge_samples)), self.kinds
         drawn, lenses, numbers, stream = [], [], [], []
         for kind in kinds:
             key_edges, key_first, key_lens = jax.random.split(named_key(chunk.key, kind), 3)
@@ -129,9 +121,8 @@ class FilmEdges:
         first, wi, u, stream, size, given = flat
         emission = jnp.tile(seen, 2).astype(wi.dtype)
         asked = request(first, wi, u, settings.max_depth - 1, stream, emission)._replace(seen=size, given=given)
-        behind = points.distance.argmax(0)
-        far = jax.tree.map(lambda x: _of_side(x, behind), points.first)
-        return asked, _Held(points, behind, far.face, far.barycentric, far.valid, seen, crease)
+        behind = points.distance.argmax(0) == jnp.arange(2)[:, None]
+        return asked, _Held(points, seen, jnp.where(crease, points.edge < 0, behind))
 
     def image(
         self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
@@ -140,21 +131,25 @@ class FilmEdges:
         packed, form, points = context.packed, context.form, held.points
         assert answers is not None  # `draw` always asks
         total, near = (x.reshape(2, -1, 3) for x in answers)
-        view = _view(packed, points)
-        ends = corners(packed.vertices[packed.edges.vertices[points.edge]])
-        film_point = view.project(between(*ends, points.along))
+        view, first = _view(packed, points), points.first
+        ends = corners(packed.vertices[packed.edges.vertices[jnp.maximum(points.edge, 0)]])
+        material = on_face(packed, first.face.reshape(-1), first.barycentric.reshape(-1, 3)).reshape(2, -1, 3)
+        intersects = (points.edge < 0)[:, None]
+        position = jnp.where(intersects, _intersection(points, material), between(*ends, points.along))
+        film_point = view.project(position)
         value = 0.0
         if form != Form.MATERIAL:
             far = total - near
             value = scale(far[1] - far[0], _moved(points, film_point))
         if form != Form.FIXED:
             near = total if form == Form.MATERIAL else near
-            material = on_face(packed, held.face, held.barycentric)
             ahead = jnp.asarray([0.0, 0.0, 1.0], film_point.dtype)
-            local = jnp.where(held.hit[:, None], view.local(material), ahead)
-            position = film_point - jnp.where(held.hit[:, None], view.project_local(local), 0.0)
-            jump = jnp.where((held.behind == 1)[:, None], near[1], -near[0])
-            value += scale(jnp.where(held.crease[:, None], 0.0, jump), _moved(points, position))
+            for side, sign in ((0, -1.0), (1, 1.0)):
+                hit = first.valid[side][:, None]
+                local = jnp.where(hit, view.local(material[side]), ahead)
+                relative = film_point - jnp.where(hit, view.project_local(local), 0.0)
+                moved = jnp.where(held.bounded[side], sign * _moved(points, relative), 0.0)
+                value += scale(near[side], moved)
         value = scale(value, jnp.where(held.seen, points.weight, 0.0))
         return chunk.share * splat(packed.camera.film, points.film_point, value)
 
@@ -165,13 +160,22 @@ def _moved(points: FilmEdgePoints, position: Float[Array, "n 2"]) -> Float[Array
     return along - jax.lax.stop_gradient(along)
 
 
+def _intersection(points: FilmEdgePoints, material: Float[Array, "2 n 3"]) -> Float[Array, "n 3"]:
+    """Points on the lines that the planes of the faces on both sides share; they move along both normals.
+
+    Each plane goes with the material point that is seen beside the line: n . dx = n . d(material) for both normals n.
+    The motion along the line is left out: it does not change what is seen.
+    """
+    normal = jax.lax.stop_gradient(points.first.normal)
+    moved = dot(normal, material - jax.lax.stop_gradient(material))
+    cosine = dot(normal[0], normal[1])
+    sine2 = 1.0 - cosine**2
+    one, two = (safe_divide(moved[k] - cosine * moved[1 - k], sine2, sine2 > PARALLEL) for k in (0, 1))
+    return points.point + scale(normal[0], one) + scale(normal[1], two)
+
+
 def _view(packed: PackedScene, points: FilmEdgePoints) -> View:
     return packed.camera.view(points.lens)
-
-
-def _of_side(x, side: Int[Array, " n"]):
-    """The row of the first or the second side, for each point."""
-    return jnp.where(side.reshape(-1, *[1] * (x.ndim - 2)) == 1, x[1], x[0])
 
 
 def _common_directions(packed: PackedScene, points: FilmEdgePoints, crease, u) -> Lobe:
@@ -199,13 +203,12 @@ def _edge_points(
     row, fraction, weight = drawn
     count = row.shape[0]
     d = jax.tree.map(lambda table: table[row], distribution)
-    edge = d.edge
-    weight = packed.edges.shared(edge, weight)
+    edge, ends, opposite = d.edge, d.ends, d.opposite
+    weight = weight * d.share
     # The point of the 3D edge seen at this fraction of the projected edge.
     (h0, h1), (t0, t1) = components(d.homogeneous), components(d.clip)
     along = fraction * h0 / (fraction * h0 + (1 - fraction) * h1)
     along = t0 + along * (t1 - t0)
-    ends = packed.vertices[packed.edges.vertices[edge]]
     p0, p1 = corners(ends)
     point = between(p0, p1, along)
     view, start, end = camera.view(lens), d.start, d.end
@@ -233,7 +236,7 @@ def _edge_points(
     edge_distance = norm(point - origin)
     tolerance = 1e-5 * edge_distance + 50 * step * pixel
     near = jnp.abs(distance - edge_distance) <= tolerance
-    neighbours = packed.edges.faces[edge]
+    neighbours = d.faces
     at_neighbour = ((first.face[:, :, None] == neighbours) & (neighbours >= 0)).any(-1) & first.valid
     at_edge = near | at_neighbour
 
@@ -241,23 +244,24 @@ def _edge_points(
     across = cross(p1 - p0, view.towards(point))
     beside = origin + scale(direction, edge_distance)
     across = scale(across, jnp.sign(dot(across, beside[0] - beside[1])))
-    opposite = packed.edges.opposite[edge]
     height = dot(packed.vertices[opposite] - point[:, None], across[:, None])
     length = norm(across)
     # Faces without area are on neither side.
     flat = jnp.abs(height) <= (rounding * length)[:, None]
-    height = jnp.where((neighbours >= 0) & ~flat, height, 0.0)
+    height = jnp.where((opposite >= 0) & ~flat, height, 0.0)
     on_first, on_second = (height > 0).any(-1), (height < 0).any(-1)
     # Where a face is thinner than the step, the rays of both of its edges end beyond it. Each of the two edges would
     # count the whole jump, so each has half the weight.
-    thin = (jnp.abs(height) <= 2 * (step * pixel * length)[:, None]) & (neighbours >= 0)
+    thin = (jnp.abs(height) <= 2 * (step * pixel * length)[:, None]) & (opposite >= 0)
     once = jnp.maximum(1.0 - 0.5 * thin.sum(-1), 0.0)
     weight = jnp.where(at_edge.all(0), once * weight, weight)
     # A ray beside the edge misses a face that is seen edge-on; many silhouettes of fine meshes have such faces. Then
     # the ray ends on the next face of the surface, which may be nearer than the edge or farther.
-    around = jnp.concatenate([packed.edges.vertices[edge], jnp.where(neighbours >= 0, opposite, -1)], -1)
+    around = jnp.concatenate([packed.edges.vertices[jnp.maximum(edge, 0)], opposite], -1)
     surface = at_edge | ((packed.faces[first.face][..., None] == around[:, None]).any((-1, -2)) & first.valid)
     clear = distance >= edge_distance - tolerance
     outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
     outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
-    return FilmEdgePoints(edge, along, lens, film_point, normal, weight, direction, first, distance, at_edge, outline)
+    return FilmEdgePoints(
+        edge, along, point, lens, film_point, normal, weight, direction, first, distance, at_edge, outline
+    )

@@ -27,6 +27,7 @@ from jaxdr.geometry.queries.records import (
     EdgePoints,
     EdgeSet,
     EdgeTable,
+    FaceIntersections,
     Geometry,
     Hit,
     Lines,
@@ -105,6 +106,26 @@ def projections(
     """
     query = _module(implementation).projections
     return Projections(*_asked(query, (geometry, face_shape), (lines,), capacity=capacity))
+
+
+def face_intersections(
+    geometry: Geometry,
+    moving: Bool[Array, " F"],
+    seed: Int[Array, ""],
+    capacity: int,
+    indirect: bool = False,
+    implementation: str = "auto",
+) -> FaceIntersections:
+    """Where faces pass through each other: pairs of which at least one is `moving`, each pair once.
+
+    Faces that share a vertex don't count, and neither do faces that only touch (`records.TOUCHING`). If there are pairs
+    and light is `indirect`, a warning says what the derivative lacks, except with `jax`.
+    """
+    query = _module(implementation).face_intersections
+    options = {"capacity": capacity, "indirect": indirect}
+    first, second, start, end, count, weight = _asked(query, (geometry, moving, seed), **options)
+    dtype = geometry.vertices.dtype
+    return FaceIntersections(first, second, jnp.stack([start, end], 1).astype(dtype), count, weight.astype(dtype))
 
 
 def edge_tree(

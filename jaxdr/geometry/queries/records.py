@@ -162,8 +162,24 @@ class SectorCrossings(NamedTuple):
     weight: Float[Array, ""]
 
 
+class FaceIntersections(NamedTuple):
+    """Compacted pairs of faces that pass through each other, and the `ends` of the segments that they share.
+
+    Unused slots have `first` -1. `count` and `weight` are as in `Candidates`.
+    """
+
+    first: Int[Array, " C"]
+    second: Int[Array, " C"]
+    ends: Float[Array, "C 2 3"]
+    count: Int[Array, ""]
+    weight: Float[Array, ""]
+
+
 # Further values of a chord's `group`, beside the groups of faces (0, 1, ...).
 NO_GROUP, UNBOUNDED = -1, -2
 
 # Distance at which visibility rays pass an edge, as a share of the largest coordinate: about 100 float32 roundings.
 BESIDE = 1.2e-5
+
+# Faces that reach through each other by less, as a share of the largest coordinate, only touch: 8 float32 roundings.
+TOUCHING = 1e-6

@@ -12,6 +12,7 @@ from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
     draw_edges,
     edge_candidates,
     edge_tree,
+    face_intersections,
     point_candidates,
     projections,
     sector_crossings,

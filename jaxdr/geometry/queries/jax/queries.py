@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxdr import loops
 from jaxdr.geometry.queries.jax.bundles import draw_edges  # noqa: F401
+from jaxdr.geometry.queries.jax.intersections import face_intersections  # noqa: F401
 from jaxdr.geometry.queries.jax.sector import sector_crossings  # noqa: F401
 from jaxdr.geometry.vector import dot, norm
 

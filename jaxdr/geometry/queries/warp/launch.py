@@ -50,14 +50,21 @@ def launch(kernel, count: int, leading: list, rest: list, device, each: int = SL
         job.result()
 
 
-def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: int, device):
+SILHOUETTES = (
+    "the silhouettes of {total} segments or chords exceed the capacity of {capacity} and were thinned without bias. "
+    "{enough} times the capacity, or a smaller reach, avoids it."
+)
+
+
+def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: int, device, too_many=SILHOUETTES):
     """Run a kernel that appends rows to `lists`, and thin the rows without bias if there are more than fit.
 
     The kernel's arguments are `(*leading, start, *rest, probability, *lists, found)`. It adds to `found`, an array of
     `counts` whole numbers: the rows it kept, all rows, and other counts. The first list holds row numbers, -1 in unused
     slots. On a GPU the host waits for `found`, because the host decides whether to thin and to warn. The probability of
     a row to survive depends on the number of rows only. So weighting the survivors by its inverse is unbiased. Eight
-    standard deviations of slack keep them within the capacity. Returns (found, 1 / probability).
+    standard deviations of slack keep them within the capacity. Then `too_many` is a warning. Returns (found, 1 /
+    probability).
     """
     capacity, probability = lists[0].shape[0], 1.0
     found = _run(kernel, leading, rest, total, probability, lists, counts, device)
@@ -66,11 +73,7 @@ def compact(kernel, leading: list, rest: list, total: int, lists: list, counts: 
         probability = max(capacity - 8.0 * capacity**0.5, 0.5 * capacity) / every
         # Round to a power of two. The exact number differs from call to call, and Python shows each new text again.
         enough = 1 << (every // capacity).bit_length()
-        warnings.warn(
-            f"jaxdr: the silhouettes of {total} segments or chords exceed the capacity of {capacity} and were "
-            f"thinned without bias. {enough} times the capacity, or a smaller reach, avoids it.",
-            stacklevel=2,
-        )
+        warnings.warn(f"jaxdr: {too_many.format(total=total, capacity=capacity, enough=enough)}", stacklevel=2)
         kept = _run(kernel, leading, rest, total, probability, lists, counts, device)[0]
         if kept > capacity:
             raise RuntimeError(f"jaxdr: thinning {every} pairs left {kept}, more than the capacity of {capacity}")

@@ -14,7 +14,14 @@ import warp as wp
 
 from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.queries.bvh_cache import HostArrays
-from jaxdr.geometry.queries.warp import bundle_kernels, kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp import (
+    bundle_kernels,
+    intersection_kernels,
+    kernels,
+    records,
+    sector_kernels,
+    tree_kernels,
+)
 from jaxdr.geometry.queries.warp.device_arrays import number_above
 from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
 from jaxdr.geometry.queries.warp.records import Call, Numbers
@@ -201,6 +208,47 @@ def draw_edges(table, bundles, seed, reach):
     """(edge, importance, total) for each bundle: see `queries.draw_edges`."""
     n = bundles.end.shape[0]
     return _draw_edges_call(table, table.tree, bundles, seed, jnp.full(1, reach, jnp.float32), dims=[n, n, n])
+
+
+INTERSECTIONS = (
+    "more than {capacity} pairs of faces pass through each other. They were thinned without bias. Meshes that pass "
+    "through themselves or each other in fewer places avoid it."
+)
+
+
+INDIRECT = (
+    "surfaces pass through each other. With indirect light (max_depth of 3 or more) derivatives by motions of one "
+    "relative to the other are very noisy there, and miss a part. max_depth=2 has no such trouble"
+)
+
+
+def _face_intersections(geometry, moving, options, first, second, start, end, count, weight):
+    lists, device = [first, second, start, end], first.device
+    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
+        rest, total = [geometry, moving, options], geometry.faces.shape[0]
+        found, inverse = compact(
+            intersection_kernels.face_intersections, [bvh], rest, total, lists, 2, device, INTERSECTIONS
+        )
+    if found[1] > 0 and on_host(options)[1]:
+        warnings.warn(f"jaxdr: {INDIRECT}", stacklevel=2)
+    _counted(found[1:2], inverse, count, weight)
+
+
+_POINTS = wp.array(dtype=wp.vec3)
+_face_intersections_call = Call(
+    _face_intersections,
+    [records.Geometry, Numbers, Numbers],
+    [WHOLE, WHOLE, _POINTS, _POINTS, WHOLE, REAL],
+    intersection_kernels,
+)
+
+
+def face_intersections(geometry, moving, seed, capacity, indirect):
+    """(first [C], second [C], start [C, 3], end [C, 3], count, weight): see `queries.face_intersections`."""
+    dims = [capacity, capacity, capacity, capacity, 1, 1]
+    options = jnp.stack([seed, jnp.int32(indirect)])
+    *lists, count, weight = _face_intersections_call(geometry, moving, options, dims=dims)
+    return *lists, count[0], weight[0]
 
 
 def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):
