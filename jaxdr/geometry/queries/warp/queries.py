@@ -14,7 +14,7 @@ import warp as wp
 
 from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.queries.bvh_cache import HostArrays
-from jaxdr.geometry.queries.warp import bundle_kernels, kernels, records, sector_kernels, tree_kernels
+from jaxdr.geometry.queries.warp import bundle_kernels, cone_kernels, kernels, records, sector_kernels, tree_kernels
 from jaxdr.geometry.queries.warp.device_arrays import number_above
 from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
 from jaxdr.geometry.queries.warp.records import Call, Numbers
@@ -201,6 +201,22 @@ def draw_edges(table, bundles, seed, reach):
     """(edge, importance, total) for each bundle: see `queries.draw_edges`."""
     n = bundles.end.shape[0]
     return _draw_edges_call(table, table.tree, bundles, seed, jnp.full(1, reach, jnp.float32), dims=[n, n, n])
+
+
+def _closest_silhouettes(geometry, edges, tree, cones, edge, along):
+    rest = [geometry, edges, tree, cones, edge, along]
+    launch(cone_kernels.closest_silhouettes, cones.reach.shape[0], [], rest, edge.device)
+
+
+_closest_silhouettes_call = Call(
+    _closest_silhouettes, [*_over_edges, records.EdgeTree, records.ConeQuery], [WHOLE, REAL], cone_kernels
+)
+
+
+def closest_silhouettes(geometry, edges, cones):
+    """(edge [N], along [N]): see `queries.closest_silhouettes`."""
+    n = cones.reach.shape[0]
+    return _closest_silhouettes_call(geometry, edges, edges.tree, cones, dims=[n, n])
 
 
 def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):
