@@ -83,9 +83,19 @@ def warped_directions(context: Context, chunk: Chunk, field: VelocityField, key:
     along = jnp.where(lit[:, None], scale(measure(towards), angle), 0.0)
     towards, angle = stop_gradient((towards, angle))
 
+    def f(direction):
+        return scale(measure(direction), angle)
+
+    warp = _warp(paths, f, towards, lit, field, key)
+    return warp - (along - stop_gradient(along))
+
+
+def _warp(paths: PathSegments, f: Measure, towards, lit, field: VelocityField, key) -> Float[Array, "N 3"]:
+    """div (F v) = F div v + grad F . v at unit directions `towards`, summed over the auxiliary ones."""
+    index = jnp.arange(paths.paths)
     apex = paths.fixed.apex(index)
     count, everywhere = paths.paths, jnp.ones(paths.paths, bool)
-    around = SegmentEnds(
+    ends = SegmentEnds(
         apex=apex.position,
         apex_face=apex.face,
         target=apex.position + towards,
@@ -94,20 +104,16 @@ def warped_directions(context: Context, chunk: Chunk, field: VelocityField, key:
         corners=jnp.zeros((count, 3, 3), towards.dtype),
         infinite=everywhere,
     )
-    velocities = field(fixed, apex, around, lit, key)
-
-    def f(direction):
-        return scale(measure(direction), angle)
+    velocities = field(paths.fixed.packed, apex, ends, lit, key)
 
     def moved(slot):
         row = velocities.row(slot)
         # No turns here: a turn of the environment is already in F.
-        return displacement(packed, paths.position(row), everywhere[row], velocities.seen(slot), turns=False)
+        return displacement(paths.packed, paths.position(row), everywhere[row], velocities.seen(slot), turns=False)
 
     # On the unit sphere the direction itself is the target, relative to the apex.
-    on_sphere = dataclasses.replace(around, target=towards)
-    warp = divergence_term(f, f(towards), on_sphere, lit, velocities, moved)
-    return warp - (along - stop_gradient(along))
+    around_apex = dataclasses.replace(ends, target=towards)
+    return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
 
 
 def _measure(packed: PackedScene, paths: PathSegments, index: Int[Array, " N"]) -> Measure:

@@ -10,10 +10,10 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.queries import ConeQuery, EdgeSet
 from jaxdr.geometry.shapes import rectangle
 from jaxdr.scene.packed import pack
-from tests.geometry.queries.query_meshes import MESHES, make
+from tests.geometry.queries.query_meshes import make
 
-COUNT = 1500
-NAMES = [name for name in MESHES if "tiny" not in name and "far" not in name]
+COUNT = 800
+NAMES = ["sphere, flattened", "bumps", "box, rotated", "plane", "bumps, far away"]
 CAMERA = jd.Perspective(jd.look_at([3, -3, 3], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(8, 8))
 
 
@@ -84,12 +84,12 @@ def test_the_nearest_silhouette_is_found(name):
     ours, others = angles(geometry, edges, cones, found), angles(geometry, edges, cones, plain)
     assert np.all(found.edge[np.asarray(cones.reach) == 0] == -1) and np.all((found.along >= 0) & (found.along <= 1))
     assert 0.2 < np.mean(found.edge >= 0) < 0.99
-    same = (ours == others) | (np.abs(ours - others) < 1e-5)
+    same = (found.edge == plain.edge) | np.isclose(ours, others, rtol=0, atol=1e-5)
     # Where all planes of faces pass the apex by rounding, an edge may be a silhouette to one of both only.
     assert same.mean() > 0.998, np.flatnonzero(~same)
     for number in range(3, 100, 7):
         exact, step = least(geometry, edges, cones, number)
-        assert ours[number] == exact or -1e-5 - step < ours[number] - exact < 1e-5, (number, ours[number], exact)
+        assert np.isclose(ours[number], exact) or -1e-5 - step < ours[number] - exact < 1e-5, (number, ours[number], exact)
 
 
 def test_batches_and_shared_trees():

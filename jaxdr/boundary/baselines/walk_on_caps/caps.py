@@ -27,15 +27,15 @@ def tangents(centre: Float[Array, "*n 3"], turn: Float[Array, "*n"]) -> Float[Ar
 
 
 def turned(
-    centre: Float[Array, "*n 3"], tangent: Float[Array, "*n 3"], angle: Float[Array, "*n"]
-) -> Float[Array, "*n 3"]:
+    centre: Float[Array, "*#n 3"], tangent: Float[Array, "*#n 3"], angle: Float[Array, "*#n"]
+) -> Float[Array, "*#n 3"]:
     """Unit directions at an angle from `centre` along a unit tangent."""
     return normalize(scale(centre, jnp.cos(angle)) + scale(tangent, jnp.sin(angle)))
 
 
 def in_cap(
-    centre: Float[Array, "*n 3"], radius: Float[Array, "*n"], turn: Float[Array, "*n"], share: Float[Array, "*n"]
-) -> Float[Array, "*n 3"]:
+    centre: Float[Array, "*#n 3"], radius: Float[Array, "*#n"], turn: Float[Array, "*#n"], share: Float[Array, "*#n"]
+) -> Float[Array, "*#n 3"]:
     """Directions in caps, even in solid angle for even `turn` and `share` of the area, both from 0 to 1."""
     # 1 - cos is 2 sin^2 of the half: no cancellation in small caps.
     half = jnp.arcsin(jnp.sqrt(share) * jnp.sin(0.5 * radius))

@@ -26,7 +26,8 @@ class WalkOnCaps(WarpedTerm):
 
     All fields are static.
 
-    - `steps`: caps that a walk goes over, at least 1. With more steps the field is smoother.
+    - `steps`: caps that a walk goes over, at least 1. With more steps the field is smoother, and
+      its estimate noisier.
     - `walks`: walks that start on the rim of the first cap, for the divergence, and as many in it, for the velocity.
     - `share`: radius of a cap over the angle to the closest silhouette, up to 1.
     - `reach`: silhouettes count up to so many radians from a direction. Up to pi, which means all.
@@ -37,8 +38,8 @@ class WalkOnCaps(WarpedTerm):
     Raises ValueError for options out of range.
     """
 
-    steps: int = eqx.field(static=True, default=2)
-    walks: int = eqx.field(static=True, default=2)
+    steps: int = eqx.field(static=True, default=1)
+    walks: int = eqx.field(static=True, default=4)
     share: float = eqx.field(static=True, default=1.0)
     reach: float = eqx.field(static=True, default=math.pi)
 

@@ -122,8 +122,9 @@ def walked_velocities(views: Views, direction: Float[Array, "N 3"], ends: Segmen
 
     factor = rim_over_area(radius) / count
     on_rim = scale(towards + grow, factor)
-    within = -scale(grow, factor) - (2.0 / count) * centre  # the divergence on a sphere leaves out what is normal to it
-    rate = jnp.concatenate([-scale(towards, factor).sum(1, keepdims=True), on_rim, within + 0.0 * towards], 1)
+    # The divergence on a sphere leaves out what is normal to it.
+    within = jnp.broadcast_to(-scale(grow, factor) - (2.0 / count) * centre, towards.shape)
+    rate = jnp.concatenate([-scale(towards, factor).sum(1, keepdims=True), on_rim, within], 1)
     share = jnp.broadcast_to(jnp.where(jnp.arange(1 + 2 * count) > count, 1.0 / count, 0.0), rate.shape[:2])
     edge, along = (jnp.concatenate(a, 1) for a in ((here.edge, last.edge), (here.along, last.along)))
     return _in_slots(views, ends, edge, along, share.astype(dtype), rate)
