@@ -13,6 +13,7 @@ from typing import Any
 from jaxdr.boundary.baselines.markov_chains import MarkovChains
 from jaxdr.boundary.baselines.quadric_sampling import QuadricSampling
 from jaxdr.boundary.baselines.redner_was import RednerWAS
+from jaxdr.boundary.baselines.walk_on_caps import WalkOnCaps
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
@@ -26,6 +27,7 @@ ESTIMATORS: dict[str, Callable[..., Any]] = {
     "MarkovChains": MarkovChains,
     "QuadricSampling": QuadricSampling,
     "RednerWAS": RednerWAS,
+    "WalkOnCaps": WalkOnCaps,
     "WarpedArea": WarpedArea,
     "none": lambda: None,  # interior term only
 }

@@ -26,6 +26,7 @@ LEFT_OUT = {
     "WarpedArea": "up to 5 % short with few auxiliary points, and noisier than the others wherever it was measured",
     "QuadricSampling": "unbiased, and ten times noisier than LineSampling where it was measured",
     "MarkovChains": "unbiased, and there for comparison: neighbouring samples of a chain are alike",
+    "WalkOnCaps": "unbiased for direct light, and there for comparison: it has noise wherever light is seen",
 }
 SPLIT = 4.0  # factor by which a try raises or lowers the samples of a term
 DOMINANT, NEGLIGIBLE = 0.7, 0.05  # a try is worth it above the first share of the variance, and below the second

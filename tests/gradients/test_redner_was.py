@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
-from jaxdr.boundary.baselines import redner_was
+from jaxdr.boundary.baselines import on_directions
 from jaxdr.geometry.shapes import box
 from tests.gradients import test_environment_shadow as environment
 from tests.gradients.floor_point import (
@@ -114,7 +114,7 @@ def test_noise_beside_that_of_the_material_form():
 def test_directions_are_fixed_in_the_world(monkeypatch):
     """Without the warp nothing is left of a derivative by a uniform light's place: F does not change at a direction."""
     without = jd.RednerWAS(sigma0=0.123)  # of its own, for the compiled program
-    monkeypatch.setattr(redner_was, "_warp", lambda *_: 0.0)
+    monkeypatch.setattr(on_directions, "_warp", lambda *_: 0.0)
     _, pixels = translated(cube_scene(), KEY, without, 4)
     assert np.abs(pixels).max() < 1e-5
 

@@ -23,12 +23,13 @@ ESTIMATORS = {
     "GuidedEdges": (jd.GuidedEdges(), "mis"),
     "QuadricSampling": (jd.QuadricSampling(), "mis"),
     "MarkovChains": (jd.MarkovChains(), "mis"),
+    "WalkOnCaps": (jd.WalkOnCaps(), "emitter"),
     # Options that some cases are about.
     "KernelDensity, radius 0.2": (jd.KernelDensity(0.2), "mis"),
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),
 }
-COLUMNS = tuple(ESTIMATORS)[1:8]
+COLUMNS = tuple(ESTIMATORS)[1:9]
 
 
 def integrator(estimator: str, max_depth: int):

@@ -1,59 +1,19 @@
 """Warped areas on the sphere of directions (Bangaru et al. 2020; "Redner_WAS" in Xu et al. 2023), direct light only.
 
-At a shading point y the integrand of direct light is a function of the direction w: F(w) = L(y, w) f_s(w) cos (Eq. 55).
-It jumps at the silhouettes of occluders and at all outlines of the emitter itself. (In the material form, Eq. 56, these
-outlines are fixed on the surface.) Let v be a continuous field on the sphere that tends to the velocity of these curves
-as a direction approaches them. Then
-
-    dI/d theta = int [dF/d theta at a fixed direction + div (F v)] d sigma.
-
-`render`'s interior term is in material form: its directions follow the emitter's points, with a velocity m. So it is
-int [dF/d theta + div (F m)] d sigma, point by point. This file adds div (F v) - div (F m), which is a warp by v - m.
-The sum is the spherical estimator, at the path tracer's own emitter samples.
+The velocity of a direction is a convolution of those of the material points that are seen around it.
 """
 
-import dataclasses
 from typing import Literal
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.boundary.baselines.on_directions import direct_light_refusals, warped_directions
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
-from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
-from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
+from jaxdr.boundary.shared.refusals import Asked, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
-from jaxdr.boundary.warped_area.divergence import (
-    Measure,
-    Warped,
-    WarpedTerm,
-    check_options,
-    displacement,
-    divergence_term,
-    hidden_velocities,
-)
-from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals
-from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.emission import environment_radiance
-
-
-def _indirect(asked: Asked) -> str | None:
-    if asked.settings.max_depth <= 2:
-        return None
-    depth = asked.settings.max_depth
-    return f"RednerWAS: direct light only, but max_depth is {depth}; set max_depth=2, or take WarpedArea"
-
-
-def _glow(asked: Asked) -> str | None:
-    if not asked.packed.glow:
-        return None
-    return (
-        "RednerWAS: emitters with textures are not covered: seams of a texture are jumps on the sphere that "
-        "move; take emitters of one radiance, or WarpedArea"
-    )
+from jaxdr.boundary.warped_area.divergence import WarpedTerm, check_options, hidden_velocities
 
 
 class RednerWAS(WarpedTerm):
@@ -89,10 +49,7 @@ class RednerWAS(WarpedTerm):
     debias: bool = eqx.field(static=True, default=True)
     spread: float = eqx.field(static=True, default=0.5)
 
-    refusals = (
-        Refusal("`max_depth` above 2", "`max_depth=2`, `WarpedArea`", _indirect),
-        Refusal("emitters with textures", "emitters of one radiance, `WarpedArea`", _glow),
-    )
+    refusals = direct_light_refusals("RednerWAS")
 
     def __check_init__(self):
         check_options(self, ("samples",))
@@ -105,76 +62,12 @@ class RednerWAS(WarpedTerm):
 
     def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
         """The term of direct light, one value a path."""
-        packed, record = context.packed, chunk.record
-        if record.direct is None or not (packed.has_area_emitters or packed.environment is not None):
-            return jnp.zeros_like(record.radiance)
-        fixed = jax.tree.map(stop_gradient, packed)
-        paths = path_segments(packed, chunk, "direct")
-        index = jnp.arange(paths.paths)
-        measure = _measure(fixed, paths, index)
-        ends = paths.ends(index)
-        away = ends.target - ends.apex
-        reach = norm(away)
-        reach = jnp.where(reach > 0, reach, 1.0)
-        towards = jnp.where(ends.infinite[:, None], packed.turned(paths.table.direction), scale(away, 1.0 / reach))
-        plane = triangle_normals(ends.corners)
-        normal, area = normalize(plane), norm(plane)
-        there = area > 0
-        ratio = jnp.where(there, area, 1.0) / stop_gradient(jnp.where(there, area, 1.0))
-        # Solid angle per area of the emitter's reference surface.
-        angle = jnp.where(ends.infinite, 1.0, jnp.abs(dot(normal, towards)) / reach**2 * ratio)
-        lit = paths.table.visible & (scale(measure(stop_gradient(towards)), angle) != 0).any(-1)
-
-        # The derivative of `along` is div (F m), as the emitter's points move. The interior term has it; subtract it.
-        along = jnp.where(lit[:, None], scale(measure(towards), angle), 0.0)
         kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
         around = Convolution(
             kernel, self.samples, 1, self.debias, False, True, self.normal_edges, rays=context.settings.rays
         )
-        warped = Warped(packed, fixed, state, paths, around)
-        warp = _warp(warped, measure, *stop_gradient((towards, angle)), lit, key)
-        return warp - (along - stop_gradient(along))
 
+        def field(fixed, apex, ends, lit, key):
+            return hidden_velocities(fixed, state, apex, ends, lit, around, key)
 
-def _warp(warped: Warped, measure: Measure, towards, angle, lit, key) -> Float[Array, "N 3"]:
-    """div (F v) = F div v + grad F . v at unit directions `towards`, summed over the auxiliary ones."""
-    paths = warped.paths
-    index = jnp.arange(paths.paths)
-    apex = paths.fixed.apex(index)
-    count, everywhere = paths.paths, jnp.ones(paths.paths, bool)
-    ends = SegmentEnds(
-        apex=apex.position,
-        apex_face=apex.face,
-        target=apex.position + towards,
-        normal=towards,
-        face=jnp.zeros(count, jnp.int32),
-        corners=jnp.zeros((count, 3, 3), towards.dtype),
-        infinite=everywhere,
-    )
-    velocities = hidden_velocities(warped.fixed, warped.faces, apex, ends, lit, warped.around, key)
-
-    def f(direction):
-        return scale(measure(direction), angle)
-
-    def moved(slot):
-        row = velocities.row(slot)
-        # No turns here: a turn of the environment is already in F.
-        return displacement(warped.packed, paths.position(row), everywhere[row], velocities.seen(slot), turns=False)
-
-    # On the unit sphere the direction itself is the target, relative to the apex.
-    around_apex = dataclasses.replace(ends, target=towards)
-    return divergence_term(f, f(towards), around_apex, lit, velocities, moved)
-
-
-def _measure(packed: PackedScene, paths: PathSegments, index: Int[Array, " N"]) -> Measure:
-    """F / pdf (per area) of emitter samples, as a function of the unit direction at the apex; all else is detached."""
-    scatterer, table = paths.scatterer(index), paths.table
-
-    def measure(towards):
-        weight = table.weight[index]
-        if table.unlit is not None and packed.has_varying_sky:
-            sky = environment_radiance(packed, towards)
-            weight = jnp.where(table.infinite[index][:, None], table.unlit[index] * sky, weight)
-        return weight * scatterer.eval(normalize(towards))
-
-    return measure
+        return warped_directions(context, chunk, field, key)

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -65,20 +65,23 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
 
 
 class WarpedTerm(eqx.Module):
-    """Terms that request no radiance: they differentiate the contributions that the paths found."""
+    """Terms that request no radiance: they differentiate the contributions that the paths found.
+
+    `state` is what `prepare` returned.
+    """
 
     name = "boundary"
 
-    def draw(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray):
+    def draw(self, context: Context, state: Any, chunk: Chunk, key: PRNGKeyArray):
         """No requests; the key is kept for `image`."""
         return None, key
 
-    def image(self, context: Context, state: Faces, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
+    def image(self, context: Context, state: Any, chunk: Chunk, held: PRNGKeyArray, answers) -> Float[Array, "H W 3"]:
         """Boundary term: zero in value, right in derivative."""
         return chunk.image(context.packed, self.of_paths(context, state, chunk, held))
 
     @abc.abstractmethod
-    def of_paths(self, context: Context, state: Faces, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
+    def of_paths(self, context: Context, state: Any, chunk: Chunk, key: PRNGKeyArray) -> Float[Array, "N 3"]:
         """The term, one value a path."""
 
 

@@ -12,6 +12,7 @@ from jaxdr.geometry.queries.api import ANSWER as ANSWER
 from jaxdr.geometry.queries.api import CHOICES as CHOICES
 from jaxdr.geometry.queries.api import IMPLEMENTATIONS as IMPLEMENTATIONS
 from jaxdr.geometry.queries.api import closest_hit as closest_hit
+from jaxdr.geometry.queries.api import closest_silhouettes as closest_silhouettes
 from jaxdr.geometry.queries.api import draw_edges as draw_edges
 from jaxdr.geometry.queries.api import edge_candidates as edge_candidates
 from jaxdr.geometry.queries.api import edge_tree as edge_tree
@@ -25,6 +26,8 @@ from jaxdr.geometry.queries.records import BESIDE as BESIDE
 from jaxdr.geometry.queries.records import NO_GROUP as NO_GROUP
 from jaxdr.geometry.queries.records import UNBOUNDED as UNBOUNDED
 from jaxdr.geometry.queries.records import Candidates as Candidates
+from jaxdr.geometry.queries.records import ClosestSilhouettes as ClosestSilhouettes
+from jaxdr.geometry.queries.records import ConeQuery as ConeQuery
 from jaxdr.geometry.queries.records import DrawnEdges as DrawnEdges
 from jaxdr.geometry.queries.records import EdgePoints as EdgePoints
 from jaxdr.geometry.queries.records import EdgeSet as EdgeSet

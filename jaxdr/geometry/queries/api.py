@@ -23,6 +23,8 @@ from jaxdr.geometry.queries.embree import scene as embree_scene
 from jaxdr.geometry.queries.jax import queries as jax_queries
 from jaxdr.geometry.queries.records import (
     Candidates,
+    ClosestSilhouettes,
+    ConeQuery,
     DrawnEdges,
     EdgePoints,
     EdgeSet,
@@ -194,6 +196,19 @@ def draw_edges(
     query = _module(implementation).draw_edges
     edge, *rest = _asked(query, (table,), (bundles, seed), reach=reach)
     return DrawnEdges(edge, *(x.astype(bundles.end.dtype) for x in rest))
+
+
+def closest_silhouettes(
+    geometry: Geometry, edges: EdgeSet, cones: ConeQuery, implementation: str = "auto"
+) -> ClosestSilhouettes:
+    """For each cone the silhouette edge, seen from its apex, nearest to its axis in angle, hidden or not.
+
+    An edge is a silhouette if all its faces lie on one side of the plane through apex and edge. Faces that contain the
+    apex, up to rounding, are on neither side. An edge of rank zero is left out. Ties may go to any edge.
+    """
+    query = _module(implementation).closest_silhouettes
+    edge, along = _asked(query, (geometry, edges), (cones,))
+    return ClosestSilhouettes(edge, along.astype(cones.reach.dtype))
 
 
 def sector_crossings(

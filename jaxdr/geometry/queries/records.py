@@ -95,6 +95,26 @@ class SectorQuery(NamedTuple):
     group: Int[Array, " N"]
 
 
+class ConeQuery(NamedTuple):
+    """Cones of directions around the unit `direction` at an `apex`, with the half-angle `reach` in radians.
+
+    `normal`: edges that lie wholly below the plane through the apex with this unit normal, or in it up to rounding,
+    don't count. With a normal of zero all edges count. A reach of zero leaves a cone out.
+    """
+
+    apex: Float[Array, "N 3"]
+    direction: Float[Array, "N 3"]
+    normal: Float[Array, "N 3"]
+    reach: Float[Array, " N"]
+
+
+class ClosestSilhouettes(NamedTuple):
+    """For each cone an edge, -1 if none is in reach, and the fraction `along` it of the point nearest in angle."""
+
+    edge: Int[Array, " N"]
+    along: Float[Array, " N"]
+
+
 class EdgeTable(NamedTuple):
     """Edges at which what a ray sees may jump; detached. `importance` is that of a crease; zero leaves an edge out."""
 

@@ -9,6 +9,7 @@ from jaxdr.geometry.queries.embree.scene import EmbreeScene, library
 from jaxdr.geometry.queries.warp import queries as warp_queries
 from jaxdr.geometry.queries.warp.launch import SLICE, launch, on_host
 from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
+    closest_silhouettes,
     draw_edges,
     edge_candidates,
     edge_tree,

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 
 from jaxdr import loops
 from jaxdr.geometry.queries.jax.bundles import draw_edges  # noqa: F401
+from jaxdr.geometry.queries.jax.cones import closest_silhouettes  # noqa: F401
+from jaxdr.geometry.queries.jax.edge_sides import side_of_faces
 from jaxdr.geometry.queries.jax.intersections import face_intersections  # noqa: F401
 from jaxdr.geometry.queries.jax.sector import sector_crossings  # noqa: F401
 from jaxdr.geometry.vector import dot, norm
@@ -128,21 +130,6 @@ def _nearest(crossings, blocks, lines, capacity):
     return loops.scan(visit, start, blocks)[0]
 
 
-def _side_of_faces(vertices, opposite, p0, p1, plane, apex):
-    """[N, B]: +1 or -1 if all faces of an edge lie on this side of the plane through apex and edge, else 0.
-
-    Faces that contain the apex, up to rounding, are on neither side.
-    """
-    largest = jnp.maximum(jnp.abs(p0).max(-1)[None], jnp.abs(apex).max(-1)[:, None])
-    rounding = 5e-7 * largest + 1e-6 * norm(p0[None] - apex[:, None])
-    offset = vertices[opposite] - p0[:, None]  # [B, K]
-    height = dot(plane[:, :, None], offset[None])
-    counts = jnp.abs(height) > (rounding * norm(p1 - p0)[None])[..., None] * norm(offset)[None]
-    sides = jnp.where(counts & (opposite >= 0)[None], jnp.sign(height), 0.0)
-    low, high = sides.min(-1), sides.max(-1)
-    return jnp.where(low * high < 0, 0.0, jnp.sign(low + high))
-
-
 def _project(point, apex, height, normal):
     """(fraction of the way to the target's plane, projection onto that plane) of points [N, B, 3]."""
     offset = point - apex[:, None]
@@ -200,7 +187,7 @@ def edge_candidates(geometry, edges, strips, seed, capacity, both_sides):
     def near_block(edge, opp, r):
         p0, p1 = vertices[edge[:, 0]][None], vertices[edge[:, 1]][None]
         plane = jnp.cross(p0 - apex[:, None], p1 - p0)
-        side = _side_of_faces(vertices, opp, p0[0], p1[0], plane, apex)
+        side = side_of_faces(vertices, opp, p0[0], p1[0], plane, apex)
         f0, f1 = (dot(p - apex[:, None], n) / height[:, None] for p in (p0, p1))
         c0, c1 = jnp.clip(f0, 1e-6, 1.0), jnp.clip(f1, 1e-6, 1.0)
         rise = jnp.where(f0 == f1, 1.0, f1 - f0)
@@ -228,7 +215,7 @@ def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides
     def near_block(p, e, r):
         p0, p1 = vertices[edges.ends[e, 0]][None], vertices[edges.ends[e, 1]][None]
         plane = jnp.cross(p0 - apex[:, None], p1 - p0)
-        side = _side_of_faces(vertices, edges.opposite[e], p0[0], p1[0], plane, apex)
+        side = side_of_faces(vertices, edges.opposite[e], p0[0], p1[0], plane, apex)
         f, projected = _project(p[None], apex, height, normal)
         reach = _reach(r[None] * scale[:, None], 1.0 / jnp.where(f == 0, 1.0, f), widest)
         opposite_side = (side * dot(plane, (target - apex)[:, None]) < 0) | (both_sides & (side != 0))

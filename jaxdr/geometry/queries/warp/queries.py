@@ -16,6 +16,7 @@ from jaxdr.geometry.edge_tree import LEAF
 from jaxdr.geometry.queries.bvh_cache import HostArrays
 from jaxdr.geometry.queries.warp import (
     bundle_kernels,
+    cone_kernels,
     intersection_kernels,
     kernels,
     records,
@@ -249,6 +250,22 @@ def face_intersections(geometry, moving, seed, capacity, indirect):
     options = jnp.stack([seed, jnp.int32(indirect)])
     *lists, count, weight = _face_intersections_call(geometry, moving, options, dims=dims)
     return *lists, count[0], weight[0]
+
+
+def _closest_silhouettes(geometry, edges, tree, cones, edge, along):
+    rest = [geometry, edges, tree, cones, edge, along]
+    launch(cone_kernels.closest_silhouettes, cones.reach.shape[0], [], rest, edge.device)
+
+
+_closest_silhouettes_call = Call(
+    _closest_silhouettes, [*_over_edges, records.EdgeTree, records.ConeQuery], [WHOLE, REAL], cone_kernels
+)
+
+
+def closest_silhouettes(geometry, edges, cones):
+    """(edge [N], along [N]): see `queries.closest_silhouettes`."""
+    n = cones.reach.shape[0]
+    return _closest_silhouettes_call(geometry, edges, edges.tree, cones, dims=[n, n])
 
 
 def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):

@@ -60,6 +60,14 @@ class StripQuery:
 
 
 @wp.struct
+class ConeQuery:
+    apex: wp.array(dtype=wp.vec3)
+    direction: wp.array(dtype=wp.vec3)
+    normal: wp.array(dtype=wp.vec3)
+    reach: wp.array(dtype=float)
+
+
+@wp.struct
 class EdgeTable:
     ends: wp.array2d(dtype=wp.vec3)
     normals: wp.array2d(dtype=wp.vec3)
