@@ -216,7 +216,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
         silhouette = silhouette | ((turns[face0] | turns[face1]) & ~rows.intersection)
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
-    mean = received.mean()
+    mean = received[:own].mean()
     typical = jnp.where(mean > 0, mean, 1.0)
     crease = jump + typical * jnp.where(smooth[face0], SMOOTH, 1.0) * fold
     if packed.has_seams:
