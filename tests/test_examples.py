@@ -141,7 +141,7 @@ def test_mesh_from_views(printed, tmp_path):
 def test_take_photographs_and_from_photographs(printed, tmp_path):
     printed("take_photographs")
     before, after = numbers(printed("from_photographs"))
-    assert after > 24 and after > before + 8
+    assert after > 21 and after > before + 6  # dB; masks cut pixels out as with scissors
     assert jd.load_mesh(tmp_path / "found.glb").closed
 
 
