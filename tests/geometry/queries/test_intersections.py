@@ -125,3 +125,20 @@ def test_indirect_light_is_told_where_surfaces_cross(recwarn):
         with told:
             queries.face_intersections(geometry, jnp.asarray(moving[: len(number)]), jnp.int32(0), 200, True)
     assert not [w for w in recwarn if "indirect" in str(w.message)]
+
+
+def test_answers_that_are_kept_are_those_of_the_same_faces():
+    """Faces that stay where they are are not searched again; moved ones are, and other flags and capacities, too."""
+    floor, answers = shapes.plane(4.0), {}
+    for height, moves, room in 2 * [(0.2, 0, 300), (0.3, 0, 300), (0.2, 1, 300), (0.2, 0, 200), (2.0, 0, 300)]:
+        vertices, faces, number = joined(shapes.sphere(3, radius=0.5, center=(0, 0, height)), floor)
+        pairs, ends, count, _ = ask("warp", vertices, faces, number == moves, room)
+        slow = ask("jax", vertices, faces, number == moves, room)
+        assert count == slow[2] == len(pairs)
+        order, other = np.lexsort(pairs.T), np.lexsort(slow[0].T)
+        np.testing.assert_array_equal(pairs[order], slow[0][other])
+        np.testing.assert_allclose(ends[order], slow[1][other], atol=1e-6)
+        answers.setdefault((height, moves, room), []).append((pairs, ends))
+    for one, other in answers.values():
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])

@@ -33,13 +33,20 @@ WHOLE_ROWS, REAL_ROWS = wp.array2d(dtype=int), wp.array2d(dtype=float)
 
 
 @contextlib.contextmanager
-def structure(kind: str, device, moving: list, topology: list):
-    """The id of a structure over arrays. Inside the context no other code changes the structure."""
+def kept_structure(kind: str, device, moving: list, topology: list):
+    """A structure over arrays. Inside the context no other code changes it."""
     cache = structure_cache(kind, device)
     if isinstance(cache.arrays, HostArrays):
         moving, topology = [on_host(a) for a in moving], [on_host(a) for a in topology]
     with cache.lock:
-        yield cache.find(moving, topology).id
+        yield cache.find(moving, topology)
+
+
+@contextlib.contextmanager
+def structure(kind: str, device, moving: list, topology: list):
+    """The id of a structure over arrays. Inside the context no other code changes the structure."""
+    with kept_structure(kind, device, moving, topology) as kept:
+        yield kept.id
 
 
 def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
@@ -225,11 +232,19 @@ INDIRECT = (
 
 def _face_intersections(geometry, moving, options, first, second, start, end, count, weight):
     lists, device = [first, second, start, end], first.device
-    with structure("faces", device, [geometry.vertices], [geometry.faces]) as bvh:
-        rest, total = [geometry, moving, options], geometry.faces.shape[0]
-        found, inverse = compact(
-            intersection_kernels.face_intersections, [bvh], rest, total, lists, 2, device, INTERSECTIONS
-        )
+    rest, total = [geometry, moving, options], geometry.faces.shape[0]
+    question = on_host(moving).tobytes(), first.shape[0]
+    kernel = intersection_kernels.face_intersections
+    with kept_structure("faces", device, [geometry.vertices], [geometry.faces]) as faces:
+        if question in faces.answers:
+            rows, found = faces.answers[question]
+            inverse = 1.0
+            for table, row in zip(lists, rows, strict=True):
+                table.assign(row)
+        else:
+            found, inverse = compact(kernel, [faces.id], rest, total, lists, 2, device, INTERSECTIONS)
+            if inverse == 1.0:  # all pairs: no random numbers are in the answer
+                faces.answers[question] = [on_host(table).copy() for table in lists], found
     if found[1] > 0 and on_host(options)[1]:
         warnings.warn(f"jaxdr: {INDIRECT}", stacklevel=2)
     _counted(found[1:2], inverse, count, weight)

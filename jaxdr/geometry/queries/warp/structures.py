@@ -71,10 +71,14 @@ class _MeshBVH(_FaceBVH):
 
 
 class _BoxBVH(_FaceBVH):
-    """A Warp BVH over the boxes of faces, for queries with their own intersection tests."""
+    """A Warp BVH over the boxes of faces, for queries with their own intersection tests.
+
+    `answers` has answers to questions about the faces alone, by the question; they go when the faces move.
+    """
 
     def __init__(self, moving, topology, device):
         super().__init__(topology, device)
+        self.answers = {}
         lower, upper = self._empty(self.count), self._empty(self.count)
         self._launch(tree_kernels.face_boxes, moving, self._margin(moving), lower, upper)
         self.bvh = wp.Bvh(lower, upper, constructor=CONSTRUCTOR)
@@ -84,6 +88,7 @@ class _BoxBVH(_FaceBVH):
         return self.bvh.id
 
     def refit(self, moving):
+        self.answers = {}
         self._launch(tree_kernels.face_boxes, moving, self._margin(moving), self.bvh.lowers, self.bvh.uppers)
         self.bvh.refit()
 
