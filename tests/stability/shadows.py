@@ -118,7 +118,6 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
-            expected=NOISY,
         ),
         case(
             "emitter_at_wall",
