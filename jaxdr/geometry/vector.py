@@ -66,22 +66,36 @@ def scale(v: Float[ArrayLike, "*#n d"], s: Float[ArrayLike, "*#n"]) -> Float[Arr
 
 @jax.jit
 def norm(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n"]:
-    """Length over the last axis; zero vectors give length zero and derivative zero."""
+    """Length over the last axis; zero vectors give length zero and derivative zero (see `vanishes`)."""
     squared = dot(a, a)
-    positive = squared > 0
+    positive = _positive(squared)
     return jax.lax.select(positive, jnp.sqrt(_or_one(positive, squared)), jnp.zeros_like(squared))
 
 
 @jax.jit
 def normalize(a: Float[ArrayLike, "*n d"]) -> Float[Array, "*n d"]:
-    """Unit vectors; zero vectors stay zero with derivative zero."""
+    """Unit vectors; zero vectors (see `vanishes`) become zero with derivative zero."""
     squared = dot(a, a)
-    positive = squared > 0
+    positive = _positive(squared)
     # Divide, and don't multiply by the inverse. A product and a sum after it, as in 1 + z, become one fused operation
     # in some copies that the compiler makes, and two operations in others. The results differ if the sum cancels. Zero
     # vectors are divided by infinity.
     length = jax.lax.select(positive, jnp.sqrt(_or_one(positive, squared)), jnp.full_like(squared, jnp.inf))
     return from_components(*(part / length for part in components(a)))
+
+
+@jax.jit
+def vanishes(a: Float[ArrayLike, "*n d"]) -> Bool[Array, "*n"]:
+    """Whether `norm` and `normalize` take vectors for zero: if the squared length is no normal number.
+
+    In float32 these are lengths below 1e-19. Square roots take smaller numbers for zero on some devices (GPUs, and CPUs
+    within XLA) and not on others.
+    """
+    return ~_positive(dot(a, a))
+
+
+def _positive(squared: Float[Array, "*n"]) -> Bool[Array, "*n"]:
+    return squared >= jnp.finfo(squared.dtype).tiny
 
 
 def _or_one(condition: Bool[Array, "*n"], value: Float[Array, "*n"]) -> Float[Array, "*n"]:

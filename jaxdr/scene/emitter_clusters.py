@@ -105,7 +105,8 @@ class EmitterClusters(eqx.Module):
         distance = jnp.sqrt(jnp.where(inside, 1.0, distance2))
         nx, ny, nz = components(axis)
         off = jnp.clip((nx * x + ny * y + nz * z) / distance, -1.0, 1.0)  # cosines and sines; no angles: those are slow
-        wide_sine = jnp.where(inside, 0.0, radius / distance)
+        # Below 1 but for rounding: a GPU divides with an error of two units in the last place.
+        wide_sine = jnp.where(inside, 0.0, jnp.minimum(radius / distance, 1.0))
         wide = jnp.sqrt(1.0 - wide_sine**2)
         off, off_sine = _less(off, jnp.sqrt(1.0 - off**2), wide, wide_sine)
         facing, _ = _less(off, off_sine, cosine, jnp.sqrt(1.0 - cosine**2))

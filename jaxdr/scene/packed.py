@@ -18,6 +18,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry.edges import INTERIOR, edge_shares
+from jaxdr.geometry.gather import rows_of
 from jaxdr.geometry.queries.records import Geometry
 from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, normalize, transform
 from jaxdr.scene.bsdf import BSDF, TwoSided
@@ -69,7 +70,7 @@ class BSDFGroup(eqx.Module):
         row = self.row[shape]
 
         def at_points(field):
-            return field.values(row, point) if point is not None and isinstance(field, Texture) else field[row]
+            return field.values(row, point) if point is not None and isinstance(field, Texture) else rows_of(field, row)
 
         return jax.tree.map(at_points, self.bsdf, is_leaf=lambda field: isinstance(field, Texture))
 
@@ -212,8 +213,16 @@ class PackedScene(eqx.Module):
 
     def triangles(self, face: Int[Array, " N"]) -> Triangles:
         """Rows of the table of faces. One look-up brings everything that a point on a face depends on."""
-        a, b, c, normal, *rest = jax.lax.split(self.table[face], (3, 3, 3, 3, 1, 1), 1)
+        a, b, c, normal, *rest = jax.lax.split(rows_of(self.table, face), (3, 3, 3, 3, 1, 1), 1)
         return Triangles(a, b, c, normal, *(jax.lax.squeeze(x, (1,)) for x in rest))
+
+    def corners_of(self, face: Int[Array, "*n"]) -> Float[Array, "*n 3 3"]:
+        """The corners of faces (scene units)."""
+        return rows_of(self.vertices, self.faces[face])
+
+    def ends_of(self, edge: Int[Array, "*n"]) -> Float[Array, "*n 2 3"]:
+        """The two ends of edges (scene units)."""
+        return rows_of(self.vertices, self.edges.vertices[edge])
 
     def with_vertices(self, vertices: Float[Array, "V 3"]) -> "PackedScene":
         """The same scene with other vertices and all that depends on them, but with the old choice of emitters."""
@@ -237,7 +246,7 @@ class PackedScene(eqx.Module):
         """The points, by face and barycentric coordinates, as textures are looked up at them."""
         uv = None
         if self.uvs is not None:
-            uv = interpolate(self.uvs[self.uv_faces[face]], on_face)
+            uv = interpolate(rows_of(self.uvs, self.uv_faces[face]), on_face)
         shape, of_mesh = self.face_shape[face], None
         first = jnp.asarray(self.first_vertex, jnp.int32)[shape]
         if any(texture.uses_faces for _, texture in textures_in((self.bsdfs, self.glow))):
@@ -247,7 +256,10 @@ class PackedScene(eqx.Module):
     def surface_radiance(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"] | None) -> Float[Array, "N 3"]:
         """Radiance emitted at points of faces, zero where nothing glows. Only textures need barycentric coordinates."""
         shape = self.face_shape[face]
-        radiance = jnp.zeros((*face.shape, 3), self.vertices.dtype) if self.radiance is None else self.radiance[shape]
+        if self.radiance is None:
+            radiance = jnp.zeros((*face.shape, 3), self.vertices.dtype)
+        else:
+            radiance = rows_of(self.radiance, shape)
         if self.glow:
             assert on_face is not None  # there wherever the scene has textures
             at = self.texture_point(face, on_face)
@@ -295,7 +307,7 @@ def _emitter_tables(packed: PackedScene):
     density = jnp.diff(cdf, prepend=0.0) / jnp.where(area > 0, area, 1.0)
     clusters = None
     if faces.shape[0] > FEW_FACES:
-        clusters = emitter_clusters(packed.vertices[packed.faces[faces]], faces, weight, count)
+        clusters = emitter_clusters(packed.corners_of(faces), faces, weight, count)
     return cdf, jnp.zeros(count, cdf.dtype).at[faces].set(density), power.sum(), clusters
 
 

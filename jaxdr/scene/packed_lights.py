@@ -9,6 +9,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxdr.geometry.gather import rows_of
 from jaxdr.scene.emitters import DirectionSampler
 from jaxdr.scene.lights import DeltaLight
 
@@ -28,7 +29,7 @@ class LightGroup(eqx.Module):
 
     def at(self, index: Int[Array, " N"]) -> DeltaLight:
         """The lights of these numbers; meaningless for lights that are no members."""
-        return jax.tree.map(lambda field: field[self.row[index]], self.light) if self.stacked else self.light
+        return jax.tree.map(lambda field: rows_of(field, self.row[index]), self.light) if self.stacked else self.light
 
     def powers(self, radius: Float[Array, ""]) -> Float[Array, " D"]:
         """Luminance of the power of every light, zero for lights that are no members."""

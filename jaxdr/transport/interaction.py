@@ -9,6 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.geometry import queries
+from jaxdr.geometry.gather import rows_of
 from jaxdr.geometry.vector import components, cross, dot, from_components, interpolate, normalize, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene, Triangles
@@ -69,7 +70,7 @@ def _shading_normal(packed: PackedScene, face, barycentric, normal):
     if packed.normals is None:
         return normal
     groups = packed.normal_faces[face]
-    interpolated = normalize(interpolate(packed.normals[groups], barycentric))
+    interpolated = normalize(interpolate(rows_of(packed.normals, groups), barycentric))
     return jnp.where(groups[:, :1] >= 0, interpolated, normal)
 
 

@@ -92,6 +92,18 @@ def test_a_basis_is_right_handed_and_orthonormal():
     np.testing.assert_allclose(vector.norm(s), 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("length, zero", [(0.0, True), (1e-30, True), (2e-20, True), (1e-18, False), (1.0, False)])
+def test_what_counts_as_zero(length, zero):
+    """The same vectors for all three functions, on all devices: those whose squared length is no normal number."""
+    v = jnp.asarray([0.6, 0.0, 0.8], jnp.float32) * jnp.float32(length)
+    assert bool(vector.vanishes(v)) == zero
+    np.testing.assert_allclose(vector.normalize(v), np.zeros(3) if zero else [0.6, 0.0, 0.8], atol=1e-6)
+    np.testing.assert_allclose(vector.norm(v), 0.0 if zero else length, rtol=1e-6)
+    for function in (vector.norm, lambda v: vector.normalize(v)[2]):
+        derivative = jax.grad(function)(v)
+        assert np.all(np.isfinite(derivative)) and (np.all(derivative == 0) == zero)
+
+
 def test_the_zero_vector_has_derivative_zero():
     for function in (vector.norm, vector.normalize):
         value, derivative = jax.jvp(function, (np.zeros((2, 3), np.float32),), (np.ones((2, 3), np.float32),))

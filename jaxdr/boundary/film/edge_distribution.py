@@ -191,7 +191,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
     own, edges = faces.shape[0], packed.edges_of(moving).shape[0]
     number, sharing = rows.edge[:edges], jnp.maximum(rows.faces[edges:, :2], 0)
     faces = jnp.concatenate([faces, sharing.T.reshape(-1)])
-    triangles, shape = packed.vertices[packed.faces[faces]], packed.face_shape[faces]
+    triangles, shape = packed.corners_of(faces), packed.face_shape[faces]
     corner, normal = corners(triangles)[0], normalize(triangle_normals(triangles))
     front = dot(normal, packed.camera.view().towards(corner)) > 0
     # Turn the normals towards the camera. Then two faces in one plane have no crease, however they are oriented.

@@ -336,7 +336,7 @@ def _volume(packed, crossings: ChainCrossings, film_point, faces, settings) -> F
     chords = crossings.chords
     chain = delta_chain(packed, _view(packed.camera, chords), film_point, chords.u.swapaxes(0, 1), settings.rays, faces)
     (origin, direction) = _segment(crossings, chain.origin, chain.direction)
-    start, end = corners(packed.vertices[packed.edges.vertices[crossings.edge]])
+    start, end = corners(packed.ends_of(crossings.edge))
     return volume(origin, direction, start, end - start)
 
 

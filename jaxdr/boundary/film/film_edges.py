@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.boundary.film.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.boundary.shared.term import Chunk, Context, named_key, streams
+from jaxdr.geometry.gather import rows_of
 from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
@@ -132,7 +133,7 @@ class FilmEdges:
         assert answers is not None  # `draw` always asks
         total, near = (x.reshape(2, -1, 3) for x in answers)
         view, first = _view(packed, points), points.first
-        ends = corners(packed.vertices[packed.edges.vertices[jnp.maximum(points.edge, 0)]])
+        ends = corners(packed.ends_of(jnp.maximum(points.edge, 0)))
         material = on_face(packed, first.face.reshape(-1), first.barycentric.reshape(-1, 3)).reshape(2, -1, 3)
         intersects = (points.edge < 0)[:, None]
         position = jnp.where(intersects, _intersection(points, material), between(*ends, points.along))
@@ -202,7 +203,7 @@ def _edge_points(
     camera, film = packed.camera, packed.camera.film
     row, fraction, weight = drawn
     count = row.shape[0]
-    d = jax.tree.map(lambda table: table[row], distribution)
+    d = jax.tree.map(lambda table: rows_of(table, row), distribution)
     edge, ends, opposite = d.edge, d.ends, d.opposite
     weight = weight * d.share
     # The point of the 3D edge seen at this fraction of the projected edge.
@@ -244,7 +245,7 @@ def _edge_points(
     across = cross(p1 - p0, view.towards(point))
     beside = origin + scale(direction, edge_distance)
     across = scale(across, jnp.sign(dot(across, beside[0] - beside[1])))
-    height = dot(packed.vertices[opposite] - point[:, None], across[:, None])
+    height = dot(rows_of(packed.vertices, opposite) - point[:, None], across[:, None])
     length = norm(across)
     # Faces without area are on neither side.
     flat = jnp.abs(height) <= (rounding * length)[:, None]

@@ -172,7 +172,7 @@ def _lines(
     light, edge = jnp.divmod(index, count)
     border = light >= packed.light_count
     light, edge = jnp.where(border, 0, light), jnp.where(border, 0, edge)
-    ends = packed.vertices[packed.edges.vertices[edge]]
+    ends = packed.ends_of(edge)
     middle = stop_gradient(ends).mean(1)
     apex = jnp.where(infinite[light][:, None], middle + 2.0 * packed.size * places[light], places[light])
     start, end = corners(stop_gradient(ends))
@@ -216,7 +216,7 @@ def shadow_points(packed: PackedScene, lines: ShadowLines, settings: PathSetting
         distance = safe_divide(dot(normal, corners(triangle)[0] - edge_point), slope, found & (slope != 0))
         return edge_point + scale(ray, jnp.where(found, distance, 0.0))
 
-    triangle = packed.vertices[packed.faces[face]]
+    triangle = packed.corners_of(face)
     still_triangle = stop_gradient(triangle)
 
     def moved(direction):

@@ -69,7 +69,7 @@ def lobe_edges(
         centre = direction[segment]
         # The point of the silhouette nearest to the sampled direction.
         apex = origin[segment]
-        s0, s1 = (end - apex for end in corners(packed.vertices[packed.edges.vertices[edge]]))
+        s0, s1 = (end - apex for end in corners(packed.ends_of(edge)))
         along = foot_on_edge(s0, s1, dot(centre, s0) / reach, dot(centre, s1) / reach, reach * centre)
         seen = seen_edges(packed, paths, segment, edge, along, valid)
         limit = jnp.minimum(edges.rank[edge] * shrunk[segment] / seen.distance, WIDEST / (1.0 + WIDEST**2) ** 0.5)

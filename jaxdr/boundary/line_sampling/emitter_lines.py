@@ -27,7 +27,7 @@ from jaxdr.boundary.shared.emitter_planes import chord_inside, emitter_face_at
 from jaxdr.boundary.shared.on_planes import OnPlanes
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import project_edges
-from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale
+from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale, vanishes
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import luminance
 from jaxdr.scene.packed import PackedScene
@@ -70,7 +70,7 @@ class Centres(NamedTuple):
         """The same weight for geodesic chords; zero where `point` is on no surface."""
         normal = stop_gradient(point.normal)
         along = cross(plane, normal)
-        meets = (dot(along, along) > 0) & point.valid
+        meets = ~vanishes(along) & point.valid
         along = normalize(jnp.where(meets[:, None], along, 1.0))
         _, _, length = chord_inside(self.packed, self.prepared.group, point.face, stop_gradient(point.position), along)
         share, both, _ = self._shares(found, scatterer, plane, point, emitting_surface_pdf(self.packed, point), length)

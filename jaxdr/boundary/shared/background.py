@@ -55,9 +55,9 @@ def seen_edges(
     valid: Bool[Array, " C"],
 ) -> SeenEdges:
     """The points at the fractions `along` of edges."""
-    start, end = corners(packed.vertices[packed.edges.vertices[edge]])
+    start, end = corners(packed.ends_of(edge))
     apex_face = paths.table.apex_face[segment]
-    triangle = packed.vertices[packed.faces[apex_face]]
+    triangle = packed.corners_of(apex_face)
     edge_point, moving_apex = between(start, end, along), paths.position(segment, triangle)
     fixed_ends, fixed_point, apex, fixed_triangle = stop_gradient(((start, end), edge_point, moving_apex, triangle))
     to_edge = fixed_point - apex

@@ -10,7 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.shared.term import Chunk
-from jaxdr.geometry.vector import between, dot, interpolate, normalize, scale, triangle_normals
+from jaxdr.geometry.vector import between, dot, interpolate, normalize, scale, triangle_normals, vanishes
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -122,7 +122,7 @@ class PathSegments:
         if self._positions is not None:
             return self._positions[index]
         if triangle is None:
-            triangle = self.packed.vertices[self.packed.faces[self.table.apex_face[index]]]
+            triangle = self.packed.corners_of(self.table.apex_face[index])
         return self._on_ray(index, interpolate(triangle, stop_gradient(self.table.apex_barycentric[index])))
 
     def _on_ray(self, index, position):
@@ -144,7 +144,7 @@ class PathSegments:
     ) -> SegmentEnds:
         """The near ends of segments, with other far ends: material points, or directions where `infinite`."""
         apex = self.position(index)
-        triangle = self.packed.vertices[self.packed.faces[face]]
+        triangle = self.packed.corners_of(face)
         far = infinite[:, None]
         attached, seen = self._attached(index, apex)
         if seen is not None:
@@ -205,8 +205,7 @@ class PathSegments:
     def direction(self, index: Int[Array, " C"], goal: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
         """Unit directions from the near ends to `goal`; detached."""
         offset = stop_gradient(goal) - self.fixed.position(index)
-        there = dot(offset, offset) > 0
-        return normalize(jnp.where(there[:, None], offset, 1.0))
+        return normalize(jnp.where(vanishes(offset)[:, None], 1.0, offset))
 
     def scatterer(self, index: Int[Array, " C"], apex: SurfacePoint | None = None) -> Scatterer:
         """The BSDF at the near ends; detached. `apex`: the detached near ends, if known."""
@@ -236,7 +235,7 @@ class PathSegments:
 
 def on_face(packed: PackedScene, face: Int[Array, " C"], barycentric: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
     """Positions of material points."""
-    return interpolate(packed.vertices[packed.faces[face]], stop_gradient(barycentric))
+    return interpolate(packed.corners_of(face), stop_gradient(barycentric))
 
 
 def path_segments(

@@ -53,7 +53,7 @@ def project_edges(
 ) -> Projection:
     """Project edges. The point on an edge is at the fraction `along` (0 to 1), or projects closest to the target."""
     packed, ends = stop_gradient((packed, ends))
-    p0, p1 = corners(packed.vertices[packed.edges.vertices[edge]])
+    p0, p1 = corners(packed.ends_of(edge))
     apex, normal = ends.apex, ends.normal
     s0, s1, to_target = p0 - apex, p1 - apex, ends.target - apex
     height = nonzero(dot(normal, to_target))
@@ -63,9 +63,7 @@ def project_edges(
     to_edge = edge_point - apex
     depth = nonzero(dot(normal, to_edge))
     point = apex + scale(to_edge, height / depth)
-    pole, own = occluded_side(
-        packed, edge, (p0, p1), apex, ends.apex_face, packed.vertices[packed.faces[ends.apex_face]]
-    )
+    pole, own = occluded_side(packed, edge, (p0, p1), apex, ends.apex_face, packed.corners_of(ends.apex_face))
     tangent = normalize(s1 - s0)
     across = tangent - scale(to_edge, dot(normal, tangent) / depth)
     return Projection(
@@ -86,7 +84,7 @@ def displacement(
 ) -> Float[Array, " C"]:
     """normal . (projected edge point - material point there): its derivative is the normal velocity V (Eq. 6)."""
     on_plane, in_plane, pole = projection.point, projection.normal, projection.pole
-    point = between(*corners(packed.vertices[packed.edges.vertices[edge]]), projection.along)
+    point = between(*corners(packed.ends_of(edge)), projection.along)
     moving_apex = ends.apex_towards(on_plane)
     offset = point - moving_apex
     reach = safe_divide(dot(ends.normal, ends.target - moving_apex), dot(ends.normal, offset))
@@ -98,7 +96,7 @@ def displacement(
     material = jnp.where(ends.infinite[:, None], ends.apex + sky, rigid)
     # The edges of the apex's own face are its horizon. The apex stays in its face, so this boundary moves with the
     # plane. A projection from the near edge would give the same motion as the difference of two fast ones.
-    apex_triangle = packed.vertices[packed.faces[ends.apex_face]]
+    apex_triangle = packed.corners_of(ends.apex_face)
     to_corner = corners(apex_triangle)[0] - on_plane
     horizon = safe_divide(dot(horizon_normal(apex_triangle, pole), to_corner), dot(pole, in_plane))
     return jnp.where(projection.own, horizon, dot(in_plane, projected)) - dot(in_plane, material)

@@ -149,7 +149,7 @@ def draw_auxiliary(
     face = jnp.where(there, found.face, 0).reshape(-1)
     origin, direction = jnp.repeat(flat, capacity, axis=0), jnp.repeat(along, capacity, axis=0)
     barycentric = detached_barycentric(packed, origin, direction, face)
-    position = interpolate(packed.vertices[packed.faces[face]], barycentric)
+    position = interpolate(packed.corners_of(face), barycentric)
     slant = jnp.abs(dot(normals[face], direction))
     full = (n, samples, capacity)
     there = there.reshape(full) & (slant.reshape(full) > 0)

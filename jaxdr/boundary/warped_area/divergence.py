@@ -198,9 +198,9 @@ def displacement(
 
     With `turns`, directions to the environment turn with it.
     """
-    triangle = packed.vertices[packed.faces[seen.face]]
+    triangle = packed.corners_of(seen.face)
     material, normal = interpolate(triangle, seen.barycentric), triangle_normals(triangle)
-    before = packed.vertices[packed.faces[seen.occluder]]
+    before = packed.corners_of(seen.occluder)
     towards = interpolate(before, seen.on_occluder) - apex
     slope = dot(normal, towards)
     reach = safe_divide(dot(normal, material - apex), slope)

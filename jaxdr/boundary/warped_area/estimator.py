@@ -24,7 +24,7 @@ from jaxdr.boundary.warped_area.divergence import (
     displacement,
     divergence_term,
 )
-from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals
+from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals, vanishes
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import environment_radiance
@@ -218,7 +218,7 @@ def _geometry(ends: SegmentEnds, position) -> tuple[Float[Array, "N 3"], Float[A
     """
     offset = position - ends.apex
     distance2 = dot(offset, offset)
-    there = distance2 > 0
+    there = ~vanishes(offset)
     distance2 = jnp.where(there, distance2, 1.0)
     towards = jnp.where(there[:, None], scale(offset, 1.0 / jnp.sqrt(distance2)), 1.0)
     return towards, jnp.where(ends.infinite, 1.0, jnp.abs(dot(ends.normal, towards)) / distance2)
@@ -276,7 +276,7 @@ def sent_back(packed: PackedScene, target: Scatterer, parts: list[Onward]) -> Fl
     for table, number, visible in parts:
         there = number < table.target_face.shape[0]
         number = jnp.where(there, number, 0)
-        triangle = packed.vertices[packed.faces[table.target_face[number]]]
+        triangle = packed.corners_of(table.target_face[number])
         end = interpolate(triangle, table.target_barycentric[number])
         normal = normalize(triangle_normals(triangle))
         infinite, direction = table.infinite[number], table.direction[number]

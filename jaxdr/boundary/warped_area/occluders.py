@@ -64,7 +64,7 @@ def find_occluders(
     height = dot(origin.normal, offset) * jnp.sign(dot(apex.normal, to_target))[row]
     above = height > 0
 
-    largest = jnp.abs(packed.vertices[packed.faces[face]]).max((1, 2))
+    largest = jnp.abs(packed.corners_of(face)).max((1, 2))
     end = position + scale(normal, OFFSET * largest * jnp.sign(facing))
     start = leave(origin, offset)
     end = jnp.where(infinite[:, None], start + 2.0 * packed.size * normalize(offset), end)
@@ -95,7 +95,7 @@ def _to_sides(triangles, barycentric):
 
 def _boundary_distance(packed: PackedScene, faces: Faces, face, barycentric, apex, normal_edges):
     """B^dist of points on occluders: the cosine squared, or the angular distance to an edge where the occluder ends."""
-    triangles = packed.vertices[packed.faces[face]]
+    triangles = packed.corners_of(face)
     position = interpolate(triangles, barycentric)
     offset = position - apex
     length = norm(offset)

@@ -122,7 +122,7 @@ def _ends(packed: PackedScene, view: View, primary: PrimarySamples) -> SegmentEn
         target=jnp.where(far, apex + packed.size * direction, first.position),
         normal=jnp.where(far, direction, first.normal),
         face=first.face,
-        corners=packed.vertices[packed.faces[first.face]],
+        corners=packed.corners_of(first.face),
         infinite=missed,
     )
 
@@ -185,7 +185,7 @@ def _displacement(packed: PackedScene, view: View, far: Bool[Array, " C"], seen:
     if packed.environment is None:
         return moved
     offset = seen.position - stop_gradient(apex)
-    before = packed.vertices[packed.faces[seen.occluder]]
+    before = packed.corners_of(seen.occluder)
     towards = normalize(interpolate(before, seen.on_occluder) - apex)
     still = view.rays(stop_gradient(view.project(seen.position)))[1]
     on_sphere = scale(towards - still, norm(offset))

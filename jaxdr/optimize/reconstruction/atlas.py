@@ -1,11 +1,13 @@
-"""Texture coordinates by xatlas, and textures over them. Everything here is NumPy's, on the host."""
+"""Texture coordinates by xatlas, and textures over them. Arrays here are NumPy's, on the host."""
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.queries import Geometry, Rays, closest_hit
 
 PADDING = 2  # texels between charts: what lies between texels of one chart never reaches into another
 
@@ -46,18 +48,16 @@ def rows_of_uvs(mesh: Mesh) -> Int[np.ndarray, " T"]:
 
 def covered(mesh: Mesh, size: int) -> Texels:
     """The texels that a mesh with texture coordinates covers."""
-    import trimesh
-
     uvs, uv_faces = _coordinates(mesh)
     flat = np.concatenate([uvs * size, np.zeros((len(uvs), 1))], 1)
-    charts = trimesh.Trimesh(flat, uv_faces, process=False)
     x, y = np.meshgrid(np.arange(size) + 0.5, size - np.arange(size) - 0.5)
     origins = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
-    directions = np.broadcast_to([0.0, 0, -1], origins.shape)
-    hits: Any = charts.ray.intersects_id(origins, directions, multiple_hits=False)
-    face, index = hits
-    weights = trimesh.triangles.points_to_barycentric(flat[uv_faces[face]], origins[index] * [1, 1, 0])
-    return Texels(index, face, np.clip(weights, 0, 1))
+    down = np.broadcast_to([0.0, 0, -1], origins.shape)
+    rays = Rays(*(jnp.asarray(a, jnp.float32) for a in (origins, down, np.full(len(origins), 2.0))))
+    charts = Geometry(jnp.asarray(flat, jnp.float32), jnp.asarray(uv_faces))
+    face, _, weights = (np.asarray(answer) for answer in closest_hit(charts, rays))
+    index = np.flatnonzero(face >= 0)
+    return Texels(index, face[index], np.clip(weights[index].astype(float), 0, 1))
 
 
 def interpolated(mesh: Mesh, texels: Texels, values: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "T C"]:

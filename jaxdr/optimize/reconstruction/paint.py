@@ -1,15 +1,16 @@
 """Where albedo and light start: the colours that photographs show, and the light that explains their shading."""
 
-from typing import Any
-
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.queries import Geometry, Rays, occluded
 from jaxdr.optimize.reconstruction.atlas import Texels, covered, filled, interpolated
 from jaxdr.optimize.reconstruction.pictures import Cut, Photographs
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, Backdrop, columns_of, directions, solid_angles
 
+FAR = 1e30  # of rays without an end
 LIFT = 1e-3  # of the longest side: visibility is asked for from so far above the surface
 GREY = 0.3  # mean albedo to start with, a common one; the light takes the rest
 DARKEST, BRIGHTEST = 0.03, 0.9  # albedo to start with
@@ -29,17 +30,16 @@ def seen_colors(mesh: Mesh, photographs: Photographs, texels: Texels | None = No
     if texels is not None:
         points, normals = (interpolated(mesh, texels, values) for values in (points, normals))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    surface = _surface(mesh)
     starts = range(0, len(points), BLOCK)
     blocks = [(points[i : i + BLOCK], normals[i : i + BLOCK]) for i in starts]
-    colors = np.concatenate([_medians(surface, *block, photographs) for block in blocks])
+    colors = np.concatenate([_medians(mesh, *block, photographs) for block in blocks])
     known = np.isfinite(colors[:, 0])
     colors[~known] = np.median(colors[known], axis=0) if known.any() else GREY
     return colors
 
 
 def _medians(
-    surface, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], photographs: Photographs
+    mesh: Mesh, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], photographs: Photographs
 ) -> Float[np.ndarray, "n 3"]:
     """Median colour of points on the surface over the photographs that see them; NaN where none does."""
     seen = np.full((len(photographs), len(points), 3), np.nan, np.float32)
@@ -48,8 +48,8 @@ def _medians(
         to_world = np.asarray(cut.camera.to_world, float)
         away = to_world[:3, 3] - points
         away /= np.linalg.norm(away, axis=1, keepdims=True)
-        facing = np.flatnonzero(np.einsum("ni,ni->n", away, normals) > 0.3)
-        free = facing[~surface.ray.intersects_any(points[facing] + LIFT * normals[facing], away[facing])]
+        facing = np.einsum("ni,ni->n", away, normals) > 0.3
+        free = np.flatnonzero(facing & ~_hidden(mesh, points, normals, away, facing))
         column, row = np.floor(_projected(points[free], cut, width, height)).astype(int)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         free, column, row = free[inside], column[inside], row[inside]
@@ -121,10 +121,10 @@ def _shading(mesh: Mesh) -> Float[np.ndarray, "V T"]:
     towards = directions(ROWS).reshape(-1, 3) @ TO_WORLD[:3, :3].T
     angles = 4 * np.pi * np.broadcast_to(solid_angles(ROWS), (ROWS, columns_of(ROWS))).ravel()
     cosine = np.maximum(normals @ towards.T, 0.0)
-    vertex, texel = np.nonzero(cosine)
-    hidden = _surface(mesh).ray.intersects_any(points[vertex] + LIFT * normals[vertex], towards[texel])
-    cosine[vertex[hidden], texel[hidden]] = 0.0
-    return cosine * angles / np.pi
+    away = np.broadcast_to(towards, (len(points), *towards.shape))
+    each_point, each_normal = (np.repeat(values, len(towards), 0) for values in (points, normals))
+    hidden = _hidden(mesh, each_point, each_normal, away.reshape(-1, 3), cosine.ravel() > 0)
+    return np.where(hidden.reshape(cosine.shape), 0.0, cosine) * angles / np.pi
 
 
 def _differences(rows: int, columns: int) -> Float[np.ndarray, "D T"]:
@@ -138,10 +138,19 @@ def _differences(rows: int, columns: int) -> Float[np.ndarray, "D T"]:
     return matrix / np.sqrt(len(one))
 
 
-def _surface(mesh: Mesh) -> Any:
-    import trimesh
+def _hidden(
+    mesh: Mesh,
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    away: Float[np.ndarray, "n 3"],
+    asked: Bool[np.ndarray, " n"],
+) -> Bool[np.ndarray, " n"]:
+    """Whether the surface hides what lies away from points on it, in unit directions; False where not `asked`.
 
-    return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+    All points are passed, and not those that are asked about: JAX would compile anew for every number of points.
+    """
+    rays = Rays(*(jnp.asarray(a, jnp.float32) for a in (points + LIFT * normals, away, np.where(asked, FAR, 0.0))))
+    return np.asarray(occluded(Geometry(mesh.vertices, mesh.faces), rays))
 
 
 def _projected(points: Float[np.ndarray, "n 3"], cut: Cut, width: int, height: int) -> Float[np.ndarray, "2 n"]:

@@ -13,7 +13,7 @@ from jax.lax import erf_inv, stop_gradient
 from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.geometry.vector import components, dot, from_components, norm, normalize, scale, z_of
+from jaxdr.geometry.vector import components, dot, from_components, norm, normalize, scale, vanishes, z_of
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 
 NEWTON_STEPS = 5  # at the worst angle four steps converge to the rounding of float32
@@ -73,7 +73,8 @@ def _ggx_visible(v: Float[Array, "*#n 3"], u: Float[Array, "*#n 2"]) -> Float[Ar
     angle = 2 * math.pi * second
     up = 1.0 + z
     raised = (1.0 - first) * up  # z of the cap plus z of v, without the cancellation of that sum
-    radius = jnp.sqrt(first * up * (2.0 - first * up))
+    # first up (2 - first up), without a difference: it could be negative, because z is above 1 if a GPU rounds it up.
+    radius = jnp.sqrt(first * (up * raised + x * x + y * y))
     return from_components(radius * jnp.cos(angle) + x, radius * jnp.sin(angle) + y, raised)
 
 
@@ -227,7 +228,7 @@ def reflection(
 ) -> Reflection:
     """Reflection from wi to wo, both above the surface where `active`."""
     model = DISTRIBUTIONS[distribution]
-    active = active & (dot(wi + wo, wi + wo) > 0)  # two grazing directions can cancel to the last bit
+    active = active & ~vanishes(wi + wo)  # two grazing directions can cancel to the last bit
     up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
     wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, up)
     half = normalize(wi + wo)
@@ -263,7 +264,7 @@ def transmission(
     wi, wo = jnp.where(active[..., None], wi, up), jnp.where(active[..., None], wo, -up)
     half = wi + scale(wo, eta)
     length2 = dot(half, half)  # = (wi·m + eta wo·m)²
-    active &= length2 > 0
+    active &= ~vanishes(half)
     m = scale(normalize(half), jnp.where(z_of(half) < 0, -1.0, 1.0).astype(wi.dtype))
     cos_i, cos_o = dot(wi, m), -dot(wo, m)
     active &= (cos_i > 0) & (cos_o > 0)  # wi sees the front of the facet as of the surface, and wo the back

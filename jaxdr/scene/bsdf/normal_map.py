@@ -15,6 +15,7 @@ from jaxdr.geometry.vector import (
     normalize,
     orthonormal_basis,
     scale,
+    vanishes,
     z_of,
 )
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, no_delta
@@ -147,8 +148,8 @@ def _tangents(normal):
     """Two tangents to unit normals. The first is the x axis without its part along the normal; the second follows."""
     x, y, z = components(normal)
     along = from_components(1.0 - x * x, -x * y, -x * z)
-    known = dot(along, along) > 0  # not where the normal is the x axis
-    s = normalize(jnp.where(known[..., None], along, jnp.asarray([0.0, 0.0, -1.0], normal.dtype)))
+    unknown = vanishes(along)  # where the normal is the x axis
+    s = normalize(jnp.where(unknown[..., None], jnp.asarray([0.0, 0.0, -1.0], normal.dtype), along))
     return s, cross(normal, s)
 
 

@@ -5,7 +5,7 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.geometry.vector import components, dot, from_components, normalize, scale, z_of
+from jaxdr.geometry.vector import components, dot, from_components, normalize, scale, vanishes, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
 from jaxdr.scene.bsdf.microfacet import (
@@ -243,7 +243,7 @@ class Principled(BSDF):
 
     def _coat(self, wi, wo, above) -> Reflection:
         """The clear coat without its weight: GTR1 facets, sampled by all normals, not by visible ones (Burley 2012)."""
-        above = above & (dot(wi + wo, wi + wo) > 0)
+        above = above & ~vanishes(wi + wo)
         up = jnp.asarray([0.0, 0.0, 1.0], wi.dtype)
         wi, wo = jnp.where(above[..., None], wi, up), jnp.where(above[..., None], wo, up)
         half = normalize(wi + wo)

@@ -156,7 +156,7 @@ def _on_edges(
     proportion to cos a da: a length of the edge is seen as an angle, and its motion is seen slower the farther it is.
     So sin a is drawn evenly. A short edge is drawn evenly over its length.
     """
-    start, end = corners(packed.vertices[packed.edges.vertices[edge]])
+    start, end = corners(packed.ends_of(edge))
     side = end - start
     length = norm(side)
     tangent = scale(side, 1.0 / jnp.where(length > 0, length, 1.0))

@@ -46,7 +46,7 @@ def emitter_balls(packed: PackedScene) -> Balls | None:
     balls = min(BALLS, count)
     each = -(-count // balls)
     number = np.minimum(np.arange(balls * each), count - 1).reshape(balls, each)
-    triangles = packed.vertices[packed.faces[packed.emitter_faces[number]]]
+    triangles = packed.corners_of(packed.emitter_faces[number])
     points = triangles.reshape(balls, -1, 3)
     centre = 0.5 * (points.min(1) + points.max(1))
     normal = normalize(triangle_normals(triangles[:, 0])) if each == 1 else None

@@ -5,14 +5,28 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def _differ(kept: wp.array(dtype=int), given: wp.array(dtype=int), i: int):
+    if i >= kept.shape[0]:
+        return False
+    return kept[i] != given[i]
+
+
 @wp.kernel
-def find_difference(
-    start: int, kept: wp.array(dtype=int), given: wp.array(dtype=int), pair: int, differ: wp.array(dtype=int)
+def find_differences(
+    start: int,
+    kept_first: wp.array(dtype=int),
+    given_first: wp.array(dtype=int),
+    kept_second: wp.array(dtype=int),
+    given_second: wp.array(dtype=int),
+    differ: wp.array(dtype=int),
 ):
-    """Set entry `pair` of `differ` if two arrays of words are not equal bit by bit."""
+    """Set entries of `differ` if two pairs of arrays of words are not equal bit by bit."""
     i = start + wp.tid()
-    if kept[i] != given[i]:
-        differ[pair] = 1  # all threads that write here write the same number
+    if _differ(kept_first, given_first, i):
+        differ[0] = 1  # all threads that write here write the same number
+    if _differ(kept_second, given_second, i):
+        differ[1] = 1
 
 
 @wp.kernel

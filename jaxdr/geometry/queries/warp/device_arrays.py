@@ -22,22 +22,31 @@ from jaxdr.geometry.queries.warp.launch import launch
 
 
 class DeviceArrays:
-    """Warp arrays, compared on their device: for each array one number comes back to the host."""
+    """Warp arrays, two pairs of them, compared on their device by one kernel. Two numbers come back to the host."""
 
     def __init__(self, device):
         self.device = device
         self.stream = None if device.is_cpu else wp.Stream(device)
+        self.nothing = wp.empty(0, dtype=int, device=device)
+        self.differ = wp.zeros(2, dtype=int, device=device)
+        # Pinned memory on the host: a copy to it is started without a detour, and waited for.
+        self.answer = self.differ if device.is_cpu else wp.zeros(2, dtype=int, device="cpu", pinned=True)
 
     def agree(self, kept: Sequence[wp.array], given: Sequence[wp.array]) -> Iterator[bool]:
         """Whether arrays are equal bit by bit, pair by pair; shapes and types are compared first."""
         alike = [a.shape == b.shape and a.dtype == b.dtype for a, b in zip(kept, given, strict=True)]
-        if not any(alike):
-            return iter(alike)
-        differ = wp.zeros(len(alike), dtype=int, device=self.device)
-        for i, (a, b) in enumerate(zip(kept, given, strict=True)):
-            if alike[i]:
-                launch(kernels.find_difference, _words(a).size, [], [_words(a), _words(b), i, differ], self.device)
-        return (like and not found for like, found in zip(alike, differ.numpy(), strict=True))
+        if any(alike):
+            words = [
+                _words(array) if like else self.nothing
+                for *pair, like in zip(kept, given, alike, strict=True)
+                for array in pair
+            ]
+            self.differ.zero_()
+            launch(kernels.find_differences, max(w.size for w in words), [], [*words, self.differ], self.device)
+            if self.answer is not self.differ:
+                wp.copy(self.answer, self.differ)
+                wp.synchronize_stream(self.device.stream)
+        return (like and not found for like, found in zip(alike, self.answer.numpy().tolist(), strict=True))
 
     def copies(self, given: Sequence[wp.array]) -> list[wp.array]:
         """Copies that no other code writes to."""

@@ -111,6 +111,18 @@ def _filled(kind, arrays):
     return record
 
 
+def _forget_stream(device) -> None:
+    """Let Warp forget XLA's stream now, at the end of a callback.
+
+    Warp (1.19) holds a lock during a callback. It knows XLA's stream from the beginning of a callback to the end of a
+    Python object, and this end comes after the lock is released. So threads changed Warp's table of streams at the same
+    time, and the process crashed.
+    """
+    if device.is_cuda:
+        device.stream.__del__()
+        device.stream.cuda_stream = None  # its own `__del__` then does nothing
+
+
 class Call:
     """`body(*records, *outputs)`, host work that launches kernels, as a function of records of JAX arrays.
 
@@ -122,7 +134,10 @@ class Call:
     def __init__(self, body: Callable, inputs: list, outputs: list, kernels):
         def function(*arrays):
             given = iter(arrays)
-            body(*[_filled(kind, given) for kind in inputs], *given)
+            try:
+                body(*[_filled(kind, given) for kind in inputs], *given)
+            finally:
+                _forget_stream(arrays[0].device)
 
         self.inputs = inputs
         types = {f"{name}_{i}": of for i, kind in enumerate(inputs) for name, of in _arrays(kind)}
