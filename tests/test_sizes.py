@@ -28,7 +28,7 @@ def test_chunks_on_a_cpu(monkeypatch):
 
 
 def test_chunks_on_a_gpu(on_gpu):
-    assert jd.PathTracer().paths_at_once(True) == 524_288
+    assert jd.PathTracer().paths_at_once(True) == 1_048_576
     assert jd.BidirectionalPathTracer(2).paths_at_once(True) == 1_048_576
 
 

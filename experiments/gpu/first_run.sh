@@ -66,8 +66,9 @@ if [ -n "$quick" ]; then
 else
     part "tests" 7200 python -m pytest -n 4 -q
     part "devices" 7200 python -m experiments.gpu.devices --device "$platform" --device cpu --out "$out"
-    part "larger chunks" 3600 python -m experiments.gpu.devices --device "$platform" --chunk-size 524288 --size 512 \
+    part "larger chunks" 3600 python -m experiments.gpu.devices --device "$platform" --chunk-size 1048576 --size 512 \
         --out "$out"
+    part "speed" 3600 python -m experiments.gpu.speed --device "$platform" --out "$out"
     part "chart" 3600 jaxdr chart configs/chart_quick.toml --set "output=$out/chart"
     part "scaling" 3600 python -m experiments.gpu.scaling --platform "$platform" --out "$out"
 fi

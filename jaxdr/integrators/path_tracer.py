@@ -85,7 +85,7 @@ class PathTracer(eqx.Module):
     - `edge_samples`: points on silhouettes, and as many on creases, per path sample. None: 1/8 for direct light, and 1
       with indirect light, whose noise does not cancel between the two sides of a silhouette.
     - `chunk_size`: paths traced at once; four times as many in images without derivatives. Memory is proportional to
-      it, and independent of the samples per pixel. None: 65,536 on CPUs and 524,288 elsewhere. Each chunk has its own
+      it, and independent of the samples per pixel. None: 65,536 on CPUs and 1,048,576 elsewhere. Each chunk has its own
       random numbers. So give this number if images of one key must agree between machines.
     - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
@@ -145,7 +145,7 @@ class PathTracer(eqx.Module):
 
         Then the paths that go on fill blocks for more bounces.
         """
-        size = self.chunk_size or at_once(cpu=1 << 16, gpu=1 << 19)
+        size = self.chunk_size or at_once(cpu=1 << 16, gpu=1 << 20)
         return size if differentiated else 4 * size
 
     @property
