@@ -420,3 +420,9 @@ def check_reference(page: str) -> None:
         if not isinstance(value, type) or issubclass(value, eqx.Module):
             parameters = inspect.signature(value).parameters if callable(value) else []
             assert [p for p in parameters if not re.search(rf"[(,*] ?{p}\b", text)] == [], name
+
+
+def test_the_table_by_difficulty_is_that_of_the_results():
+    from experiments.charts.difficulty import table
+
+    assert table() in (ROOT / "docs/choosing.md").read_text()
