@@ -14,6 +14,7 @@ from jaxdr.views.record import View, common_point
 COARSE = 48  # cells along the cube in which the object is looked for
 CELLS = 1 << 20  # cells at once
 KEEP = 1 << 30
+CLEAR = 1e-2  # of a cell: the surface stays so far away from nodes of the grid
 SMALL = 0.02  # pieces of the hull of less than this share of its volume are phantoms
 
 
@@ -122,6 +123,9 @@ def _surface(values, low, cell):
     keep = np.flatnonzero(sizes >= SMALL * sizes.sum())
     away = -0.5 * float(cell.min())
     values = np.where((values > 0) & ~np.isin(pieces, keep), away, values)
+    # A surface through a node of the grid has several vertices there, and faces without area.
+    least = CLEAR * float(cell.min())
+    values = np.where(np.abs(values) < least, np.copysign(least, values), values)
     values = np.pad(values, 1, constant_values=min(away, float(values.min())))
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=tuple(cell), gradient_direction="ascent")
     corners = vertices[faces]

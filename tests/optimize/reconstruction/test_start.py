@@ -1,6 +1,7 @@
 """Where a reconstruction starts: hull, sphere, paint, and photographs cut to size."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 
 import jaxdr as jd
 from jaxdr.geometry import shapes
+from jaxdr.optimize.reconstruction import hull
 from jaxdr.optimize.reconstruction.atlas import covered, interpolated, unwrapped
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.paint import first_light_and_albedo, painted, seen_colors
@@ -56,6 +58,17 @@ def test_the_hull_of_a_ball_is_the_ball(aside):
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
     assert np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0
     np.testing.assert_allclose(np.ptp(np.asarray(mesh.vertices), axis=0).max(), 1, atol=1e-5)
+
+
+def test_a_surface_through_nodes_of_the_grid_has_no_faces_without_area():
+    """Such a mesh would draw warnings about faces without area and edges that lie on others."""
+    nodes = np.stack(np.meshgrid(*[np.arange(-6.0, 7.0)] * 3, indexing="ij"), -1)
+    values = 5.0 - np.linalg.norm(nodes, axis=-1)
+    assert (values == 0).sum() > 6
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = jd.Mesh(*hull._surface(values, np.zeros(3), np.ones(3)))
+    assert mesh.closed
 
 
 def test_masks_without_a_common_volume_and_hulls_without_masks_are_refused(tmp_path):
