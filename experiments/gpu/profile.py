@@ -23,8 +23,8 @@ def kernels(folder: Path) -> list[dict]:
     (path,) = folder.rglob("*.trace.json.gz")
     with gzip.open(path) as file:
         events = json.load(file)["traceEvents"]
-    names = {("process", e["pid"]): e["args"]["name"] for e in events if e["name"] == "process_name"}
-    names |= {(e["pid"], e["tid"]): e["args"]["name"] for e in events if e["name"] == "thread_name"}
+    names = {("process", e["pid"]): e["args"]["name"] for e in events if e.get("name") == "process_name"}
+    names |= {(e["pid"], e["tid"]): e["args"]["name"] for e in events if e.get("name") == "thread_name"}
 
     def on_gpu(event):
         if event.get("ph") != "X" or "GPU" not in names.get(("process", event["pid"]), ""):
@@ -35,7 +35,7 @@ def kernels(folder: Path) -> list[dict]:
 
 
 def sums(events: list[dict]) -> tuple[collections.Counter, collections.Counter, collections.Counter, float, float]:
-    """(time by kernel, gaps by (kernel before, kernel after), launches by kernel, busy time, whole time), microseconds."""
+    """(time and gaps by kernel, launches by kernel, busy time, whole time); microseconds. A gap: (before, after)."""
     time, gaps, count = (collections.Counter() for _ in range(3))
     end, before, busy = events[0]["ts"], "start", 0.0
     for event in events:
