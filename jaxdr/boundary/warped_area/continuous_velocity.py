@@ -123,7 +123,7 @@ def draw_auxiliary(
     length = norm(ends.target - ends.apex)
     u = uniform(key, (n, samples, 2), dtype)
     first, second = components(u)
-    radius = jnp.sqrt((1.0 - first) ** (-1.0 / (TAIL - 1.0)) - 1.0) * (kernel.width * length)[:, None]
+    radius = jnp.sqrt(jnp.expm1(-jnp.log1p(-first) / (TAIL - 1.0))) * (kernel.width * length)[:, None]
     angle = 2.0 * math.pi * second
     s, t = orthonormal_basis(ends.normal)
     offset = scale(s[:, None], jnp.cos(angle)) + scale(t[:, None], jnp.sin(angle))
