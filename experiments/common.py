@@ -31,9 +31,9 @@ def scratch(study):
     return folder
 
 
-def results(study, quick):
-    """Folder for the small files that are kept; a quick run must not overwrite them."""
-    folder = scratch(study) / "quick" if quick else ROOT / "experiments" / study / "results"
+def results(study, quick, chosen=None):
+    """Folder for the small files that are kept: the `chosen` one, or the study's, which no quick run overwrites."""
+    folder = chosen or (scratch(study) / "quick" if quick else ROOT / "experiments" / study / "results")
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -76,7 +76,7 @@ def main():
     parser.add_argument("--out", type=Path, help="folder of the results; default: results/ of this study")
     options = parser.parse_args()
     devices = options.device or ["cuda", "cpu"]
-    rows, folder = [], options.out or common.results("gpu", options.quick)
+    rows, folder = [], common.results("gpu", options.quick, options.out)
     for case in options.case or CASES:
         made = {}
         for device in devices:

@@ -107,7 +107,7 @@ def main():
         row, alone = apart(size, spp), rows[-len(counts)]
         rows.append({"scaling": "two processes", **row, "speed": 2 * alone["seconds"] / row["seconds"]})
         print(json.dumps(rows[-1]), flush=True)
-    folder = options.out or common.results("gpu", options.quick)
+    folder = common.results("gpu", options.quick, options.out)
     common.write_json(folder / "scaling.json", {"rows": rows})
     columns = {"scaling": ("scaling", ""), "devices": ("devices", "d"), "views": ("views", "d")}
     columns |= {"seconds a step": ("seconds", ".3f"), "times the speed of one": ("speed", ".2f")}

@@ -66,7 +66,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(len(grid)) as pool:
         arguments = [(common.in_fresh_process, measure, *row, size, spp, f"{folder}/lock") for row in grid]
         rows = [job.result() for job in [pool.submit(*each) for each in arguments]]
-    common.write_json((options.out or common.results("gpu", options.quick)) / "speed.json", {"rows": rows})
+    common.write_json(common.results("gpu", options.quick, options.out) / "speed.json", {"rows": rows})
     columns = {"case": ("case", ""), "device": ("device", ""), "copies": ("copies", "d"), "chunk": ("chunk", "d")}
     for what in ("image", "gradient"):
         columns |= {f"{what}: first, s": (f"{what}, first", ".1f"), f"{what}, s": (what, ".4f")}
