@@ -25,10 +25,28 @@ THEMES: tuple[Callable[[], list[Case]], ...] = (
 RARE = Expected(
     "noisy", "edges are drawn without regard to what hides them: few draws find the border of a shadow of a small light"
 )
+FAINT = Expected(
+    "noisy", "edges are drawn without regard to what hides them, and few draws are of those that count here"
+)
 CROSSING = Expected(
     "noisy", "warps have noise wherever the light is seen, the more the closer silhouettes of different velocities are"
 )
-RARELY = ("tiny_light", "interpenetrating")  # found rarely by `QuadricSampling`
+MEETS = Expected(
+    "biased",
+    "pixels along the line where lamp and floor meet are off by up to a third; the cause is not found; the size of the "
+    "whole image is 3.5 % too large",
+)
+# What is known of the newer baselines: by estimator, case and verdict. The others have it in their cases.
+BASELINES: dict[str, dict[str, Expected]] = {
+    "QuadricSampling": dict.fromkeys(("tiny_light", "interpenetrating", "lamp_of_many_faces"), RARE)
+    | dict.fromkeys(("self_shadow_reflected", "tessellation_1k", "tessellation_1M"), FAINT)
+    | {"moving_emitter_at_wall": emitters.TOUCHES, "mirror_low_roughness": reflections.LOBE},
+    "MarkovChains": {"moving_emitter_at_wall": emitters.TOUCHES, "mirror_low_roughness": reflections.LOBE},
+    "WalkOnCaps": dict.fromkeys(
+        ("tiny_light", "lamp_of_many_faces", "glossy_smooth", "coplanar", "crossing_triangles", "sky_pixel"), CROSSING
+    )
+    | {"moving_emitter_at_wall": MEETS},
+}
 REFERENCES = Path(__file__).parent / "references"
 RESULTS = Path(__file__).parents[2] / "experiments" / "stability" / "results"
 
@@ -39,15 +57,12 @@ def catalogue() -> dict[str, Case]:
     made = [case for theme in THEMES for case in theme()]
     found = {case.name: case for case in made}
     assert len(found) == len(made), "two cases have the same name"
-    for name in RARELY:
-        expected = dict(found[name].expected) | {"QuadricSampling": RARE}
-        found[name] = dataclasses.replace(found[name], expected=expected)
-    for name, case in found.items():  # the same scope as that of `RednerWAS`
+    for name, case in found.items():
+        known = {estimator: rows[name] for estimator, rows in BASELINES.items() if name in rows}
         refused = case.expected.get("RednerWAS")
-        if refused is not None and refused.verdict == "refuses":
-            found[name] = dataclasses.replace(case, expected=dict(case.expected) | {"WalkOnCaps": refused})
-    tiny = found["tiny_light"]
-    found["tiny_light"] = dataclasses.replace(tiny, expected=dict(tiny.expected) | {"WalkOnCaps": CROSSING})
+        if refused is not None and refused.verdict == "refuses":  # `WalkOnCaps` has the same scope
+            known["WalkOnCaps"] = refused
+        found[name] = dataclasses.replace(case, expected=dict(case.expected) | known)
     return found
 
 

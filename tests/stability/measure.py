@@ -130,6 +130,8 @@ def measure(case: Case, estimator: str, against: Reference, most: int = 0) -> di
             if precise or long or verdict(case, estimator, found) == "biased":
                 break
     except ValueError as refusal:
+        if "take" not in str(refusal):  # a refusal names a remedy; all else is a fault
+            raise
         found = {"status": "refuses", "message": str(refusal).splitlines()[0]}
     except FloatingPointError as problem:
         found = {"status": "not finite", "message": str(problem).splitlines()[0]}

@@ -114,6 +114,15 @@ def test_what_is_not_covered_is_refused(name, estimator):
     assert "take" in str(refusal.value), refusal.value
 
 
+@pytest.mark.filterwarnings("ignore::jaxdr.EstimatorWarning")
+@pytest.mark.parametrize("estimator", CASES["open_non_manifold"].estimators())
+def test_edges_of_three_faces(estimator):
+    """Every estimator takes them. (The slow cells say that the derivative is right.)"""
+    case = CASES["open_non_manifold"]
+    method = integrator(estimator, case.max_depth)
+    assert jax.eval_shape(lambda scene: _derivative(case, scene, method), case.scene).shape[-1] == 3
+
+
 def _derivative(case: Case, scene: jd.Scene, method):
     parameters = {name: scene.parameters()[name] for name in case.moves}
 

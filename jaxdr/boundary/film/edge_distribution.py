@@ -202,7 +202,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
         lit |= through[shape]
     received = jnp.where(lit, _unshadowed(packed, corner, normal, smooth, key), 0.0)
 
-    pair, interior = packed.edges.faces[number], packed.edges.interior[number]
+    pair, interior = packed.edges.faces[number, :2], packed.edges.interior[number]
     first, second = components(pair)
     face0 = row_of(first)
     face1 = jnp.where(second >= 0, row_of(second), face0)
