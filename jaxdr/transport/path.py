@@ -25,6 +25,7 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import normalize, scale
 from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
+from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, either, intersect, material_hit, on_fixed_ray
 from jaxdr.transport.mirrored_pairs import Ends, Previous, has_pairs, pair_derivatives
@@ -357,7 +358,7 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     light = arriving * transfer.value
     if settings.mis:
         per_angle = stop_gradient(transfer.distance2 / jnp.where(reachable, transfer.cosine, 1.0)) * sample.pdf
-        weight = per_angle / (per_angle + scatterer.pdf(towards))
+        weight = balance(per_angle, scatterer.pdf(towards))
         # No other sampling finds lights without area, so their weight is one.
         light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
     light = jnp.where(visible[:, None], light, 0.0)
@@ -397,7 +398,7 @@ def _found_emission(
         still = stop_gradient(transfer)
         lit, cosine = scatterer.point.position, jnp.abs(still.cosine)
         other = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
-        weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + other, 1.0)
+        weight = balance(sampled.own, other)
     if sampled.chosen is not None:
         weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find light over a delta lobe
     return scale(found.throughput * emitted(packed, target, found.wi), stop_gradient(weight))

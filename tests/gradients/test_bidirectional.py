@@ -101,7 +101,7 @@ def test_direct_light_is_the_closed_form(kind, name):
     """Apex, occluder and target move; all strategies together."""
     boundary = jd.WarpedArea(sigma0=0.03) if name == "warped" else point.SHEET
     boundary = point.CLOSED if (name, kind) == ("kernel", "box") else boundary
-    check(kind, boundary, keys=16, spp=256, tolerance=0.02, widest=0.04)
+    check(kind, boundary, keys=48, spp=256, tolerance=0.02, widest=0.04)
 
 
 def blocked(bsdf=None) -> jd.Scene:

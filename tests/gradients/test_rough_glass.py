@@ -61,7 +61,7 @@ def above_alone(self, position):
 @pytest.mark.parametrize("boundary", ["lines", "kernel"])
 @pytest.mark.parametrize("case", glass_point.CASES)
 def test_a_point(case, boundary):
-    check_point(case, BOUNDARIES[boundary], keys=32, spp=64)
+    check_point(case, BOUNDARIES[boundary], keys=64 if boundary == "lines" else 128, spp=64)
 
 
 class Case(NamedTuple):
@@ -244,7 +244,7 @@ STILL = ("behind a slab", "in a ball")
 @pytest.mark.parametrize("name", CASES)
 def test_images(name, boundary):
     case = CASES[name]()
-    rows, truth = found(case, BOUNDARIES[boundary], 32, 64), differences(case, 16, 512)
+    rows, truth = found(case, BOUNDARIES[boundary], 128, 64), differences(case, 32, 512)
     # The kernel estimator is three times as noisy, and where glass itself moves this is no more than a coarse check.
     noisy = 0.7 if name not in STILL else 0.2 if boundary == "kernel" else 0.06
     check(rows, truth, within=noisy)

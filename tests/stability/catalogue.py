@@ -33,13 +33,13 @@ CROSSING = Expected(
 )
 MEETS = Expected(
     "biased",
-    "pixels along the line where lamp and floor meet are off by up to a third; the cause is not found; the size of the "
-    "whole image is 3.5 % too large",
+    "emitter samples hardly ever find the lamp's light on the line where it touches the floor, and the edge of the "
+    'picture there needs it: pixels are off by up to a third; with "mis" it is found, with the noise of the others',
 )
 # What is known of the newer baselines: by estimator, case and verdict. The others have it in their cases.
 BASELINES: dict[str, dict[str, Expected]] = {
     "QuadricSampling": dict.fromkeys(("tiny_light", "interpenetrating", "lamp_of_many_faces"), RARE)
-    | dict.fromkeys(("self_shadow_reflected", "tessellation_1k", "tessellation_1M"), FAINT)
+    | dict.fromkeys(("self_shadow_reflected", "tessellation_1k", "tessellation_100k", "tessellation_1M"), FAINT)
     | {"moving_emitter_at_wall": emitters.TOUCHES, "mirror_low_roughness": reflections.LOBE},
     "MarkovChains": {"moving_emitter_at_wall": emitters.TOUCHES, "mirror_low_roughness": reflections.LOBE},
     "WalkOnCaps": dict.fromkeys(
