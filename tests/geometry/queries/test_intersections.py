@@ -2,6 +2,7 @@
 
 import contextlib
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,10 +22,13 @@ def joined(*meshes):
     return np.concatenate([np.asarray(m.vertices, np.float32) for m in meshes]), np.concatenate(faces), number
 
 
+compiled = jax.jit(queries.face_intersections, static_argnames=("capacity", "implementation"))
+
+
 def ask(implementation, vertices, faces, moving, capacity=ROOM, seed=1):
     geometry = queries.Geometry(jnp.asarray(vertices), jnp.asarray(faces, jnp.int32))
     moves = jnp.asarray(moving)
-    found = queries.face_intersections(geometry, moves, jnp.int32(seed), capacity, implementation=implementation)
+    found = compiled(geometry, moves, jnp.int32(seed), capacity=capacity, implementation=implementation)
     kept = np.asarray(found.first) >= 0
     pairs = np.stack([found.first, found.second], -1)[kept]
     return pairs, np.asarray(found.ends)[kept], int(found.count), float(found.weight)
@@ -101,11 +105,13 @@ def test_what_only_touches_does_not_cross(implementation):
 
 @pytest.mark.parametrize("implementation", ["warp", "jax"])
 def test_thinning_is_unbiased(implementation):
-    vertices, faces, number = joined(shapes.sphere(3, radius=0.5), shapes.torus(0.5, 0.2, 48, 24))
+    fine = implementation == "warp"  # the other one looks at all pairs
+    torus = shapes.torus(0.5, 0.2, 48, 24) if fine else shapes.torus(0.5, 0.2, 24, 12)
+    vertices, faces, number = joined(shapes.sphere(3 if fine else 2, radius=0.5), torus)
     _, ends, count, _ = ask(implementation, vertices, faces, number == 0)
     length = np.linalg.norm(np.diff(ends, axis=1), axis=-1).sum()
     few, sums = count // 2, []
-    warned = pytest.warns(UserWarning, match="pass through each other") if implementation == "warp" else None
+    warned = pytest.warns(UserWarning, match="pass through each other") if fine else None
     with warned or contextlib.nullcontext():
         for seed in range(60):
             some, kept, found, weight = ask(implementation, vertices, faces, number == 0, few, seed)
