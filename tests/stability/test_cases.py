@@ -5,6 +5,7 @@ In the default run a few cells that share one compiled program; all of them with
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import jax
@@ -150,6 +151,18 @@ def test_thirty_cases_all_estimators():
     assert all(set(case.only or COLUMNS) >= {"KernelDensity", "LineSampling"} for case in CASES.values())
     assert set(COLUMNS) < set(ESTIMATORS)
     assert all(case.about and case.source for case in CASES.values())
+
+
+def test_numbers_that_the_documentation_has():
+    """Cells that are right, of those that are not refused."""
+    verdicts = {name: [] for name in COLUMNS}
+    for case in CASES.values():
+        for name, cell in kept.measured(case).items():
+            if name in verdicts and cell["verdict"] != "refuses":
+                verdicts[name].append(cell["verdict"])
+    counts = {name: f"{found.count('right')} of {len(found)}" for name, found in verdicts.items()}
+    rows = re.findall(r"^\| `(\w+)` \| (\d+ of \d+)", (ROOT / "docs" / "measured.md").read_text(), re.MULTILINE)
+    assert dict(rows) == counts
 
 
 @pytest.mark.parametrize("row", ELSEWHERE, ids=lambda row: row[0])
