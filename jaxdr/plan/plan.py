@@ -21,6 +21,10 @@ from jaxdr.scene.scene import Scene
 PIXELS = 48 * 48  # most pixels of the pilots' film
 DEPTH_TOLERANCE = 0.02
 AUTO: Any = "auto"
+NOTHING = (
+    "nothing was measured: all derivatives are the same in every call; is the picture dark (a lamp shines to the side "
+    "that its normals point to), and does what moves change it?"
+)
 
 
 def plan(
@@ -80,6 +84,9 @@ def plan(
 
     chosen = choose(tried, Pilot(small, along, moving, key_pilot), changes, budget, spp, ratio)
     figures |= _figures(look, depth, chosen)
+    measured = [m.variance for found in chosen.rounds for m in found.values() if isinstance(m, Measured)]
+    if measured and not any(measured):
+        lines.append(NOTHING)
     return Plan(chosen.integrator, chosen.spp, tuple(lines + chosen.lines), figures)
 
 

@@ -1,5 +1,6 @@
 """`jaxdr.plan` from end to end, the pilots replaced by known numbers; its arguments, its text, its table."""
 
+import dataclasses
 import importlib
 import json
 
@@ -8,10 +9,10 @@ import pytest
 
 import jaxdr as jd
 from jaxdr import cli
-from jaxdr.geometry.shapes import box, rectangle
+from jaxdr.geometry.shapes import box, rectangle, transformed
 from jaxdr.plan.depth import DepthChoice, Share
 from jaxdr.plan.pilot import Measured
-from jaxdr.plan.plan import small_film
+from jaxdr.plan.plan import NOTHING, small_film
 from jaxdr.plan.report import Plan
 
 module = importlib.import_module("jaxdr.plan.plan")
@@ -23,9 +24,10 @@ XML = """<scene version="3.0.0"><sensor type="perspective"><float name="fov" val
 
 @pytest.fixture
 def scene():
+    down = jd.look_at([0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     shapes = {
         "box": jd.Shape(box()),
-        "lamp": jd.Shape(rectangle(1.0, 1.0, (0.0, 0.0, 3.0)), jd.Diffuse(0.0), jd.AreaEmitter(5.0)),
+        "lamp": jd.Shape(transformed(rectangle(1.0, 1.0), down), jd.Diffuse(0.0), jd.AreaEmitter(5.0)),
     }
     return jd.Scene(shapes, jd.Perspective(jd.look_at([0, -5, 1], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(96, 96)))
 
@@ -162,3 +164,12 @@ def test_real_pilots(scene):
     assert isinstance(found.integrator, jd.PathTracer) and found.spp >= 1
     assert found.figures["rounds"][0]["LineSampling"]["variance"] > 0
     jd.render(small, jax.random.key(0), found.spp, found.integrator)
+    assert NOTHING not in found.lines
+
+
+@pytest.mark.slow
+def test_a_dark_scene(scene):
+    """The plan says that there is nothing to go by."""
+    lamp = dataclasses.replace(scene.shapes["lamp"], emitter=jd.AreaEmitter(0.0))
+    dark = dataclasses.replace(scene, shapes={**scene.shapes, "lamp": lamp})
+    assert NOTHING in jd.plan(small_film(dark)[0], ["box.translate.x"], 0.2, max_depth=2).lines
