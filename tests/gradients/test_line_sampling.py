@@ -76,22 +76,20 @@ def test_plain_queries():
 @pytest.mark.slow
 @pytest.mark.parametrize("size, chords, most_keys", [("small", 1.0, 400), ("very large", 8.0, 144)])
 def test_no_bias_floor(size, chords, most_keys):
-    """The error falls as 1/√N down to 1e-4 of the derivative, and nothing else is left.
-
-    From few samples to many faster, even: a larger pilot sends the chords better.
-    """
+    """The error falls as 1/√N down to 1e-4 of the derivative, and nothing else is left."""
     blocker, lamp, lines = sheet(QUADRANGLE, 0.1), LIGHTS[size], jd.LineSampling(chords=chords)
     truth = exact(blocker, lamp)[1]["blocker.vertices"]
     scale = np.max(np.abs(truth))
     errors = {}
-    for spp, keys in ((8, 16), (128, 16), (128, most_keys)):
+    for spp, keys in ((2, 48), (128, 48), (128, most_keys)):
         rows = estimates(scene(blocker, light=lamp), lines, keys, spp=spp)[1]["blocker.vertices"] / scale
         mean, deviation = mean_and_error(rows)
         assert np.all(np.abs(mean - truth / scale) < 4.5 * deviation + 3e-5), (size, spp, keys)
         errors[spp, keys] = np.sqrt(np.mean(deviation**2)), np.sqrt(np.mean((mean - truth / scale) ** 2))
     (few, _), (many, _), (most, left) = errors.values()
     assert most < 1e-4 and left < 1e-4, errors
-    assert 2.5 < few / many and 0.7 < many / most / (most_keys / 16) ** 0.5 < 1.4, errors
+    # 64 times the samples: 8 times less noise. The lattice of the chords fits some numbers of chords better.
+    assert 5 < few / many and 0.7 < many / most / (most_keys / 48) ** 0.5 < 1.4, errors
 
 
 @pytest.mark.slow
