@@ -25,7 +25,6 @@ from jaxdr.geometry import queries
 from jaxdr.geometry.vector import normalize, scale
 from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
-from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
 from jaxdr.transport.interaction import SurfacePoint, either, intersect, material_hit, on_fixed_ray
 from jaxdr.transport.mirrored_pairs import Ends, Previous, has_pairs, pair_derivatives
@@ -358,7 +357,8 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     light = arriving * transfer.value
     if settings.mis:
         per_angle = stop_gradient(transfer.distance2 / jnp.where(reachable, transfer.cosine, 1.0)) * sample.pdf
-        weight = balance(per_angle, scatterer.pdf(towards))
+        # Not `sampling.balance`: with its condition XLA rounds a batch of images otherwise than single ones.
+        weight = per_angle / (per_angle + scatterer.pdf(towards))
         # No other sampling finds lights without area, so their weight is one.
         light = scale(light, weight if delta is None else jnp.where(delta, 1.0, weight))
     light = jnp.where(visible[:, None], light, 0.0)
@@ -398,7 +398,7 @@ def _found_emission(
         still = stop_gradient(transfer)
         lit, cosine = scatterer.point.position, jnp.abs(still.cosine)
         other = emitter_pdf(packed, stop_gradient(target), still.towards, still.distance2, cosine, lit)
-        weight = balance(sampled.own, other)
+        weight = sampled.own / jnp.where(sampled.active & (sampled.own > 0), sampled.own + other, 1.0)
     if sampled.chosen is not None:
         weight = jnp.where(sampled.chosen, 1.0, weight)  # emitter samples never find light over a delta lobe
     return scale(found.throughput * emitted(packed, target, found.wi), stop_gradient(weight))

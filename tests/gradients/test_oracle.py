@@ -22,7 +22,7 @@ CASES = {
     ("shadow_goathead", "translate_x"): (128, 0.03),
     ("cornell_indirect", "translate_x"): (512, 0.08),
     ("cube_constant", "translate_z"): (64, 0.03),
-    ("environment_penguin", "rotate_z"): (256, 0.03),
+    ("environment_penguin", "rotate_z"): (1024, 0.03),
     ("environment_penguin", "rotate_environment_z"): (256, 0.03),
 }
 
