@@ -61,7 +61,7 @@ def above_alone(self, position):
 @pytest.mark.parametrize("boundary", ["lines", "kernel"])
 @pytest.mark.parametrize("case", glass_point.CASES)
 def test_a_point(case, boundary):
-    check_point(case, BOUNDARIES[boundary], keys=64 if boundary == "lines" else 128, spp=64)
+    check_point(case, BOUNDARIES[boundary], keys=32 if boundary == "lines" else 128, spp=64)
 
 
 class Case(NamedTuple):
