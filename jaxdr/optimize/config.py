@@ -222,7 +222,7 @@ class Samples:
     """Samples per pixel: of the `target` views, the `image` in the loss, its `gradient`, and `pictures` in grids."""
 
     target: int = 256
-    image: int = 8
+    image: int = 16
     gradient: int = 8
     pictures: int = 64
 
