@@ -189,7 +189,7 @@ def skies() -> list[Case]:
          (), {"environment.radiance": pole}, 0.1, False),
     ]  # fmt: skip
     wrong = {
-        "smooth_sky": {"RednerWAS": SPHERE} | NOISY,
+        "smooth_sky": NOISY,
         "pole_of_sky": NOISY,
         "turning_sky": {"KernelDensity": EVERYWHERE} | NOISY,
         "turning_sun": NOISY,
