@@ -81,9 +81,7 @@ def solid_lights() -> list[Case]:
             "1 / r² of emitters that touch what they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
-            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), TOUCHES)
-            | {"RednerWAS": SPHERE}
-            | NOISY,
+            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), TOUCHES) | NOISY,
         ),
         moved(
             "moving_receiver",
