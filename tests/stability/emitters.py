@@ -21,7 +21,7 @@ TOUCHES = Expected(
     "noisy",
     "the noise is in the interior term, not in theirs (KernelDensity, LineSampling and GuidedEdges have the same "
     "numbers), likely of BSDF-sampled points of the lamp next to what they light; with "
-    'PathTracer(sampling="emitter"), as RednerWAS has it here, the size is right (0.996 ± 0.011); WalkOnCaps, '
+    'PathTracer(sampling="emitter"), as RednerWAS has it here, all is right (1.004 ± 0.022); WalkOnCaps, '
     "with less noise and the same samples, is off in the pixels where lamp and floor touch",
 )
 CUT = Expected(
