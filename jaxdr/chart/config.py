@@ -192,6 +192,7 @@ class ChartConfig:
       one.
     - `budget`: seconds that a call may take. The ladder of an estimator ends at the first rung that takes more.
     - `peers`: whether Mitsuba's projective integrators are further lines; `peer_samples`: their ladder.
+    - `until`: seconds up to which lines of the pictures go on, as means of more calls; 0 leaves that out.
     - `terms`: samples per pixel at which the standard deviation of each term is measured; 0 leaves that out.
     - `memory`: whether the peak memory of each estimator is measured, in a fresh process.
     """
@@ -205,6 +206,7 @@ class ChartConfig:
     keys: int = 16
     positions: int = 4
     budget: float = 10.0
+    until: float = 0.0
     peers: bool = False
     peer_samples: tuple[int, ...] = ()
     terms: int = 16
@@ -223,6 +225,7 @@ class ChartConfig:
         good = self.keys >= 2 * self.positions and self.keys % self.positions == 0
         require(good, "keys", f"must be a multiple of positions = {self.positions}, and at least twice it", self.keys)
         require(self.budget > 0, "budget", "must be positive", self.budget)
+        require(self.until >= 0, "until", "must not be negative", self.until)
         require(self.terms >= 0, "terms", "must not be negative", self.terms)
         for key, names in (
             ("scenes", [s.name for s in self.scenes]),

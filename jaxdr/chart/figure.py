@@ -6,7 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-MARKERS = "osD^vP*X<>"
+from jaxdr.chart.statistics import error_of_mean, pareto_front
+
+MARKERS = "osD^vP*X<>hpd8"
+COLORS = (*(f"C{i}" for i in range(10)), "black", "navy", "lime", "gold")
 
 
 def require_matplotlib() -> None:
@@ -15,11 +18,12 @@ def require_matplotlib() -> None:
         raise ImportError('charts need matplotlib, which is optional: pip install "jaxdr[experiments]"')
 
 
-def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | None:
+def chart_png(title: str, rows: Sequence[dict], prefix: str = "", until: float = 0.0) -> bytes | None:
     """PNG of the rows of a scene; None if no row has an error. `prefix` "vertex_" shows the gradients by vertices.
 
-    Every estimator is a line. The band is the noise of the reference; points in it are hollow. Dotted lines have slope
-    -1/2, that is, the same error² · seconds. Points of the Pareto front have a ring.
+    Every estimator is a line. It goes on, dashed, up to `until` seconds, as the mean of more calls of its last point.
+    The band is the noise of the reference; points in it are hollow. Dotted lines have slope -1/2, that is, the same
+    error² · seconds. Points of the Pareto front have a ring.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -41,8 +45,9 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
         compiled = [row.get(f"{prefix}compile_seconds") for row in mine]
         compiled = max((t for t in compiled if t is not None), default=None)
         label = name if compiled is None else f"{name} (compiles in {compiled:.1f} s)"
-        color, marker = f"C{i % 10}", MARKERS[i % len(MARKERS)]
+        color, marker = COLORS[i % len(COLORS)], MARKERS[i % len(MARKERS)]
         panel.loglog(x, y, "-", color=color, linewidth=1.2)
+        panel.loglog(*_means(mine[-1], prefix, until), "--", color=color, linewidth=1.0)
         panel.loglog([], [], f"{marker}-", color=color, label=label)
         for row, a, b in zip(mine, x, y, strict=True):
             face = color if b > noise else "white"
@@ -51,7 +56,8 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
                 str(row["samples"]), (a, b), textcoords="offset points", xytext=(5, 4), fontsize=7, color=color
             )
     _front(panel, measured, error, seconds)
-    _guides(panel, [row[seconds] for row in measured], [row[error] for row in measured])
+    ends = [_means(row, prefix, until) for row in measured]
+    _guides(panel, np.concatenate([times for times, _ in ends]), np.concatenate([errors for _, errors in ends]))
     if noise > 0:
         low, high = panel.get_ylim()
         panel.axhspan(min(low, noise / 2), noise, color="0.88", zorder=0, label="noise of the reference")
@@ -67,8 +73,6 @@ def chart_png(title: str, rows: Sequence[dict], prefix: str = "") -> bytes | Non
 
 
 def _front(panel, rows, error: str, seconds: str) -> None:
-    from jaxdr.chart.statistics import pareto_front
-
     points = [(row[seconds], row[error]) for row in rows]
     front = [points[i] for i in pareto_front(points)]
     x, y = zip(*front, strict=True)
@@ -76,10 +80,18 @@ def _front(panel, rows, error: str, seconds: str) -> None:
     panel.loglog(x, y, "o", color="0.2", markerfacecolor="none", markersize=12, label="Pareto front", linestyle="none")
 
 
-def _guides(panel, seconds: Sequence[float], errors: Sequence[float]) -> None:
+def _means(row: dict, prefix: str, until: float) -> tuple[np.ndarray, np.ndarray]:
+    """(seconds, errors) of the mean of 1 to `until` / seconds independent calls of a row."""
+    seconds = row[f"{prefix}seconds"]
+    times = np.geomspace(seconds, max(until, seconds), 32)
+    bias2, variance = row[f"{prefix}bias2"], row[f"{prefix}deviation"] ** 2
+    return times, np.array([error_of_mean(bias2, variance, time / seconds) for time in times])
+
+
+def _guides(panel, seconds: np.ndarray, errors: np.ndarray) -> None:
     """Lines of slope -1/2 over the range of the points. Neighbours differ by a factor of two in the error."""
     x = np.array([min(seconds) / 1.5, max(seconds) * 1.5])
-    works = np.array(errors) * np.sqrt(seconds)
+    works = errors * np.sqrt(seconds)
     low, high = np.floor(np.log2(works.min())), np.ceil(np.log2(works.max()))
     limits = (min(errors) / 1.6, max(errors) * 1.6)
     for power in np.arange(low, high + 1):

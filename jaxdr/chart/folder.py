@@ -42,7 +42,7 @@ class ChartFolder:
 
     def open(self, resume: bool, overwrite: bool) -> None:
         """Make the folder, or check that it is the one to go on with. Raises ValueError as `open_results` does."""
-        free = ("output", "folder")  # where scene files are
+        free = ("output", "folder", "until")  # where files are, and what pictures show
         open_results(self.path, self.config, resume, overwrite, "chart", "chart.json", free)
 
     def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:

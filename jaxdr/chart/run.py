@@ -99,9 +99,9 @@ def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: 
             if folder.has_call(cell, 0, "terms"):
                 found = term_rows(folder.calls(cell, config.keys, "terms"), run.image)
                 terms += [{"scene": scene.name, "estimator": name, "samples": config.terms} | row for row in found]
-    charts = [chart_png(scene.name, rows)]
+    charts = [chart_png(scene.name, rows, until=config.until)]
     if config.vertices is not None:
-        charts.append(chart_png(f"{scene.name}, gradient by vertices", rows, "vertex_"))
+        charts.append(chart_png(f"{scene.name}, gradient by vertices", rows, "vertex_", config.until))
     charts = [png for png in charts if png is not None]
     shown, pictures = _images(run, images), {}
     if images:

@@ -45,7 +45,7 @@ def errors(
     independent = reference.size / reference.shape[-1]
     spread = float(projections.var(1, ddof=1).mean()) / calls + noise**2 / power / independent
     return {
-        "rmse": math.sqrt((max(bias2, 0.0) + variance) / power),
+        "rmse": error_of_mean(bias2, variance, 1.0) / math.sqrt(power),
         "bias": math.sqrt(max(bias2, 0.0) / power),
         "bias2": bias2 / power,
         "bias_resolution": math.sqrt(taken_off / power),
@@ -55,6 +55,14 @@ def errors(
         "projection_error": math.sqrt(spread),
         "noise": noise / math.sqrt(power),
     }
+
+
+def error_of_mean(bias2: float, variance: float, calls: float) -> float:
+    """Root mean square error of the mean of so many independent calls: √(bias² + variance / calls).
+
+    `bias2` and `variance` are those of `errors`; a negative `bias2` counts as 0.
+    """
+    return math.sqrt(max(bias2, 0.0) + variance / calls)
 
 
 def size2(reference: Float[np.ndarray, "*shape"], noise: float) -> float:

@@ -124,6 +124,10 @@ def test_resume_gives_the_same_rows(asked, capsys, monkeypatch):
     assert run("--resume") == 0
     assert rows() == whole and rows("terms") == terms and not asked  # times too: nothing was measured again
 
+    picture = Path("out/ball.png").read_bytes()
+    assert run("--resume", settings=[*SETTINGS, "until=9.0"]) == 0  # what pictures show may change
+    assert rows() == whole and not asked and Path("out/ball.png").read_bytes() != picture
+
     assert run("--overwrite") == 0
     assert steady(rows()) == steady(whole)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxdr.chart.measure import predicted
-from jaxdr.chart.statistics import errors, is_resolved, mean_and_noise, pareto_front, positions, size2
+from jaxdr.chart.statistics import error_of_mean, errors, is_resolved, mean_and_noise, pareto_front, positions, size2
 
 SHAPE = (12, 12, 3)
 
@@ -68,6 +68,16 @@ def test_error_of_one_call_is_what_it_is_defined_as():
     found = errors(values, reference, 0.1)
     direct = np.mean((values - reference) ** 2) - 0.1**2
     assert found["rmse"] ** 2 == pytest.approx(direct / (np.mean(reference**2) - 0.1**2), rel=1e-9)
+
+
+def test_error_of_the_mean_of_calls():
+    """Predicted from single calls, and made."""
+    values, reference = drawn(np.random.default_rng(5), bias=0.4, deviation=0.3, noise=0.0)
+    found = errors(values, reference, 0.0)
+    means = values.reshape(-1, 4, *SHAPE).mean(1)
+    direct = np.mean((means - reference) ** 2) / np.mean(reference**2)
+    assert error_of_mean(found["bias2"], found["variance"], 4.0) ** 2 == pytest.approx(direct, rel=0.02)
+    assert error_of_mean(-1.0, 0.09, 9.0) == pytest.approx(0.1)
 
 
 def test_spread_between_positions_is_no_variance():
