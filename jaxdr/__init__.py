@@ -4,6 +4,7 @@ from importlib.metadata import PackageNotFoundError as _NotInstalled
 from importlib.metadata import version as _version
 
 from jaxdr.aovs import render_aovs as render_aovs
+from jaxdr.boundary.all_silhouettes import AllSilhouettes as AllSilhouettes
 from jaxdr.boundary.baselines.markov_chains import MarkovChains as MarkovChains
 from jaxdr.boundary.baselines.quadric_sampling import QuadricSampling as QuadricSampling
 from jaxdr.boundary.baselines.redner_was import RednerWAS as RednerWAS

@@ -422,7 +422,8 @@ def check_reference(page: str) -> None:
             assert [p for p in parameters if not re.search(rf"[(,*] ?{p}\b", text)] == [], name
 
 
-def test_the_table_by_difficulty_is_that_of_the_results():
-    from experiments.charts.difficulty import table
+def test_the_tables_by_difficulty_are_those_of_the_results():
+    from experiments.charts.difficulty import table, table_of_baselines
 
-    assert table() in (ROOT / "docs/choosing.md").read_text()
+    text = (ROOT / "docs/choosing.md").read_text()
+    assert table() in text and table_of_baselines() in text

@@ -1,4 +1,4 @@
-"""Which method to take, by what makes a scene difficult: one table from four studies, for docs/choosing.md.
+"""Which method to take, by what makes a scene difficult: two tables from four studies, for docs/choosing.md.
 
     python -m experiments.charts.difficulty
 
@@ -10,7 +10,8 @@ import json
 
 from experiments import common
 
-METHODS = ["LineSampling", "KernelDensity", "GuidedEdges", "Mitsuba, unguided", "Mitsuba, octree"]
+METHODS = ["LineSampling", "KernelDensity", "GuidedEdges", "AllSilhouettes", "Mitsuba, unguided", "Mitsuba, octree"]
+BASELINES = ["WarpedArea", "RednerWAS", "QuadricSampling", "MarkovChains", "WalkOnCaps"]  # on the reference scenes
 
 
 def of_study(study: str, label) -> list[tuple[str, dict]]:
@@ -37,7 +38,7 @@ def of_charts() -> list[tuple[str, dict]]:
     for scene, depth in depths.items():
         case = {}
         for row in sorted(rows, key=lambda row: int(row["samples"])):
-            if row["scene"] == scene and row["estimator"] in METHODS:
+            if row["scene"] == scene and row["estimator"] in METHODS + BASELINES:
                 case[row["estimator"]] = float(row["work"])
         found.append((f"depth {depth}: `{scene}`", case))
     return found
@@ -63,15 +64,26 @@ def table() -> str:
     lines = ["| scene | take | " + " | ".join(METHODS) + " |", "| --- |" + " --- |" * (len(METHODS) + 1)]
     for name, works in cases():
         best = min(works, key=works.__getitem__)
-        cells = [f"{works[m] / works[best]:.2g}" if m in works else "" for m in METHODS]
-        cells = [f"{float(cell):.0f}" if "e" in cell else cell for cell in cells]
-        lines.append(f"| {name} | {best} | " + " | ".join(cells) + " |")
+        lines.append(f"| {name} | {best} | {multiples(works, METHODS)} |")
     return "\n".join(lines)
+
+
+def table_of_baselines() -> str:
+    """The same for the methods that are there for comparison."""
+    lines = ["| scene | " + " | ".join(BASELINES) + " |", "| --- |" + " --- |" * len(BASELINES)]
+    lines += [f"| {name} | {multiples(works, BASELINES)} |" for name, works in of_charts()]
+    return "\n".join(lines)
+
+
+def multiples(works: dict, methods: list[str]) -> str:
+    """The cells of a row."""
+    cells = [f"{works[m] / min(works.values()):.2g}" if m in works else "" for m in methods]
+    return " | ".join(f"{float(cell):.0f}" if "e" in cell else cell for cell in cells)
 
 
 def main():
     common.parser(__doc__).parse_args()
-    text = table()
+    text = f"{table()}\n\n{table_of_baselines()}"
     (common.results("charts", False) / "difficulty.md").write_text(text + "\n")
     print(text)
 

@@ -18,20 +18,24 @@ LADDERS = (0.05, 0.3)  # roughnesses for which error is charted against time
 POSITIONS = 4
 LINES, KERNEL = "LineSampling", "KernelDensity"
 CHORDS = "LineSampling, 8 chords"  # a path sample
+SUM = "AllSilhouettes"
 METHODS = {
     "Mitsuba, unguided": (mitsuba_peer.estimates, "none"),
     "Mitsuba, octree": (mitsuba_peer.estimates, "octree"),
     KERNEL: (jaxdr_side.estimates, "KernelDensity"),
     LINES: (jaxdr_side.estimates, "LineSampling"),
     CHORDS: (jaxdr_side.estimates, ("LineSampling", {"chords": 8.0, "backgrounds": 8.0}, {})),
+    SUM: (jaxdr_side.estimates, ("AllSilhouettes", {"capacity": 160}, {"chunk_size": 1 << 14})),
 }
-FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS} | {CHORDS: 4}  # samples per pixel
+FEW = {name: 64 if name.startswith("Mitsuba") else 16 for name in METHODS} | {CHORDS: 4, SUM: 4}  # samples per pixel
 MANY = {name: (4, 64) for name in METHODS} | {
     "Mitsuba, unguided": (16, 256, 4096),
-    "Mitsuba, octree": (16, 1024),
+    "Mitsuba, octree": (16, 1024, 16384),
     LINES: (4, 64, 256),
     CHORDS: (1, 16, 64),
+    SUM: (1, 16, 64),
 }
+LONG = {"Mitsuba, octree": 16384, SUM: 64}  # calls of 20 seconds: half as many offsets must do
 COLUMNS = {"scene": ("scene", ""), "roughness": ("alpha", "")} | run.COLUMNS
 
 
@@ -55,7 +59,8 @@ def measure(name, alpha, methods, options):
         more = MANY[method] if alpha in LADDERS and name == "ball" and not options.quick else ()
         for spp in sorted({FEW[method], *more}):
             labels = {"scene": name, "alpha": alpha, "method": method}
-            yield run.row_of(case, path, truth, estimates, setting, spp, POSITIONS, **labels)
+            positions = POSITIONS // 2 if spp == LONG.get(method) else POSITIONS
+            yield run.row_of(case, path, truth, estimates, setting, spp, positions, **labels)
 
 
 def chart(rows, path):

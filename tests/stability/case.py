@@ -21,6 +21,7 @@ ESTIMATORS = {
     "WarpedArea": (jd.WarpedArea(), "mis"),
     "RednerWAS": (jd.RednerWAS("path_space", sigma0=0.03), "emitter"),
     "GuidedEdges": (jd.GuidedEdges(), "mis"),
+    "AllSilhouettes": (jd.AllSilhouettes(), "mis"),
     "QuadricSampling": (jd.QuadricSampling(), "mis"),
     "MarkovChains": (jd.MarkovChains(), "mis"),
     "WalkOnCaps": (jd.WalkOnCaps(), "emitter"),
@@ -29,7 +30,7 @@ ESTIMATORS = {
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),
 }
-COLUMNS = tuple(ESTIMATORS)[1:9]
+COLUMNS = tuple(ESTIMATORS)[1:10]
 
 
 def integrator(estimator: str, max_depth: int):

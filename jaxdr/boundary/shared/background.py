@@ -12,15 +12,15 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt32
 
 from jaxdr.boundary.shared.blocks import sum_over_blocks
-from jaxdr.boundary.shared.path_segments import PathSegments, on_face
+from jaxdr.boundary.shared.path_segments import PathSegments, on_face, path_segments
 from jaxdr.boundary.shared.projection import horizon_normal, occluded_side, past_edge
-from jaxdr.boundary.shared.term import stream_of
+from jaxdr.boundary.shared.term import Chunk, Context, stream_of
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import between, corners, dot, norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 from jaxdr.transport.path_settings import PathSettings
-from jaxdr.transport.radiance import Requests, request
+from jaxdr.transport.radiance import Answers, Requests, request
 from jaxdr.transport.sampler import lattice
 from jaxdr.transport.shading import Scatterer
 
@@ -110,6 +110,42 @@ def look_behind(
         seen.segment, seen.edge, seen.along, weight, background.face, background.barycentric, background.valid
     )
     return behind, background._replace(valid=background.valid & counts)
+
+
+class EdgeSamples(NamedTuple):
+    """Points at fractions `along` edges, for path vertices; detached.
+
+    `weight`: over the density of the points, per length on the sphere of directions. `number`: of the random numbers.
+    """
+
+    vertex: Int[Array, " C"]
+    edge: Int[Array, " C"]
+    along: Float[Array, " C"]
+    weight: Float[Array, " C"]
+    number: Int[Array, " C"]
+
+
+def look_past(
+    context: Context, paths: PathSegments, samples: EdgeSamples, valid: Bool[Array, " C"], key: PRNGKeyArray, name: str
+) -> tuple[Requests, Behind]:
+    """Requests for all radiance that is seen just past edges, and the boundary points; for `look_behind` see there."""
+    packed, settings = context.packed, context.settings
+    seen = seen_edges(packed, paths, samples.vertex, samples.edge, samples.along, valid)
+    weight = scale(paths.table.throughput[samples.vertex], samples.weight)
+    behind, background = look_behind(packed, paths.scatterer(samples.vertex), seen, weight, valid, settings)
+    numbers = numbers_behind(key, name, samples.number, samples.weight.dtype)
+    return ask_behind(paths, seen, background, numbers, 1.0, settings), behind
+
+
+def image_past(
+    context: Context, chunk: Chunk, held: BehindEdges | None, answers: Answers | None
+) -> Float[Array, "H W 3"]:
+    """Radiance that moving silhouettes of `look_past` cover or uncover: zero in value, right in derivative."""
+    total = jnp.zeros_like(chunk.record.radiance)
+    if held is not None and answers is not None:
+        paths = path_segments(context.packed, chunk, "direct")
+        total = sum_behind(context.packed, paths, held, answers.total)
+    return chunk.image(context.packed, total)
 
 
 class Numbers(NamedTuple):

@@ -22,6 +22,7 @@ from jaxdr.geometry.queries.api import point_candidates as point_candidates
 from jaxdr.geometry.queries.api import projections as projections
 from jaxdr.geometry.queries.api import rematerialised as rematerialised
 from jaxdr.geometry.queries.api import sector_crossings as sector_crossings
+from jaxdr.geometry.queries.api import silhouettes as silhouettes
 from jaxdr.geometry.queries.records import BESIDE as BESIDE
 from jaxdr.geometry.queries.records import NO_GROUP as NO_GROUP
 from jaxdr.geometry.queries.records import UNBOUNDED as UNBOUNDED

@@ -211,6 +211,22 @@ def closest_silhouettes(
     return ClosestSilhouettes(edge, along.astype(cones.reach.dtype))
 
 
+def silhouettes(
+    geometry: Geometry,
+    edges: EdgeSet,
+    cones: ConeQuery,
+    seed: Int[Array, ""],
+    capacity: int,
+    implementation: str = "auto",
+) -> Candidates:
+    """All silhouette edges, seen from the apex of each cone, of which some part is in the cone, hidden or not.
+
+    Silhouettes are as in `closest_silhouettes`. A cone with a reach of pi has all directions.
+    """
+    query = _module(implementation).silhouettes
+    return Candidates(*_asked(query, (geometry, edges, cones, seed), capacity=capacity))
+
+
 def sector_crossings(
     geometry: Geometry,
     edges: EdgeSet,

@@ -129,13 +129,13 @@ def test_open_blockers_and_broken_densities(monkeypatch, wrong):
 
         monkeypatch.setattr(estimator_module, "draw_edges", draw)
     if wrong == "angle":
-        evenly = estimator_module._on_edges
+        evenly = estimator_module.on_edges
 
-        def on_edges(packed, edge, apex, u):
-            along, angle = evenly(packed, edge, apex, u)
+        def on_edges(*arguments):
+            along, angle = evenly(*arguments)
             return along**1.1, angle
 
-        monkeypatch.setattr(estimator_module, "_on_edges", on_edges)
+        monkeypatch.setattr(estimator_module, "on_edges", on_edges)
     truth = exact(flat(QUADRANGLE))[1]["blocker.vertices"]
     _, rows = estimates(point_scene(flat(QUADRANGLE)), boundary)
     mean, error = mean_and_error(rows["blocker.vertices"] / np.abs(truth).max())

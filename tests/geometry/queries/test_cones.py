@@ -1,4 +1,6 @@
-"""The silhouette nearest to a direction: `warp` against `jax`, and against all edges in float64 without trees."""
+"""Silhouettes in cones, the nearest and all: `warp` against `jax`, and against all edges in float64 without trees."""
+
+from contextlib import nullcontext
 
 import jax
 import jax.numpy as jnp
@@ -104,3 +106,72 @@ def test_batches_and_shared_trees():
     assert np.array_equal(np.asarray(both.edge).reshape(-1), one.edge)
     of_warp = closest(*edges_of(mesh, "warp"), cones, "warp")
     assert np.mean(of_warp.edge == one.edge) > 0.99
+
+
+def listed(geometry, edges, cones, implementation, capacity=1 << 19):
+    call = jax.jit(queries.silhouettes, static_argnums=(4, 5))
+    return jax.tree.map(np.asarray, call(geometry, edges, cones, jnp.int32(0), capacity, implementation))
+
+
+def pairs(found):
+    there = found.segment >= 0
+    return set(zip(found.segment[there].tolist(), found.element[there].tolist(), strict=True))
+
+
+def pairs_in_float64(geometry, edges, cones, number):
+    """(silhouettes of a cone, edges for which rounding may decide)."""
+    vertices, apex = np.asarray(geometry.vertices, float), np.asarray(cones.apex, float)[number]
+    ends, opposite = vertices[np.asarray(edges.ends)], np.asarray(edges.opposite)
+    w, n = (np.asarray(a, float)[number] for a in (cones.direction, cones.normal))
+    first, last = ends[:, 0] - apex, ends[:, 1] - apex
+    plane = np.cross(first, last)
+    plane /= np.maximum(np.linalg.norm(plane, axis=1, keepdims=True), 1e-30)
+    height = np.where(opposite >= 0, np.einsum("ej,ekj->ek", plane, vertices[opposite] - apex), np.nan)
+    low, high, above = np.nanmin(height, 1), np.nanmax(height, 1), np.maximum(first @ n, last @ n)
+    t = np.linspace(0, 1, 201)[:, None]
+    angle = _angle(first[:, None] + t * (last - first)[:, None], w).min(1)
+    reach = float(cones.reach[number])
+    counts = ((low > 0) | (high < 0)) & (np.asarray(edges.rank) > 0) & (angle < reach)
+    unsure = (np.minimum(np.abs(low), np.abs(high)) < 1e-5) | (np.abs(angle - reach) < 1e-2)
+    if n.any():
+        counts &= above > 0
+        unsure |= np.abs(above) < 1e-5
+    return set(np.flatnonzero(counts).tolist()), set(np.flatnonzero(unsure).tolist())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_silhouettes_are_found(name):
+    """Those of every cone, once; both implementations agree."""
+    mesh = make(name)
+    cones = random_cones(mesh)
+    geometry, edges = edges_of(mesh, "warp")
+    found, plain = (listed(geometry, edges, cones, implementation) for implementation in ("warp", "jax"))
+    ours, others = pairs(found), pairs(plain)
+    assert found.weight == plain.weight == 1.0 and len(ours) == found.count == (found.segment >= 0).sum()
+    assert len(ours ^ others) < 2e-3 * len(ours), len(ours ^ others)
+    assert not {cone for cone, _ in ours} & set(np.flatnonzero(np.asarray(cones.reach) == 0).tolist())
+    for number in range(3, 200, 7):
+        exact, unsure = pairs_in_float64(geometry, edges, cones, number)
+        mine = {edge for cone, edge in ours if cone == number}
+        assert (mine ^ exact) <= unsure, (number, (mine ^ exact) - unsure)
+
+
+@pytest.mark.parametrize("implementation", ["warp", "jax"])
+def test_long_lists_are_thinned_without_bias(implementation):
+    """A quarter of the room is needed four times: every pair survives as often as the weight says."""
+    mesh = make("bumps")
+    cones = jax.tree.map(lambda a: a[:40], random_cones(mesh))
+    geometry, edges = edges_of(mesh, "warp")
+    every = listed(geometry, edges, cones, "warp")
+    capacity = int(every.count) // 4
+    call = jax.jit(queries.silhouettes, static_argnums=(4, 5))
+    total, squares = np.zeros(40), np.zeros(40)
+    with pytest.warns(UserWarning, match="thinned without bias") if implementation == "warp" else nullcontext():
+        for seed in range(50):
+            found = call(geometry, edges, cones, jnp.int32(seed), capacity, implementation)
+            cone = np.asarray(found.segment)
+            number = float(found.weight) * np.bincount(cone[cone >= 0], minlength=40)
+            total, squares = total + number / 50, squares + number**2 / 50
+    expected = np.bincount(every.segment[every.segment >= 0], minlength=40)
+    error = np.sqrt((squares - total**2) / 50)
+    assert np.all(np.abs(total - expected) <= 4.5 * error), (total, expected, error)

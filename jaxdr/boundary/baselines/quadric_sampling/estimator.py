@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.boundary.baselines.quadric_sampling.importance import Balls, Importance, emitter_balls
 from jaxdr.boundary.baselines.quadric_sampling.silhouette_tree import (
@@ -16,26 +16,16 @@ from jaxdr.boundary.baselines.quadric_sampling.silhouette_tree import (
     silhouette_tree,
 )
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes, passing
-from jaxdr.boundary.shared.background import (
-    BehindEdges,
-    ask_behind,
-    look_behind,
-    numbers_behind,
-    seen_edges,
-    sum_behind,
-)
+from jaxdr.boundary.shared.background import BehindEdges, EdgeSamples, image_past, look_past, seen_edges
 from jaxdr.boundary.shared.blocks import map_over_blocks
+from jaxdr.boundary.shared.edge_angles import on_edges
 from jaxdr.boundary.shared.path_segments import PathSegments, path_segments
 from jaxdr.boundary.shared.refusals import Asked, edge_refusals, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
-from jaxdr.geometry.vector import corners, dot, norm, scale
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.radiance import Answers, Requests
 from jaxdr.transport.sampler import lattice
-
-SHORT = 1e-3  # edges that are seen under less are drawn evenly over their length: sines would cancel
 
 
 class QuadricSamplingState(NamedTuple):
@@ -44,15 +34,6 @@ class QuadricSamplingState(NamedTuple):
     lunes: EdgeLunes
     tree: SilhouetteTree
     balls: Balls | None
-
-
-class _Points(NamedTuple):
-    """Points on edges in slots: the path vertex, the edge, the fraction along it, and the weight."""
-
-    vertex: Int[Array, " C"]
-    edge: Int[Array, " C"]
-    along: Float[Array, " C"]
-    weight: Float[Array, " C"]
 
 
 class QuadricSampling(eqx.Module):
@@ -90,21 +71,15 @@ class QuadricSampling(eqx.Module):
         """Points on silhouettes, and requests for the radiance of what is seen just past them."""
         if chunk.record.direct is None:  # paths of one segment don't scatter
             return None, None
-        packed, settings = context.packed, context.settings
-        paths = path_segments(packed, chunk, "direct", differentiated=False)
+        paths = path_segments(context.packed, chunk, "direct", differentiated=False)
         key_points, key_paths = jax.random.split(key)
-        points = self._points(context, state, paths, key_points)
-        used = (points.weight > 0).sum()
-        slots = rows_where(points.weight > 0, points.weight.shape[0])
+        samples = self._samples(context, state, paths, key_points)
+        used = (samples.weight > 0).sum()
+        slots = rows_where(samples.weight > 0, samples.weight.shape[0])
 
         def look(slot, number):
-            row = jax.tree.map(lambda table: table[slot], points)
-            valid = number < used
-            seen = seen_edges(packed, paths, row.vertex, row.edge, row.along, valid)
-            weight = scale(paths.table.throughput[row.vertex], row.weight)
-            behind, background = look_behind(packed, paths.scatterer(row.vertex), seen, weight, valid, settings)
-            numbers = numbers_behind(key_paths, self.name, slot, row.weight.dtype)
-            return ask_behind(paths, seen, background, numbers, 1.0, settings), behind
+            row = jax.tree.map(lambda table: table[slot], samples)
+            return look_past(context, paths, row, number < used, key_paths, self.name)
 
         asked, behind = map_over_blocks(look, slots, used)
         return asked, BehindEdges(behind, used)
@@ -118,13 +93,9 @@ class QuadricSampling(eqx.Module):
         answers: Answers | None,
     ) -> Float[Array, "H W 3"]:
         """Radiance that moving silhouettes cover or uncover: zero in value, right in derivative."""
-        total = jnp.zeros_like(chunk.record.radiance)
-        if held is not None and answers is not None:
-            paths = path_segments(context.packed, chunk, "direct")
-            total = sum_behind(context.packed, paths, held, answers.total)
-        return chunk.image(context.packed, total)
+        return image_past(context, chunk, held, answers)
 
-    def _points(self, context: Context, state: QuadricSamplingState, paths: PathSegments, key) -> _Points:
+    def _samples(self, context: Context, state: QuadricSamplingState, paths: PathSegments, key) -> EdgeSamples:
         """Edges for all path vertices, a point on each, and the weight: an angle over the density. Zero: no silhouette.
 
         Edges have the probability of their descent, points a density per angle of the edge as the vertex sees it.
@@ -138,40 +109,10 @@ class QuadricSampling(eqx.Module):
         other = jnp.full(vertex.shape, True) if packed.environment is not None else scattered
         drawn = draw_edges(state.tree, Importance(scatterer, state.balls, other), u[:, :NUMBERS])
         there, edge = drawn.edge >= 0, jnp.maximum(drawn.edge, 0)
-        along, angle = _on_edges(packed, edge, scatterer.point.position, u[:, NUMBERS])
+        along, angle = on_edges(packed.ends_of(edge), scatterer.point.position, u[:, NUMBERS])
         seen = seen_edges(packed, paths, vertex, edge, along, there)
         silhouette = passing(lunes, edge, seen.towards).silhouette
         carries = (paths.table.throughput[vertex] != 0).any(-1)
         counts = there & silhouette & carries & scatterer.above_horizon(seen.edge_point)
         weight = safe_divide(angle * lunes.share[edge], drawn.probability * self.samples, counts)
-        return _Points(vertex, edge, along, jnp.where(counts, weight, 0.0))
-
-
-def _on_edges(
-    packed: PackedScene, edge: Int[Array, " n"], apex: Float[Array, "n 3"], u: Float[Array, " n"]
-) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """(fractions along edges, angles over the density of the points).
-
-    At the distance h of the apex from the edge's line, a point at the angle a from the line's foot contributes in
-    proportion to cos a da: a length of the edge is seen as an angle, and its motion is seen slower the farther it is.
-    So sin a is drawn evenly. A short edge is drawn evenly over its length.
-    """
-    start, end = corners(packed.ends_of(edge))
-    side = end - start
-    length = norm(side)
-    tangent = scale(side, 1.0 / jnp.where(length > 0, length, 1.0))
-    first = dot(start - apex, tangent)
-    across = start - apex - scale(tangent, first)
-    height = norm(across)
-    reach0, reach1 = jnp.hypot(first, height), jnp.hypot(first + length, height)
-    there = (height > 0) & (length > 0)
-    sine0 = safe_divide(first, reach0, there, 0.0)
-    sine1 = safe_divide(first + length, reach1, there, 0.0)
-    long = there & (sine1 - sine0 > SHORT)
-    sine = sine0 + u * (sine1 - sine0)
-    cosine = jnp.sqrt(jnp.maximum((1.0 - sine) * (1.0 + sine), 0.0))
-    along = (safe_divide(height * sine, cosine, long & (cosine > 0)) - first) / jnp.where(length > 0, length, 1.0)
-    along = jnp.where(long, jnp.clip(along, 0.0, 1.0), u)
-    distance = jnp.hypot(first + along * length, height)
-    evenly = safe_divide(length * height, distance * distance, there, 0.0)
-    return along, jnp.where(long, safe_divide(sine1 - sine0, cosine, cosine > 0), evenly)
+        return EdgeSamples(vertex, edge, along, jnp.where(counts, weight, 0.0), number)

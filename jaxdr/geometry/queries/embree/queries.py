@@ -17,6 +17,7 @@ from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
     point_candidates,
     projections,
     sector_crossings,
+    silhouettes,
 )
 
 _scenes = BVHCache(lambda moving, topology: EmbreeScene(moving[0], topology[0]), lambda scene, m: scene.refit(m[0]))

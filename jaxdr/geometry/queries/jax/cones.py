@@ -1,4 +1,4 @@
-"""For each cone of directions the silhouette edge nearest to its axis in angle: all edges are looked at, in blocks."""
+"""For each cone of directions the angles to silhouette edges, and the nearest one. All edges are tried, in blocks."""
 
 import jax.numpy as jnp
 
@@ -15,21 +15,11 @@ def closest_silhouettes(geometry, edges, cones):
     """(edge [N], along [N]): see `queries.closest_silhouettes`."""
     count = edges.ends.shape[0]
     index = jnp.arange(-(-count // BLOCK) * BLOCK).reshape(-1, BLOCK)
-    apex, w, normal = (a[:, None] for a in (cones.apex, cones.direction, cones.normal))
-    free = dot(normal, normal) == 0
 
     def visit(best, number):
         row = jnp.minimum(number, count - 1)
-        p0, p1 = corners(geometry.vertices[edges.ends[row]])
-        first, last = p0 - apex, p1 - apex
-        along = nearest_on_arc(w, first, last)
-        angle = angle_between(w, normalize(between(first, last, along)))
-        plane = cross(first, last - first)
-        silhouette = side_of_faces(geometry.vertices, edges.opposite[row], p0, p1, plane, cones.apex) != 0
-        largest = jnp.maximum(jnp.abs(cones.apex).max(-1)[:, None], jnp.abs(jnp.concatenate([p0, p1], -1)).max(-1))
-        above = jnp.maximum(dot(normal, first), dot(normal, last)) > BESIDE * largest
-        counts = silhouette & (above | free) & (edges.rank[row] > 0) & (number < count)
-        angle = jnp.where(counts, angle, jnp.inf)
+        angle, along = silhouette_angles(geometry, edges.ends[row], edges.opposite[row], edges.rank[row], cones)
+        angle = jnp.where(number < count, angle, jnp.inf)
         k = jnp.argmin(angle, axis=1)[:, None]
         angle, along = (jnp.take_along_axis(a, k, 1)[:, 0] for a in (angle, along))
         closer = angle < best[0]
@@ -40,6 +30,21 @@ def closest_silhouettes(geometry, edges, cones):
     start = cones.reach, jnp.full(zero.shape, -1, jnp.int32), zero
     _, edge, along = loops.scan(visit, start, index)[0]
     return edge, along
+
+
+def silhouette_angles(geometry, ends, opposite, rank, cones):
+    """(angles [N, B] between cones' axes and edges, infinite where an edge does not count; fractions along edges)."""
+    apex, w, normal = (a[:, None] for a in (cones.apex, cones.direction, cones.normal))
+    p0, p1 = corners(geometry.vertices[ends])
+    first, last = p0 - apex, p1 - apex
+    along = nearest_on_arc(w, first, last)
+    angle = angle_between(w, normalize(between(first, last, along)))
+    plane = cross(first, last - first)
+    silhouette = side_of_faces(geometry.vertices, opposite, p0, p1, plane, cones.apex) != 0
+    largest = jnp.maximum(jnp.abs(cones.apex).max(-1)[:, None], jnp.abs(jnp.concatenate([p0, p1], -1)).max(-1))
+    above = jnp.maximum(dot(normal, first), dot(normal, last)) > BESIDE * largest
+    counts = silhouette & (above | (dot(normal, normal) == 0)) & (rank > 0)
+    return jnp.where(counts, angle, jnp.inf), along
 
 
 def angle_between(a, b):

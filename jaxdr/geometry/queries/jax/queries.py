@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxdr import loops
 from jaxdr.geometry.queries.jax.bundles import draw_edges  # noqa: F401
-from jaxdr.geometry.queries.jax.cones import closest_silhouettes  # noqa: F401
+from jaxdr.geometry.queries.jax.cones import closest_silhouettes, silhouette_angles  # noqa: F401
 from jaxdr.geometry.queries.jax.edge_sides import side_of_faces
 from jaxdr.geometry.queries.jax.intersections import face_intersections  # noqa: F401
 from jaxdr.geometry.queries.jax.sector import sector_crossings  # noqa: F401
@@ -223,3 +223,13 @@ def point_candidates(geometry, edges, points, strips, seed, capacity, both_sides
         return (f > 1e-6) & (f <= 1.0) & opposite_side & (reach > 0) & near
 
     return _candidates(near_block, _blocks(*points), seed, capacity)
+
+
+def silhouettes(geometry, edges, cones, seed, capacity):
+    """(cone, edge, count, weight): see `queries.silhouettes`."""
+    reach = jnp.where(cones.reach >= jnp.pi, jnp.finfo(jnp.float32).max, cones.reach)[:, None]
+
+    def near_block(ends, opposite, rank):
+        return silhouette_angles(geometry, ends, opposite, rank, cones)[0] < reach
+
+    return _candidates(near_block, _blocks(edges.ends, edges.opposite, edges.rank), seed, capacity)

@@ -283,6 +283,24 @@ def closest_silhouettes(geometry, edges, cones):
     return _closest_silhouettes_call(geometry, edges, edges.tree, cones, dims=[n, n])
 
 
+def _silhouettes(geometry, edges, tree, cones, options, cone, edge, count, weight):
+    rest, lists = [geometry, edges, tree, cones, options], [cone, edge]
+    found, inverse = compact(cone_kernels.silhouettes, [], rest, cones.reach.shape[0], lists, 2, cone.device)
+    _counted(found[1:2], inverse, count, weight)
+
+
+_silhouettes_call = Call(
+    _silhouettes, [*_over_edges, records.EdgeTree, records.ConeQuery, Numbers], _pairs, cone_kernels
+)
+
+
+def silhouettes(geometry, edges, cones, seed, capacity):
+    """(cone [C], edge [C], count, weight): see `queries.silhouettes`."""
+    dims = [capacity, capacity, 1, 1]
+    *lists, count, weight = _silhouettes_call(geometry, edges, edges.tree, cones, seed[None], dims=dims)
+    return *lists, count[0], weight[0]
+
+
 def sector_crossings(geometry, edges, face_group, sectors, seed, least_layer, capacity):
     """(segment [C], edge [C], along [C], counts [5], weight): see `queries.sector_crossings`."""
     options, dims = jnp.stack([seed, jnp.int32(least_layer)]), [capacity, capacity, capacity, 5, 1]
