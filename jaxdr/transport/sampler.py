@@ -19,14 +19,14 @@ def _generators(dimensions: int) -> list[int]:
     return [int(2.0**32 * root ** -(k + 1)) for k in range(dimensions)]
 
 
-def _to_unit(bits, dtype) -> Float[Array, "..."]:
+def to_unit(bits, dtype) -> Float[Array, "..."]:
     """Uniform numbers in [0, 1) from 32 random bits: 24 of them, so that float32 never rounds up to 1."""
     return (bits >> 8).astype(dtype) * dtype(2.0**-24)
 
 
 def uniform(key: PRNGKeyArray, shape: tuple[int, ...], dtype=jnp.float32) -> Float[Array, "..."]:
     """Independent uniform numbers in [0, 1), the same in every precision."""
-    return _to_unit(jax.random.bits(key, shape, jnp.uint32), jnp.dtype(dtype).type)
+    return to_unit(jax.random.bits(key, shape, jnp.uint32), jnp.dtype(dtype).type)
 
 
 def lattice(
@@ -39,7 +39,7 @@ def lattice(
     """
     shift = jax.random.bits(key, (pixels, 1, dimensions), jnp.uint32)
     steps = jnp.asarray(_generators(dimensions), jnp.uint32)
-    return _to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
+    return to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
 
 
 def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, "*#n"] | int, dtype=jnp.float32):
@@ -51,7 +51,7 @@ def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Ar
     words = jax.random.bits(key, (2,), jnp.uint32)
     bounce = jnp.asarray(bounce).astype(jnp.uint32) ^ jnp.zeros_like(number, jnp.uint32)
     found = hashed([number.astype(jnp.uint32), bounce, words[0], words[1]])
-    return _to_unit(jnp.stack(found, -1), jnp.dtype(dtype).type)
+    return to_unit(jnp.stack(found, -1), jnp.dtype(dtype).type)
 
 
 def seed_of(key: PRNGKeyArray) -> Int[Array, ""]:

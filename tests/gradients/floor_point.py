@@ -48,6 +48,11 @@ def sheet(corners, radius: float) -> jd.Mesh:
     return jd.Mesh(np.concatenate([corners, speck]), [[0, 1, 2], [0, 2, 3], [4, 5, 6]])
 
 
+def flat(corners) -> jd.Mesh:
+    """An open blocker of two triangles over four corners."""
+    return jd.Mesh(corners, [[0, 1, 2], [0, 2, 3]])
+
+
 def prism(profile, half_length: float) -> jd.Mesh:
     """Closed prism along y over a quadrangle of points (x, z), clockwise seen from -y, cut from corner 0 to 2."""
     profile = np.asarray(profile, float)

@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import box, rectangle
@@ -60,3 +61,20 @@ def check_shadow(boundary, depth):
     assert np.all(np.abs(found.mean(0) - right.mean(0)) < 4.5 * error), (found.mean(0), right.mean(0), error)
     whole = (found - right).mean((1, 2))
     assert abs(whole.mean()) < 4.5 * whole.std(ddof=1) / len(KEYS) ** 0.5
+
+
+def check_refusals(boundary):
+    """Assert that an estimator that draws edges refuses mirrors and rough glass, by its name."""
+    for bsdf, words in ((jd.Conductor(), "no visibility changes over mirrors"), (jd.RoughDielectric(), "rough glass")):
+        other = jd.Scene(dict(SCENE.shapes) | {"floor": jd.Shape(SCENE.shapes["floor"].mesh, bsdf)}, SCENE.camera)
+        with pytest.raises(ValueError, match=f"{type(boundary).__name__} covers .*{words}"):
+            jax.jvp(
+                lambda x, other=other: jd.render(
+                    other.replace({"box.vertices": other.parameters()["box.vertices"] + x}),
+                    jax.random.key(0),
+                    1,
+                    jd.PathTracer(2, boundary),
+                ),
+                (0.0,),
+                (1.0,),
+            )

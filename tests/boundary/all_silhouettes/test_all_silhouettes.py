@@ -10,20 +10,14 @@ import pytest
 import jaxdr as jd
 from jaxdr.boundary.all_silhouettes import estimator as estimator_module
 from jaxdr.geometry.shapes import displaced_sphere, rectangle
-from tests.gradients.floor_point import BOX, QUADRANGLE, check_derivatives, estimates, exact, mean_and_error
+from tests.gradients.floor_point import BOX, QUADRANGLE, check_derivatives, estimates, exact, flat, mean_and_error
 from tests.gradients.floor_point import scene as point_scene
-from tests.gradients.lit_box import SCENE as LIT_BOX
-from tests.gradients.lit_box import check_shadow
+from tests.gradients.lit_box import check_refusals, check_shadow
 
 
 def test_derivatives_are_the_closed_form():
     """A closed blocker's shadow, by every vertex of it and of the light, without any bias allowed for."""
     check_derivatives(BOX, jd.AllSilhouettes(8), tolerance=0.0)
-
-
-def flat(corners) -> jd.Mesh:
-    """An open blocker of two triangles."""
-    return jd.Mesh(corners, [[0, 1, 2], [0, 2, 3]])
 
 
 @pytest.mark.parametrize("wrong", [None, "angle"])
@@ -104,17 +98,4 @@ def test_without_room_silhouettes_are_thinned():
 def test_what_is_not_covered():
     with pytest.raises(ValueError, match="AllSilhouettes: capacity must be at least 1"):
         jd.AllSilhouettes(0)
-    of = LIT_BOX
-    for bsdf, words in ((jd.Conductor(), "no visibility changes over mirrors"), (jd.RoughDielectric(), "rough glass")):
-        other = jd.Scene(dict(of.shapes) | {"floor": jd.Shape(of.shapes["floor"].mesh, bsdf)}, of.camera)
-        with pytest.raises(ValueError, match=f"AllSilhouettes covers .*{words}"):
-            jax.jvp(
-                lambda x, other=other: jd.render(
-                    other.replace({"box.vertices": other.parameters()["box.vertices"] + x}),
-                    jax.random.key(0),
-                    1,
-                    jd.PathTracer(2, jd.AllSilhouettes()),
-                ),
-                (0.0,),
-                (1.0,),
-            )
+    check_refusals(jd.AllSilhouettes())

@@ -15,10 +15,10 @@ from jaxdr.geometry.shapes import box, rectangle, sphere
 from jaxdr.scene.packed import pack
 from jaxdr.transport.interaction import material_point
 from jaxdr.transport.shading import Scatterer
-from tests.gradients.floor_point import BOX, QUADRANGLE, check_derivatives, estimates, exact, mean_and_error
+from tests.gradients.floor_point import BOX, QUADRANGLE, check_derivatives, estimates, exact, flat, mean_and_error
 from tests.gradients.floor_point import scene as point_scene
 from tests.gradients.lit_box import SCENE as LIT_BOX
-from tests.gradients.lit_box import check_shadow
+from tests.gradients.lit_box import check_refusals, check_shadow
 
 
 def patches(patch: int, count: int, spread: float):
@@ -111,11 +111,6 @@ def test_derivatives_are_the_closed_form():
     check_derivatives(BOX, jd.QuadricSampling(2), tolerance=0.0)
 
 
-def flat(corners) -> jd.Mesh:
-    """An open blocker of two triangles."""
-    return jd.Mesh(corners, [[0, 1, 2], [0, 2, 3]])
-
-
 @pytest.mark.parametrize("wrong", [None, "probability", "angle"])
 def test_open_blockers_and_broken_densities(monkeypatch, wrong):
     """Right for the four open edges of a quadrangle; wrong, and seen to be, where a density is off by a tenth."""
@@ -153,17 +148,4 @@ def test_a_soft_shadow_moves_as_differences_say(depth):
 def test_what_is_not_covered():
     with pytest.raises(ValueError, match="QuadricSampling: samples must be at least 1"):
         jd.QuadricSampling(0)
-    of = LIT_BOX
-    for bsdf, words in ((jd.Conductor(), "no visibility changes over mirrors"), (jd.RoughDielectric(), "rough glass")):
-        other = jd.Scene(dict(of.shapes) | {"floor": jd.Shape(of.shapes["floor"].mesh, bsdf)}, of.camera)
-        with pytest.raises(ValueError, match=f"QuadricSampling covers .*{words}"):
-            jax.jvp(
-                lambda x, other=other: jd.render(
-                    other.replace({"box.vertices": other.parameters()["box.vertices"] + x}),
-                    jax.random.key(0),
-                    1,
-                    jd.PathTracer(2, jd.QuadricSampling()),
-                ),
-                (0.0,),
-                (1.0,),
-            )
+    check_refusals(jd.QuadricSampling())

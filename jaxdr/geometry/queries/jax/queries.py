@@ -8,7 +8,8 @@ import jax.numpy as jnp
 
 from jaxdr import loops
 from jaxdr.geometry.queries.jax.bundles import draw_edges  # noqa: F401
-from jaxdr.geometry.queries.jax.cones import closest_silhouettes, silhouette_angles  # noqa: F401
+from jaxdr.geometry.queries.jax.cones import closest_silhouettes as closest_silhouettes
+from jaxdr.geometry.queries.jax.cones import silhouette_angles
 from jaxdr.geometry.queries.jax.edge_sides import side_of_faces
 from jaxdr.geometry.queries.jax.intersections import face_intersections  # noqa: F401
 from jaxdr.geometry.queries.jax.sector import sector_crossings  # noqa: F401
