@@ -1,4 +1,4 @@
-"""The chart of the reference scenes as a table: `results/table.md` from `results/rows.csv`.
+"""Errors after 1, 10 and 60 seconds on the reference scenes: `results/table.md` from `results/rows.csv`.
 
 python -m experiments.charts.table
 """
@@ -6,8 +6,32 @@ python -m experiments.charts.table
 import csv
 
 from experiments import common
+from jaxdr.chart.statistics import error_of_mean
 
 STUDY = "charts"
+BUDGETS = (1.0, 10.0, 60.0)  # seconds
+
+
+def error_after(rows: list[dict], budget: float) -> float | None:
+    """The least error of a method within so many seconds: the mean of as many calls of one rung as fit.
+
+    None if not even one call fits.
+    """
+    errors = []
+    for row in rows:
+        calls = budget / float(row["seconds"])
+        if calls >= 1:
+            errors.append(error_of_mean(float(row["bias2"]), float(row["deviation"]) ** 2, calls))
+    return min(errors, default=None)
+
+
+def cell(rows: list[dict]) -> str:
+    """Errors after the budgets."""
+    measured = [row for row in rows if row["rmse"]]
+    if not measured:
+        return "refuses" if rows else ""
+    errors = [error_after(measured, budget) for budget in BUDGETS]
+    return " / ".join("–" if error is None else f"{float(f'{error:.2g}'):g}" for error in errors)
 
 
 def main():
@@ -15,20 +39,12 @@ def main():
     folder = common.results(STUDY, options.quick)
     with open(folder / "rows.csv") as file:
         rows = list(csv.DictReader(file))
-    estimators = list(dict.fromkeys(row["estimator"] for row in rows))
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
     made = []
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        line = {"scene": f"`{scene}`"}
-        for name in estimators:
-            mine = [row for row in rows if (row["scene"], row["estimator"]) == (scene, name)]
-            measured = [row for row in mine if row["rmse"]]
-            if measured:
-                last = max(measured, key=lambda row: int(row["samples"]))
-                line[name] = f"{float(last['rmse']):.2g} / {float(last['seconds']):.2g} / {float(last['work']):.2g}"
-            else:
-                line[name] = "refuses" if mine else ""
-        made.append(line)
-    table = common.table(made, {"scene": ("scene", ""), **{name: (name, "") for name in estimators}})
+    for name in dict.fromkeys(row["estimator"] for row in rows):
+        mine = [row for row in rows if row["estimator"] == name]
+        made.append({"method": name} | {s: cell([row for row in mine if row["scene"] == s]) for s in scenes})
+    table = common.table(made, {"method": ("method", ""), **{f"`{name}`": (name, "") for name in scenes}})
     (folder / "table.md").write_text(table + "\n")
     print(table)
 

@@ -16,7 +16,7 @@ import jaxdr as jd
 from tests.stability import catalogue as kept
 from tests.stability.case import COLUMNS, ESTIMATORS, Case, integrator
 from tests.stability.elsewhere import ELSEWHERE
-from tests.stability.measure import SURE, Reference, compare, measure, reference, verdict
+from tests.stability.measure import BORDER, SURE, Reference, compare, measure, reference, unrest, verdict
 
 ROOT = Path(__file__).parents[2]
 CASES = kept.catalogue()
@@ -79,9 +79,14 @@ def test_cell(name, estimator):
     if table is None:
         pytest.skip(f"not measured yet: python -m experiments.stability.run --case {name}")
     found = measure(case, estimator, against(case))
-    assert found["verdict"] == table["verdict"], (found, table)
-    if table["verdict"] == "right":
-        check(case, estimator, found)
+    if {found["verdict"], table["verdict"]} == {"right", "noisy"}:
+        # Another computer, other calls: only a spread near the limit may end on the other side of it.
+        for cell in (found, table):
+            assert 1 / BORDER < unrest(case, estimator, cell) < BORDER, (found, table)
+    else:
+        assert found["verdict"] == table["verdict"], (found, table)
+        if table["verdict"] == "right":
+            check(case, estimator, found)
     if table["status"] == "ok":
         error = math.hypot(found["projection_error"], table["projection_error"])
         assert abs(found["projection"] - table["projection"]) < case.tolerance + SURE * error, (found, table)

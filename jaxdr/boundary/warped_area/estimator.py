@@ -267,7 +267,8 @@ def _scattered_measure(packed: PackedScene, paths: PathSegments, direct: PathSeg
 
 
 # Segments that lead on from N targets: a table, their numbers in it, and which segments of the table are not hidden.
-Onward = tuple[Segments, Int[Array, " N"], Bool[Array, " S"]]
+# Tables differ in length, so the last has no letter.
+Onward = tuple[Segments, Int[Array, " N"], Bool[Array, " _"]]
 
 
 def sent_back(packed: PackedScene, target: Scatterer, parts: list[Onward]) -> Float[Array, "N 3"]:
