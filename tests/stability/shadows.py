@@ -110,7 +110,7 @@ def cases() -> list[Case]:
             "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
-            expected=NOISY,
+            expected=BOTH,
         ),
         case(
             "rising_through",

@@ -141,11 +141,14 @@ def _derivative(case: Case, scene: jd.Scene, method):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_kept_references(name):
-    """Made again with other random numbers they are the same, within their noise."""
+    """Made again with other random numbers they are the same, within their noise.
+
+    With as many batches: a rare sample is missing in the standard errors that fewer tell.
+    """
     case, one = CASES[name], kept.stored(CASES[name])
     if one is None:
         pytest.skip("none is kept of this scene")
-    two = reference(dataclasses.replace(case, batches=max(4, case.batches // 4)), seed=100)
+    two = reference(case, seed=100)
     error = np.hypot(one.error, two.error)
     chi2 = np.sum((one.image - two.image) ** 2) / np.sum(error**2)
     assert chi2 < 1.5, chi2
