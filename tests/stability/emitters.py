@@ -62,7 +62,7 @@ def solid_lights() -> list[Case]:
             ),
             (1.0, 0.4, 0.2),
             expected={
-                "RednerWAS, no normal edges": Expected("noisy", f"short, but within its noise: {outlines}"),
+                "RednerWAS, no normal edges": Expected("biased", outlines),
                 "RednerWAS, exponential": Expected("biased", "Eq. 57 has no small scale: v does not reach it either"),
             },
             extra=("RednerWAS, no normal edges", "RednerWAS, exponential"),
@@ -108,6 +108,9 @@ def round_lamp() -> Case:
     )
 
 
+MISSING = Expected("biased", "0.70 ± 0.08, in noise of three times the image: the cause was not looked for")
+
+
 def lamp_of_many_faces() -> Case:
     """`tiny_light` once more, in 32 triangles."""
     return Case(
@@ -119,7 +122,7 @@ def lamp_of_many_faces() -> Case:
         {"blocker.vertices": (1.0, 0.4, 0.2)},
         0.02,
         reference_spp=512,
-        expected={"KernelDensity": CUT} | BOTH,
+        expected={"KernelDensity": CUT} | BOTH | {"WarpedArea": MISSING},
     )
 
 

@@ -139,6 +139,7 @@ def cases() -> list[Case]:
             "a beam from in front of the camera to behind it: its edges cross the camera's plane",
             "projections of edges that are partly behind the camera (own list)",
             table(cube((0.3, 6.0, 0.3), (0.55, -1.0, 1.1), rotation((0, 0, 1), 0.05))),
+            expected={"RednerWAS": SHORT},
         ),
         case(
             "camera_inside",
