@@ -17,7 +17,7 @@ from experiments.stability.table import DOCUMENT, write_table
 from jaxdr.optimize.progress import Progress
 from tests.stability import catalogue as kept
 from tests.stability.case import ESTIMATORS, Case
-from tests.stability.measure import measure, reference
+from tests.stability.measure import MOST, measure, reference
 
 STUDY = "stability"
 
@@ -79,7 +79,7 @@ def _cell(case: Case, estimator: str, quick: bool) -> dict:
         against = reference(case)
         kept.store(case, against)
     start = time.perf_counter()
-    found = measure(case, estimator, against, most=1 if quick else 0)
+    found = measure(case, estimator, against, most=1 if quick else MOST)
     return found | {"seconds": time.perf_counter() - start, "fingerprint": case.fingerprint(estimator)}
 
 

@@ -15,6 +15,7 @@ from tests.stability.case import Case, integrator
 
 POSITIONS = 8  # within the step of the reference
 SURE = 3.0  # standard errors
+MOST = 8  # times as many calls as a case asks for
 DOUBT = 2.0  # standard errors
 SLOW = ("WarpedArea", "RednerWAS")  # up to ten times as slow as the others
 ENOUGH = 0.01  # standard error of a projection after which no more calls are made
@@ -122,7 +123,7 @@ def unrest(case: Case, estimator: str, found: dict[str, Any]) -> float:
     return max(found["projection_error"] / UNRESOLVED, found["deviation"] / case.largest_spread(estimator))
 
 
-def measure(case: Case, estimator: str, against: Reference, most: int = 0) -> dict[str, Any]:
+def measure(case: Case, estimator: str, against: Reference, most: int = MOST) -> dict[str, Any]:
     """Everything about one cell of the table.
 
     More calls, up to `most` times as many, until they tell enough or have taken `LONG`; then the errors are larger.
@@ -131,14 +132,14 @@ def measure(case: Case, estimator: str, against: Reference, most: int = 0) -> di
     size2(against.image, against.noise)  # a reference that is all noise is no estimator's fault
     values, start = None, time.perf_counter()
     try:
-        for seed in range(2, 2 + (most or 8)):
+        for seed in range(2, 2 + most):
             more = calls(case, estimator, seed=seed)
             values = more if values is None else np.concatenate([values, more], axis=1)
             found = {"status": "ok"} | compare(values, against) | {"calls": values.shape[0] * values.shape[1]}
             precise = found["projection_error"] < ENOUGH and 2 * SURE * found["bias2_error"] < (2 * case.tolerance) ** 2
-            precise |= estimator.startswith(SLOW) and not off(case, found, DOUBT)
+            settled = estimator.startswith(SLOW) and not off(case, found, DOUBT)
             long = time.perf_counter() - start > LONG
-            if precise or long or verdict(case, estimator, found) == "biased":
+            if precise or settled or long or verdict(case, estimator, found) == "biased":
                 break
     except ValueError as refusal:
         if "take" not in str(refusal):  # a refusal names a remedy; all else is a fault
