@@ -16,8 +16,7 @@ from tests.stability.case import Case, integrator
 POSITIONS = 8  # within the step of the reference
 SURE = 3.0  # standard errors
 MOST = 8  # times as many calls as a case asks for
-DOUBT = 2.0  # standard errors
-SLOW = ("WarpedArea", "RednerWAS")  # up to ten times as slow as the others
+CLEAR = 6.0  # standard errors above which a bias needs no more calls: one look in 300 is off by SURE for nothing
 ENOUGH = 0.01  # standard error of a projection after which no more calls are made
 LONG = 240.0  # seconds after which no more calls are made
 UNRESOLVED = 0.15  # standard error of a projection above which nothing is known
@@ -127,7 +126,6 @@ def measure(case: Case, estimator: str, against: Reference, most: int = MOST) ->
     """Everything about one cell of the table.
 
     More calls, up to `most` times as many, until they tell enough or have taken `LONG`; then the errors are larger.
-    Slow estimators get more only where they seem wrong and it is not sure.
     """
     size2(against.image, against.noise)  # a reference that is all noise is no estimator's fault
     values, start = None, time.perf_counter()
@@ -137,9 +135,7 @@ def measure(case: Case, estimator: str, against: Reference, most: int = MOST) ->
             values = more if values is None else np.concatenate([values, more], axis=1)
             found = {"status": "ok"} | compare(values, against) | {"calls": values.shape[0] * values.shape[1]}
             precise = found["projection_error"] < ENOUGH and 2 * SURE * found["bias2_error"] < (2 * case.tolerance) ** 2
-            settled = estimator.startswith(SLOW) and not off(case, found, DOUBT)
-            long = time.perf_counter() - start > LONG
-            if precise or settled or long or verdict(case, estimator, found) == "biased":
+            if precise or off(case, found, CLEAR) or time.perf_counter() - start > LONG:
                 break
     except ValueError as refusal:
         if "take" not in str(refusal):  # a refusal names a remedy; all else is a fault
