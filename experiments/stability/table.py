@@ -38,8 +38,8 @@ A cell is **projection ± standard error / bias / spread**:
   noise, `<` gives {sure:g} standard errors of it.
 * The *spread* is the standard deviation of one call. A call has 16 samples per pixel unless noted.
 
-A cell has 32 to 256 calls: as many as it takes to tell. After {long:g} seconds no further call is made; then errors
-are larger.
+A cell has 32 to 256 calls: as many as it takes to tell. Where a bias is in doubt, it has up to 1024. After {long:g}
+seconds no further call is made; then errors are larger.
 
 The verdicts:
 
