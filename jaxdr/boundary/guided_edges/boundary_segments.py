@@ -28,7 +28,10 @@ from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
 from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 
-APART = 4.0  # smallest distance from edge to detector, in offsets of the rays; nearer, edge and shadow coincide
+# Of the edge from the detector, in offsets of the rays: smallest distance (nearer, edge and shadow coincide), and
+# smallest height over the detector's face. An edge in its plane casts no shadow on it. Lines that pass the edge at
+# small angles to the face are offset into it there, if the mesh does not say that the face is one of the edge's.
+APART, ABOVE = 4.0, 0.25
 
 
 class BoundarySegments(NamedTuple):
@@ -154,7 +157,8 @@ def segment_ends(packed: PackedScene, drawn: BoundarySegments, active: Bool[Arra
         reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
         hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
     detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)
-    apart = norm(detector.position - drawn.position) > APART * beside
+    offset = drawn.position - detector.position
+    apart = (norm(offset) > APART * beside) & (jnp.abs(dot(detector.normal, offset)) > ABOVE * beside)
     return BoundaryEnds(detector, source, active & ~hidden & detector.valid & apart)
 
 

@@ -19,6 +19,7 @@ from jaxdr.transport.path_settings import PathSettings
 from tests.gradients.floor_patch import FILM, exact
 from tests.gradients.floor_patch import scene as patch_scene
 from tests.gradients.floor_point import BOX, QUADRANGLE, sheet
+from tests.stability.catalogue import catalogue
 
 SETTINGS = PathSettings(2, True, "auto")
 BLOCKER = sheet(QUADRANGLE, 0.1)
@@ -102,6 +103,21 @@ def test_mis_weights_add_up():
         assert np.quantile(np.abs(ratio - 1), 0.98) < 1e-2
     back = EmitterSampling.numbers(packed, lunes, again, seen)
     assert np.quantile(np.abs(np.asarray(back - u))[both].max(1), 0.98) < 1e-2
+
+
+@pytest.mark.parametrize("strategy", [DirectionSampling, EmitterSampling])
+def test_an_edge_casts_no_shadow_on_a_face_that_ends_there(strategy):
+    """Also where only a face without area says that it does."""
+    packed = pack(catalogue()["zero_area"].scene)
+    lunes = edge_lunes(packed, (True,) * 3)
+    drawn = strategy.segments(packed, lunes, jax.random.uniform(jax.random.key(0), (1 << 16, 3)))
+    ends = segment_ends(packed, drawn, drawn.silhouette, "auto")
+    valid = np.asarray(ends.valid)
+    vertices = np.asarray(packed.vertices)
+    corners = vertices[np.asarray(packed.faces)[np.asarray(ends.detector.face)]]
+    edge = vertices[np.asarray(lunes.vertices)[np.asarray(drawn.point.row)]]
+    apart = np.abs(corners[:, None] - edge[:, :, None]).max(-1).min(-1).max(-1)
+    assert valid.sum() > 3000 and apart[valid].min() > 0.01
 
 
 @partial(jax.jit, static_argnums=(1, 2))
