@@ -1,13 +1,20 @@
 """Many bounces in a white box, and fine tessellation."""
 
 from jaxdr.geometry import shapes
-from tests.stability.case import DIRECT_ONLY, Case
+from tests.stability.case import DIRECT_ONLY, Case, Expected
 from tests.stability.shadows import ALONG, NOISY, SHADE, SHORT
 from tests.stability.stage import camera as view
 from tests.stability.stage import cube, grey, lamp, table
 
 WHITE = 0.9
 SIZES = {"1k": 1_000, "100k": 100_000, "1M": 1_000_000}  # faces, about
+
+
+OFFSET = Expected(
+    "biased",
+    "visibility rays pass an edge at 1.2e-5 of the largest coordinate, so an edge that others hide by less counts as "
+    "well; with four times that, 1.016 at 100 thousand faces becomes 1.038 (KernelDensity: 1.014, 1.036)",
+)
 
 
 def white_box(depth: int) -> Case:

@@ -7,7 +7,7 @@ import numpy as np
 import jaxdr as jd
 from jaxdr.geometry import shapes
 from tests.stability.case import Case, Expected
-from tests.stability.shadows import HIGH, NOISY, SHADE, SHORT, SPHERE
+from tests.stability.shadows import BOTH, HIGH, NOISY, SHADE, SHORT, SPHERE
 from tests.stability.stage import camera, cube, floor, grey, lamp, rotation, table
 
 SKY = (8, 16)  # pixels of the environment map
@@ -21,8 +21,8 @@ TOUCHES = Expected(
     "noisy",
     "the noise is in the interior term, not in theirs (KernelDensity, LineSampling and GuidedEdges have the same "
     "numbers), likely of BSDF-sampled points of the lamp next to what they light; with "
-    'PathTracer(sampling="emitter"), as RednerWAS has it here, all is right (1.004 ± 0.022); WalkOnCaps, '
-    "with less noise and the same samples, is off in the pixels where lamp and floor touch",
+    'PathTracer(sampling="emitter"), as WalkOnCaps has it here, all is right; RednerWAS, with the same, has single '
+    "huge values (0.893 ± 0.118)",
 )
 CUT = Expected(
     "biased",
@@ -73,7 +73,7 @@ def solid_lights() -> list[Case]:
             "emitters' outlines in spherical form (Bangaru et al. 2020)",
             glowing(above, cube(), 20.0),
             (1.0, 0.4, 0.2),
-            expected=NOISY,
+            expected=BOTH,
         ),
         moved(
             "moving_emitter_at_wall",
@@ -81,7 +81,7 @@ def solid_lights() -> list[Case]:
             "1 / r² of emitters that touch what they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
-            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), TOUCHES) | NOISY,
+            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges", "RednerWAS"), TOUCHES) | NOISY,
         ),
         moved(
             "moving_receiver",
@@ -89,7 +89,7 @@ def solid_lights() -> list[Case]:
             "V has two velocities: edges that do not move have a boundary term as well (own finding)",
             glowing(above, cube(), 20.0),
             ground=rising,
-            expected=NOISY,
+            expected=BOTH,
         ),
     ]
 
@@ -104,11 +104,11 @@ def round_lamp() -> Case:
         glowing(shapes.sphere(2, radius=0.35, center=(0.9, -0.5, 2.2)), cube(at=HIGH), 8.0, camera(*SHADE, 45.0)),
         {"blocker.vertices": (1.0, 0.4, 0.2)},
         0.02,
-        expected={"RednerWAS": SPHERE} | NOISY,
+        expected=NOISY,
     )
 
 
-MISSING = Expected("biased", "0.70 ± 0.08, in noise of three times the image: the cause was not looked for")
+MISSING = Expected("biased", "0.72 ± 0.04, in noise of three times the image: the cause was not looked for")
 
 
 def lamp_of_many_faces() -> Case:
