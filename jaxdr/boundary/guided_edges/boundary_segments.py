@@ -28,10 +28,11 @@ from jaxdr.transport.emission import emitter_pdf, sample_emitter
 from jaxdr.transport.emitter_numbers import emitter_numbers
 from jaxdr.transport.interaction import SurfacePoint, leave, material_hit
 
-# Of the edge from the detector, in offsets of the rays: smallest distance (nearer, edge and shadow coincide), and
-# smallest height over the detector's face. An edge in its plane casts no shadow on it. Lines that pass the edge at
-# small angles to the face are offset into it there, if the mesh does not say that the face is one of the edge's.
-APART, ABOVE = 4.0, 0.25
+# In offsets of the rays, of edges from detectors.
+APART = 4.0  # smallest distance; nearer, edge and shadow coincide
+# Smallest height over the detector's face. An edge in the plane of a face casts no shadow on it. Rays beside the edge
+# can hit the face all the same. Lunes leave such lines out, but only where the mesh says that edge and face meet.
+ABOVE = 0.25
 
 
 class BoundarySegments(NamedTuple):
@@ -57,7 +58,8 @@ class BoundarySegments(NamedTuple):
 class BoundaryEnds(NamedTuple):
     """Both ends of boundary segments as material points, detached; a source that is not valid is the environment.
 
-    `valid`: there is a detector, at a distance from the edge, and nothing hides the source that was drawn.
+    `valid`: there is a detector, at a distance from the edge, which is not in the plane of its face, and nothing hides
+    the source that was drawn.
     """
 
     detector: SurfacePoint
@@ -157,8 +159,8 @@ def segment_ends(packed: PackedScene, drawn: BoundarySegments, active: Bool[Arra
         reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
         hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
     detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)
-    offset = drawn.position - detector.position
-    apart = (norm(offset) > APART * beside) & (jnp.abs(dot(detector.normal, offset)) > ABOVE * beside)
+    to_edge = drawn.position - detector.position
+    apart = (norm(to_edge) > APART * beside) & (jnp.abs(dot(detector.normal, to_edge)) > ABOVE * beside)
     return BoundaryEnds(detector, source, active & ~hidden & detector.valid & apart)
 
 
