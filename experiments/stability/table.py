@@ -8,7 +8,7 @@ from experiments.stability.choices import choices
 from tests.stability.case import COLUMNS, ESTIMATORS, Case, Expected
 from tests.stability.catalogue import measured
 from tests.stability.elsewhere import ELSEWHERE
-from tests.stability.measure import LONG, POSITIONS, SURE, UNRESOLVED
+from tests.stability.measure import IN_DOUBT, LONG, MOST, POSITIONS, SURE, UNRESOLVED
 
 DOCUMENT = ROOT / "docs" / "stability.md"
 HEAD = """# Stability
@@ -38,8 +38,8 @@ A cell is **projection ± standard error / bias / spread**:
   noise, `<` gives {sure:g} standard errors of it.
 * The *spread* is the standard deviation of one call. A call has 16 samples per pixel unless noted.
 
-A cell has 32 to 256 calls: as many as it takes to tell. Where a bias is in doubt, it has up to 1024. After {long:g}
-seconds no further call is made; then errors are larger.
+A cell has {least} to {most} calls: as many as it takes to tell. Where a bias is in doubt then, it has up to {doubtful}.
+After {long:g} seconds no further call is made; then errors are larger.
 
 The verdicts:
 
@@ -57,7 +57,8 @@ def write_table(cases, folder: Path) -> None:
     """All cases, theme by theme."""
     cases = list(cases)
     cells = {case.name: measured(case, folder) for case in cases}
-    lines = [HEAD.format(positions=POSITIONS, sure=SURE, unresolved=UNRESOLVED, long=LONG)]
+    counts = {"least": Case.calls, "most": Case.calls * MOST, "doubtful": Case.calls * MOST * IN_DOUBT}
+    lines = [HEAD.format(positions=POSITIONS, sure=SURE, unresolved=UNRESOLVED, long=LONG, **counts)]
     lines += ["## Verdicts", "", *_counts(cases, cells)]
     lines += ["", "## Where `jaxdr.plan` chooses", "", *choices(cases, cells)]
     for theme, group in groupby(cases, key=lambda case: case.theme):

@@ -2,7 +2,7 @@
 
 from jaxdr.geometry import shapes
 from tests.stability.case import DIRECT_ONLY, Case, Expected
-from tests.stability.shadows import ALONG, NOISY, SHADE, SHORT
+from tests.stability.shadows import ALONG, BOTH, NOISY, SHADE
 from tests.stability.stage import camera as view
 from tests.stability.stage import cube, grey, lamp, table
 
@@ -56,7 +56,7 @@ def tessellated(name: str, faces: int) -> Case:
         made,
         {"blocker.vertices": ALONG},
         0.02,
-        expected={"RednerWAS": SHORT} | NOISY,
+        expected=BOTH,
     )
 
 

@@ -21,8 +21,8 @@ TOUCHES = Expected(
     "noisy",
     "the noise is in the interior term, not in theirs (KernelDensity, LineSampling and GuidedEdges have the same "
     "numbers), likely of BSDF-sampled points of the lamp next to what they light; with "
-    'PathTracer(sampling="emitter"), as WalkOnCaps has it here, all is right; RednerWAS, with the same, has single '
-    "huge values (0.893 ± 0.118)",
+    'PathTracer(sampling="emitter") there is less: WalkOnCaps, which has that here, is off in the pixels where lamp '
+    "and floor touch; RednerWAS, which has it too, has single huge values (0.893 ± 0.118)",
 )
 CUT = Expected(
     "biased",
