@@ -22,12 +22,16 @@ class Moving(NamedTuple):
     - `camera`: whether the camera moves.
     - `lights`: one flag for each of `scene.lights`.
     - `environment`: whether the environment turns.
+    - `scattering`, `emission`: whether parameters of BSDFs, or of emitters, are differentiated. These move nothing, but
+      a path whose throughput is zero may have a derivative by them.
     """
 
     shapes: tuple[bool, ...]
     camera: bool
     lights: tuple[bool, ...] = ()
     environment: bool = False
+    scattering: bool = True
+    emission: bool = True
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -52,6 +56,8 @@ def moving_in(scene: Scene, active: Scene) -> Moving:
         camera=any(jax.tree.leaves(active.camera)),
         lights=tuple(_changes(_shadow_lines, *pair) for pair in _pairs(scene.lights, active.lights)),
         environment=sky is not None and _changes(lambda sky: sky.turn(), sky, active.environment),
+        scattering=any(jax.tree.leaves([shape.bsdf for shape in active.shapes.values()])),
+        emission=any(jax.tree.leaves(([s.emitter for s in active.shapes.values()], active.environment, active.lights))),
     )
 
 

@@ -198,7 +198,8 @@ class PathTracer(eqx.Module):
         key_path, key_radiance, key_terms = jax.random.split(batch.key, 3)
         primary = primary_samples(packed, batch.samples, batch.key_film, settings.rays, form)
         start = primary.first, primary.direction, primary.u
-        record = trace_paths(packed, *start, key_path, settings._replace(pairs=moving.any), primary.near)
+        settings = settings._replace(pairs=moving.any, black=moving.scattering)
+        record = trace_paths(packed, *start, key_path, settings, primary.near)
         radiance = record.radiance * primary.weight[:, None]
         if record.near is not None:
             radiance += near_field_term(packed, primary, record)

@@ -1,5 +1,6 @@
-"""RGB: parameters and luminance."""
+"""RGB: parameters, luminance, and magnitude."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array, broadcast
@@ -12,6 +13,14 @@ def luminance(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     """Luminance of linear RGB (Rec. 709 primaries)."""
     red, green, blue = (share * part for share, part in zip(LUMINANCE, components(rgb), strict=True))
     return red + green + blue
+
+
+def magnitude(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+    """Luminance of the absolute values: what a sampling weight made of RGB is in proportion to.
+
+    It is never negative, and zero for black only. Luminance is neither where a parameter is below zero.
+    """
+    return luminance(jnp.abs(rgb))
 
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:

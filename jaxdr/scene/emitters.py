@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.scene.bsdf.parameters import Color, Value, rgb
-from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
@@ -55,7 +55,7 @@ class DirectionSampler(eqx.Module):
 
     @abc.abstractmethod
     def mean(self) -> Float[Array, ""]:
-        """Approximate luminance of the mean radiance over the sphere; detached."""
+        """Approximate mean magnitude of the radiance over the sphere; detached."""
 
 
 class Environment(eqx.Module):
@@ -111,7 +111,7 @@ class UniformDirections(DirectionSampler):
         return math.pi
 
     def mean(self):
-        return jnp.maximum(luminance(self.radiance), 0.0)
+        return magnitude(self.radiance)
 
 
 class ConstantEnvironment(Environment):

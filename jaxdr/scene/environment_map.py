@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from jaxdr.arrays import as_array
 from jaxdr.geometry import vector
 from jaxdr.geometry.vector import components, from_components, normalize, transform
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.emitters import DirectionSampler, Environment
 from jaxdr.scene.sampling import linear, linear_number, number_in_rows, search_sorted_rows
 
-FLOOR = 0.01  # added to the luminance that directions are sampled by, relative to its mean
+FLOOR = 0.01  # added to the magnitude that directions are sampled by, relative to its mean
 # Share of the mean of a cell in the density at its corners. A purely bilinear density would be very low at a black
 # texel beside the sun. The derivative of a turning map is the slope of the look-up divided by the density, and that
 # slope is large there.
@@ -34,7 +34,7 @@ class EnvironmentMap(Environment):
 
     `to_world` [4, 4] maps the map's frame to the world's. It is a rotation; it may also mirror or scale evenly, since
     only directions matter. Conventions are Mitsuba's: in the map's frame the top of the image is the direction +y, its
-    middle column is +z, and -x is to the right of the middle. Directions are sampled in proportion to luminance.
+    middle column is +z, and -x is to the right of the middle. Directions are sampled in proportion to magnitude.
 
     Raises ValueError unless `radiance` is [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a 4 x 4 matrix
     that does not skew or scale unevenly.
@@ -76,7 +76,7 @@ class EnvironmentMap(Environment):
 
     def sampler(self):
         radiance, scale = stop_gradient((self.radiance, self.scale))
-        return LatLongSampler.of(jnp.maximum(luminance(radiance), 0.0), self.to_world[:3, :3], scale)
+        return LatLongSampler.of(magnitude(radiance), self.to_world[:3, :3], scale)
 
     def turn(self):
         rotation = _rotation(self.to_world[:3, :3])
@@ -110,11 +110,11 @@ class LatLongSampler(DirectionSampler):
     scale: Float[Array, ""]
 
     @classmethod
-    def of(cls, luminances: Float[Array, "H W"], to_world: Float[Array, "3 3"], scale) -> "LatLongSampler":
-        """The sampler in proportion to luminance, but never zero: texels that are black now have a derivative too."""
-        height, width = luminances.shape
-        floor = FLOOR * luminances.mean()
-        corners = luminances + jnp.where(floor > 0, floor, 1.0)
+    def of(cls, magnitudes: Float[Array, "H W"], to_world: Float[Array, "3 3"], scale) -> "LatLongSampler":
+        """The sampler in proportion to magnitude, but never zero: texels that are black now have a derivative too."""
+        height, width = magnitudes.shape
+        floor = FLOOR * magnitudes.mean()
+        corners = magnitudes + jnp.where(floor > 0, floor, 1.0)
         angle = _band_angles(height, width, corners.dtype)
         right = jnp.roll(corners, -1, axis=1)
         cells = 0.25 * (corners + right)
@@ -188,7 +188,7 @@ class LatLongSampler(DirectionSampler):
         return row * width + _columns(u, width)[0]
 
     def mean(self):
-        return self.scale * self.integral / (4.0 * math.pi * (1.0 + FLOOR))
+        return jnp.abs(self.scale) * self.integral / (4.0 * math.pi * (1.0 + FLOOR))
 
     def _at(self, row, first, second):
         """Corners of cells: ((upper left, upper right), (lower left, lower right))."""

@@ -24,10 +24,11 @@ from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, normal
 from jaxdr.scene.bsdf import BSDF, TwoSided
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Camera
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.emitter_clusters import FEW_FACES, EmitterClusters, emitter_clusters
 from jaxdr.scene.emitters import DirectionSampler, Environment
-from jaxdr.scene.packed_lights import EVENLY, LightGroup, emitter_choice, group_lights
+from jaxdr.scene.packed_lights import LightGroup, emitter_choice, group_lights
+from jaxdr.scene.sampling import probabilities
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 from jaxdr.scene.textures import Texture, TexturePoint, textures_in
 
@@ -286,22 +287,18 @@ def _size(vertices) -> Float[Array, ""]:
 def _emitter_tables(packed: PackedScene):
     """(cumulative probabilities of emitting faces, density per area on every face, total power, clusters); detached.
 
-    Faces are chosen in proportion to power. They are chosen in proportion to area where all emitters are off: an
-    optimisation of their radiance may start there. With textures a part of the choice is always by area. The mean
-    radiance of a face is estimated at a few points, and texels that are black now have a derivative too.
+    Faces are chosen in proportion to power, and a part of the choice is by area: an emitter that is off now, or a black
+    texel, has a derivative too. With textures the mean radiance of a face is estimated at a few points.
     """
     packed = stop_gradient(packed)
     faces = packed.emitter_faces
     assert faces is not None  # asked only where something glows
     area = packed.triangles(faces).area
     if packed.glow:
-        power = area * _mean_luminance(packed)
-        total = power.sum()
-        share = (1.0 - EVENLY) / jnp.where(total > 0, total, 1.0)
-        chosen = power * share + area * (EVENLY / area.sum())
+        power = area * _mean_magnitude(packed)
     else:
-        power = chosen = area * luminance(packed.radiance[packed.face_shape[faces]])
-    weight, count = jnp.where(chosen.sum() > 0, chosen, area), packed.faces.shape[0]
+        power = area * magnitude(packed.radiance[packed.face_shape[faces]])
+    weight, count = probabilities(power, area), packed.faces.shape[0]
     cumulative = jnp.cumsum(weight)
     cdf = cumulative / cumulative[-1]
     density = jnp.diff(cdf, prepend=0.0) / jnp.where(area > 0, area, 1.0)
@@ -466,8 +463,8 @@ def _group_glow(glows: list) -> tuple[GlowGroup, ...]:
     return tuple(GlowGroup(*g) for g in _stacked([glow if isinstance(glow, Texture) else None for glow in glows]))
 
 
-def _mean_luminance(packed: PackedScene) -> Float[Array, " L"]:
-    """Mean luminance of the radiance of emitting faces, from a grid of points on each; detached.
+def _mean_magnitude(packed: PackedScene) -> Float[Array, " L"]:
+    """Mean magnitude of the radiance of emitting faces, from a grid of points on each; detached.
 
     It only guides the sampling: an error makes noise, not bias.
     """
@@ -477,10 +474,10 @@ def _mean_luminance(packed: PackedScene) -> Float[Array, " L"]:
     side = int(np.clip((MEAN_POINTS // faces.shape[0]) ** 0.5, LEAST_SIDE, MOST_SIDE))
     points = jnp.asarray(_grid(side), packed.vertices.dtype)
 
-    def luminance_at(point):
-        return luminance(packed.surface_radiance(faces, jnp.broadcast_to(point, (faces.shape[0], 3))))
+    def magnitude_at(point):
+        return magnitude(packed.surface_radiance(faces, jnp.broadcast_to(point, (faces.shape[0], 3))))
 
-    return jax.lax.map(luminance_at, points, batch_size=max(1, MEAN_POINTS // faces.shape[0])).mean(0)
+    return jax.lax.map(magnitude_at, points, batch_size=max(1, MEAN_POINTS // faces.shape[0])).mean(0)
 
 
 def _grid(side: int) -> Float[np.ndarray, "n 3"]:

@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxdr.geometry.gather import rows_of
 from jaxdr.scene.emitters import DirectionSampler
 from jaxdr.scene.lights import DeltaLight
-
-EVENLY = 0.1  # share of the choice that does not depend on power: a light that is off now has a derivative too
+from jaxdr.scene.sampling import probabilities
 
 
 class LightGroup(eqx.Module):
@@ -32,7 +31,7 @@ class LightGroup(eqx.Module):
         return jax.tree.map(lambda field: rows_of(field, self.row[index]), self.light) if self.stacked else self.light
 
     def powers(self, radius: Float[Array, ""]) -> Float[Array, " D"]:
-        """Luminance of the power of every light, zero for lights that are no members."""
+        """Magnitude of the power of every light, zero for lights that are no members."""
         power = jax.vmap(lambda light: light.power(radius))(self.light) if self.stacked else self.light.power(radius)
         return jnp.where(self.member, power[self.row] if self.stacked else power, 0.0)
 
@@ -62,7 +61,7 @@ def emitter_choice(
 ) -> Float[Array, " K"]:
     """Cumulative probabilities, by power, of the environment, the surfaces and each light that there are; detached.
 
-    `surfaces` is the area of the emitting surfaces times the luminance of their radiance. Their power is pi times that.
+    `surfaces` is the area of the emitting surfaces times the magnitude of their radiance. Their power is pi times that.
     An environment of mean radiance L counts as pi R^2 L, with R the radius of the scene. The light through the scene's
     bounding sphere is 4 pi times as much, but most of it meets nothing. With this choice, a sky and a panel at a
     distance of R / 2 have about the same probability if they light a surface equally.
@@ -76,8 +75,5 @@ def emitter_choice(
         powers.append(math.pi * surfaces[None])
     if lights:
         powers.append(sum(group.powers(radius) for group in lights))
-    power = jnp.concatenate(powers)
-    total = power.sum()
-    share = jnp.where(total > 0, power / jnp.where(total > 0, total, 1.0), 1.0 / power.shape[0])
-    cumulative = jnp.cumsum((1.0 - EVENLY) * share + EVENLY / power.shape[0])
+    cumulative = jnp.cumsum(probabilities(jnp.concatenate(powers)))
     return stop_gradient(cumulative / cumulative[-1])

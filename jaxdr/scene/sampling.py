@@ -9,6 +9,9 @@ from jaxdr import loops
 from jaxdr.geometry.vector import components, from_components
 from jaxdr.safe_divide import safe_divide
 
+EVENLY = 0.1  # share of a choice among emitters that does not depend on their light
+LEAST = 0.05  # least probability of sampling either of two lobes
+
 
 def cosine_hemisphere(u: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
     """Directions around +z with density cos/pi (solid angle)."""
@@ -57,6 +60,31 @@ def uniform_triangle_numbers(barycentric: Float[Array, "*n 3"]) -> Float[Array, 
     b0, b1, _ = components(barycentric)
     upper = b1 > b0
     return from_components(jnp.where(upper, 2.0 * b0, b0 + b1), jnp.where(upper, b0 + b1, 2.0 * b1))
+
+
+def probabilities(
+    importance: Float[Array, "*n k"], evenly: Float[Array, "*#n k"] | float = 1.0, floor: float = EVENLY
+) -> Float[Array, "*n k"]:
+    """Probabilities of k choices in proportion to |importance|, for any values of the parameters it is made of.
+
+    The share `floor` of the choice is in proportion to `evenly` (not negative, not all zero) instead. So a choice whose
+    importance is zero now has a derivative too. All of it is where every importance is zero.
+    """
+    importance = jnp.abs(importance)
+    evenly = jnp.broadcast_to(jnp.asarray(evenly, importance.dtype), importance.shape)
+    even = evenly / evenly.sum(-1, keepdims=True)
+    total = importance.sum(-1, keepdims=True)
+    return jnp.where(total > 0, (1.0 - floor) * safe_divide(importance, total) + floor * even, even)
+
+
+def lobe_probability(first: Float[Array, "*#n"] | float, second: Float[Array, "*#n"] | float) -> Float[Array, "*n"]:
+    """Probability of sampling the first of two lobes, in proportion to their |importance|; at least `LEAST` for either.
+
+    So it is a probability for any values of the parameters, and a lobe whose weight is zero now has a derivative too.
+    """
+    first, second = jnp.abs(first), jnp.abs(second)
+    total = first + second
+    return LEAST + (1.0 - 2.0 * LEAST) * safe_divide(first, total, total > 0, 0.5)
 
 
 def choose(

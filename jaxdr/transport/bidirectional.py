@@ -170,7 +170,6 @@ def joined_vertices(inner: int) -> list[tuple[int, int]]:
 
 def _visible(packed: PackedScene, joined: Connections, rays: str) -> Bool[Array, " C"]:
     """Which connections carry light and are not blocked."""
-    carries = (joined.value != 0).any(-1)
-    reach = jnp.where(carries, 1.0, 0.0).astype(joined.value.dtype)
+    reach = jnp.where(joined.carries, 1.0, 0.0).astype(joined.value.dtype)
     offset = joined.end - joined.start
-    return carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), rays)
+    return joined.carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), rays)

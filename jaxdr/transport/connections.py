@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import dot, normalize
 from jaxdr.scene.packed import PackedScene
@@ -30,11 +30,14 @@ from jaxdr.transport.subpaths import LARGEST, Subpath, quotient, relative_densit
 class Connections(NamedTuple):
     """C connections of N pairs of subpaths, in a row.
 
-    `value`: contribution of the path over its density, whether it is visible or not. `weight`: of the strategy,
-    detached. The connection is visible if nothing lies between `start` and `end`, which are just off their surfaces.
+    - `value`: contribution of the path over its density, whether it is visible or not.
+    - `carries`: whether the geometry lets light pass. The value may be zero there, and its derivative not.
+    - `weight`: of the strategy, detached.
+    - `start`, `end`: just off the surfaces. The connection is visible if nothing lies between them.
     """
 
     value: Float[Array, "C 3"]
+    carries: Bool[Array, " C"]
     weight: Float[Array, " C"]
     start: Float[Array, "C 3"]
     end: Float[Array, "C 3"]
@@ -98,7 +101,8 @@ def with_emitters(packed: PackedScene, camera: Ends, sample: EmitterSample, powe
     geometry = jnp.maximum(cosine, 0.0) / distance2 * jnp.where(infinite, 1.0, sample.point.area_ratio())
     value = scatterer.eval(towards) * geometry[:, None] * radiance_towards(packed, sample, towards)
     value = vertex.throughput * value / sample.pdf[:, None]
-    value = jnp.where((point.valid & (cosine > 0))[:, None], value, 0.0)
+    carries = point.valid & (stop_gradient(cosine) > 0)
+    value = jnp.where(carries[:, None], value, 0.0)
 
     found = scatterer.pdf(towards) * stop_gradient(jnp.maximum(cosine, 0.0) / distance2)
     found = found if delta is None else jnp.where(delta, 0.0, found)
@@ -110,7 +114,8 @@ def with_emitters(packed: PackedScene, camera: Ends, sample: EmitterSample, powe
 
     start = scatterer.leave(towards)
     far = start + 2.0 * packed.size * towards
-    return Connections(value, weight, start, jnp.where(infinite[:, None], far, leave(sample.point, -towards)))
+    end = jnp.where(infinite[:, None], far, leave(sample.point, -towards))
+    return Connections(value, carries & scatterer.may_scatter(towards), weight, start, end)
 
 
 def with_each_other(seen: Ends, lit: Ends, power: int) -> Connections:
@@ -123,14 +128,16 @@ def with_each_other(seen: Ends, lit: Ends, power: int) -> Connections:
     # Both BSDFs in both directions: each surface is seen from its previous vertex and from the other end.
     z_onwards, y_onwards = seen.scatterer.seen_from(towards), lit.scatterer.seen_from(-towards)
     value = seen.scatterer.eval(towards) * y_onwards.eval(y.back) * (at_light / distance2)[:, None]
-    value = jnp.where((z.point.valid & y.point.valid)[:, None], z.throughput * value * y.throughput, 0.0)
+    carries = z.point.valid & y.point.valid
+    value = jnp.where(carries[:, None], z.throughput * value * y.throughput, 0.0)
+    carries &= seen.scatterer.may_scatter(towards) & y_onwards.may_scatter(y.back)
 
     found = seen.scatterer.pdf(towards) * stop_gradient(at_light / distance2)
     fewer = relative_densities(quotient(found, y.density), y.joined, y_onwards.pdf(y.back), y.shorter, power)
     reached = lit.scatterer.pdf(-towards) * stop_gradient(at_camera / distance2)
     more = relative_densities(quotient(reached, z.density), z.joined, z_onwards.pdf(z.back), z.shorter, power)
     weight = 1.0 / (1.0 + fewer + more)
-    return Connections(value, weight, seen.scatterer.leave(towards), lit.scatterer.leave(-towards))
+    return Connections(value, carries, weight, seen.scatterer.leave(towards), lit.scatterer.leave(-towards))
 
 
 def with_camera(
@@ -161,4 +168,5 @@ def with_camera(
 
     origin, direction = view.rays(stop_gradient(film_point))
     end, _ = view.clipped(jnp.broadcast_to(origin, direction.shape), direction)
-    return Connections(value, weight, scatterer.leave(towards), end), film_point
+    carries = on_film & scatterer.may_scatter(vertex.back)
+    return Connections(value, carries, weight, scatterer.leave(towards), end), film_point

@@ -95,11 +95,11 @@ def pair_derivatives(
     previous = jax.tree.map(_twice, previous)
     before = Scatterer(packed, previous.vertex.point, previous.vertex.wi)
     own = scatterer.rows(_twice, _twice(at.wi))
-    paired, first, other = _images(packed, previous, before, own, ends, settings.rays)
+    paired, first, other = _images(packed, previous, before, own, ends, settings)
 
     away = jnp.where(ends.infinite[:, None], ends.direction, first.towards)
     second = transfer_to(other, ends.point, ends.infinite | ~paired, away, ends.is_delta)
-    lit = paired & (stop_gradient(second.cosine) > 0) & (stop_gradient(second.value) != 0).any(-1)
+    lit = paired & (stop_gradient(second.cosine) > 0) & second.scatters(other, settings.black)
     lit = unoccluded(packed, other, ends.point, ends.infinite, second.towards, lit, settings.rays)
     contribution = previous.vertex.throughput * first.value * second.value * _radiance(packed, ends, second.towards)
     contribution = jnp.where(lit[:, None], contribution, 0.0)
@@ -118,14 +118,14 @@ def pair_derivatives(
 
 
 def _images(
-    packed: PackedScene, previous: Previous, before: Scatterer, own: Scatterer, ends: Ends, rays: str
+    packed: PackedScene, previous: Previous, before: Scatterer, own: Scatterer, ends: Ends, settings: PathSettings
 ) -> tuple[Bool[Array, " N"], Transfer, Scatterer]:
     """(whether the vertices with BSDFs `own` have mirror images, the transfer to the images, the BSDFs there)."""
     image, opposite = _mirrored(stop_gradient(before.point.position), stop_gradient(own.point), ends)
     asked = ends.drawn & previous.spread & own.point.valid & opposite & (own.lobe_width() < NARROW)
     start = before.leave(image - stop_gradient(before.point.position))
     direction = normalize(jnp.where(asked[:, None], image - start, 1.0))
-    there = material_hit(packed, intersect(packed, start, direction, asked, rays))
+    there = material_hit(packed, intersect(packed, start, direction, asked, settings.rays))
     paired = asked & there.valid & _coplanar(own.point, there)
     transfer = transfer_to(before, there, ~paired, direction)
     back = -transfer.towards
@@ -135,7 +135,10 @@ def _images(
         offset = before.point.position + moved - there.position
         back = jnp.where(paired[:, None], normalize(jnp.where(paired[:, None], offset, 1.0)), back)
     other = Scatterer(packed, there, back)
-    arrives = (stop_gradient(previous.vertex.throughput * transfer.value) != 0).any(-1)  # else no path continues there
+    if settings.black:
+        arrives = before.may_scatter(transfer.towards)  # else no path continues there
+    else:
+        arrives = (stop_gradient(previous.vertex.throughput * transfer.value) != 0).any(-1)
     return paired & arrives & (other.lobe_width() < NARROW), transfer, other
 
 

@@ -52,7 +52,7 @@ def near_field_term(packed: PackedScene, primary: PrimarySamples, record: PathRe
         )
         scatterer = Scatterer(still, moved, stop_gradient(-primary.direction) + scale(wi, share))
         value = transfer_to(scatterer, target, ~there, jnp.zeros_like(wi)).value
-        lit = (stop_gradient(value) != 0) & there[:, None]
+        lit = (stop_gradient(value) != 0) & there[:, None]  # the derivative by motion is zero where the value is
         arriving = safe_divide(carried, stop_gradient(value), lit, 0.0)
         offset = target.position - (point.position + position)
         changed = footprint(view, point.position + position, point.normal).share(

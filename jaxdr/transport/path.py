@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from jaxdr import loops
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import normalize, scale
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted, emitter_pdf, radiance_towards, sample_emitter
@@ -178,8 +179,7 @@ def trace_paths(
     if bounces > 1:
         scattered = jax.tree.map(lambda x: x[: bounces - 1], parts.scattered)
         transfer = scattered.weight  # so far: BSDF value times geometric term of the segment itself
-        gathered = beyond[:-1] / jnp.where(transfer > 0, transfer, 1.0)
-        scattered = scattered._replace(weight=jnp.where(transfer > 0, gathered, 0.0))
+        scattered = scattered._replace(weight=safe_divide(beyond[:-1], transfer, otherwise=0.0))
     return PathRecord(
         radiance + light.sum(0) + emission.sum(0),
         stop_gradient(parts.direct),
@@ -278,10 +278,11 @@ def scatter(
             back = jnp.where(hit[:, None], normalize(jnp.where(hit[:, None], mixed, 1.0)), -direction)
     emission = _found_emission(packed, scatterer, Vertex(target, back, throughput), transfer, sampled, settings)
     if previous is not None:
-        found = _found_ends(packed, target, transfer, direction, sampled, ends, settings)
+        found = _found_ends(packed, scatterer, target, transfer, direction, sampled, ends, settings)
         both = (light, ends), (emission, found)
         light, emission = pair_derivatives(packed, previous, at, scatterer, *both, settings)
-    following = target._replace(valid=hit & (throughput != 0).any(-1))
+    goes_on = carries if settings.black else (throughput != 0).any(-1)
+    following = target._replace(valid=hit & goes_on)
     scattered = _record(at, target, transfer, sampled) if settings.records else None
     vertices = None
     if settings.records and sampled.chosen is not None:
@@ -347,7 +348,7 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     transfer = transfer_to(scatterer, sample.point, sample.infinite, sample.direction, delta)
     towards = transfer.towards
     facing = stop_gradient(transfer.cosine) > 0
-    reachable = point.valid & facing & (stop_gradient(transfer.value) != 0).any(-1)
+    reachable = point.valid & facing & transfer.scatters(scatterer, settings.black)
     visible = unoccluded(packed, scatterer, sample.point, sample.infinite, towards, reachable, settings.rays)
     share = None
     if forms is not None:
@@ -366,7 +367,8 @@ def _connect(packed, at: Vertex, scatterer: Scatterer, u, settings: PathSettings
     if not settings.records:
         return light, share, ends, None
     # Lights without area carry no segments: `boundary.film.hard_shadows` finds their shadows.
-    carries = reachable if delta is None else reachable & ~delta
+    carries = reachable & transfer.scatters(scatterer, False) if settings.black else reachable
+    carries = carries if delta is None else carries & ~delta
     lit = point.valid & scatterer.spreads() if packed.has_delta_lobes else point.valid
     unlit = None
     if packed.has_varying_sky or packed.glow:
@@ -405,7 +407,14 @@ def _found_emission(
 
 
 def _found_ends(
-    packed, target: SurfacePoint, transfer: Transfer, direction, sampled: _Sampled, ends: Ends, settings: PathSettings
+    packed,
+    scatterer: Scatterer,
+    target: SurfacePoint,
+    transfer: Transfer,
+    direction,
+    sampled: _Sampled,
+    ends: Ends,
+    settings: PathSettings,
 ) -> Ends:
     """The emitters that BSDF samples find and emitter samples could find; `ends` are those of emitter samples."""
     hit = target.valid
@@ -415,7 +424,7 @@ def _found_ends(
         glows = jnp.where(hit, on_surface, glows)
     else:
         glows = glows & ~hit
-    drawn = sampled.active & glows & settings.mis & (stop_gradient(transfer.value) != 0).any(-1)
+    drawn = sampled.active & glows & settings.mis & transfer.scatters(scatterer, settings.black)
     if sampled.chosen is not None:
         drawn = drawn & ~sampled.chosen
     light = None if ends.light is None else jnp.full_like(ends.light, -1)

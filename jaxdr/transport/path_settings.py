@@ -11,6 +11,8 @@ class PathSettings(NamedTuple):
     - `records`: whether the segments of paths are kept.
     - `pairs`: whether narrow lobes have the derivatives of antithetic pairs, see `mirrored_pairs`. Values stay as they
       are.
+    - `black`: whether paths go on where their throughput is zero, because its derivative may not be: a reflectance may
+      be differentiated where it is zero. Otherwise they end there.
     """
 
     max_depth: int
@@ -18,3 +20,4 @@ class PathSettings(NamedTuple):
     rays: str
     records: bool = True
     pairs: bool = False
+    black: bool = False

@@ -11,7 +11,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
-from jaxdr.scene.bsdf.base import BSDF, DeltaSample, Rim, no_delta, only_delta, spreads_through
+from jaxdr.scene.bsdf.base import BSDF, DeltaSample, Rim, both_above, no_delta, only_delta, spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.interaction import SurfacePoint, leave
 from jaxdr.transport.texturing import bsdfs_at, tangents_along_u
@@ -107,6 +107,16 @@ class Scatterer:
         """f_s |cos| for world directions `wo`."""
         local = self.frame.to_local(wo)
         return self._combine([bsdf.eval(self.wi, local) for bsdf, _ in self.groups])
+
+    def may_scatter(self, wo: Float[Array, "N 3"]) -> Bool[Array, " N"]:
+        """Whether `eval` may differ from zero for some values of the BSDFs' parameters, by geometry alone; detached."""
+        still = self._still
+        local = still.frame.to_local(stop_gradient(wo))
+        may = [
+            jnp.ones(wo.shape[:1], bool) if bsdf.transmissive else both_above(still.wi, local) & (not only_delta(bsdf))
+            for bsdf, _ in still.groups
+        ]
+        return self._combine([m.astype(wo.dtype) for m in may]) > 0
 
     def pdf(self, wo: Float[Array, "N 3"]) -> Float[Array, " N"]:
         """Density of `sample` (solid angle), detached."""

@@ -128,7 +128,7 @@ def light_start(packed: PackedScene, sample: EmitterSample, u: Float[Array, "N 2
         found = jnp.where(sample.is_delta, 0.0, found)
     shorter = found * jnp.minimum(quotient(stop_gradient(leaving / distance2), sample.pdf) ** power, LARGEST)
     joined = jnp.ones_like(hit) if packed.has_delta_lobes else None
-    point = point._replace(valid=carries & (throughput != 0).any(-1))
+    point = point._replace(valid=carries)
     return Subpath(point, -away, throughput, density, stop_gradient(shorter).astype(density.dtype), joined)
 
 
@@ -208,5 +208,6 @@ def extend(
     throughput = jnp.where(carries[:, None], vertex.throughput * factor, 0.0)
     ratio = quotient(stop_gradient(leaving / distance2), vertex.density)
     shorter = relative_densities(ratio, before, reverse, vertex.shorter, power)
-    following = following._replace(valid=hit & (throughput != 0).any(-1))
+    # Also where the throughput is zero: its derivative may not be.
+    following = following._replace(valid=hit & carries)
     return Subpath(following, -towards, throughput, density, shorter, joined)

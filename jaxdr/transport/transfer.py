@@ -34,6 +34,14 @@ class Transfer(NamedTuple):
     cosine: Float[Array, " N"]
     geometry: Float[Array, " N"]
 
+    def scatters(self, scatterer: Scatterer, black: bool) -> Bool[Array, " N"]:
+        """Whether light may pass; with `black` also where only the derivative by a parameter of the BSDF is not zero.
+
+        The derivative by what moves is zero where the value is: a BSDF is never negative. So `black` is needed only if
+        parameters of BSDFs are differentiated.
+        """
+        return scatterer.may_scatter(self.towards) if black else (stop_gradient(self.value) != 0).any(-1)
+
 
 def transfer_to(
     scatterer: Scatterer,

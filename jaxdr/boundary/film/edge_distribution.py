@@ -28,7 +28,7 @@ from jaxdr.geometry.vector import (
     z_of,
 )
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import has_emitters, radiance_towards, sample_emitter
 from jaxdr.transport.keys import fixed_key
@@ -229,7 +229,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
 
 
 def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:
-    """Irradiance (luminance) of faces from a few emitter samples, without visibility.
+    """Irradiance (magnitude) of faces from a few emitter samples, without visibility.
 
     Interpolated normals agree at an edge. So smooth faces have one constant cosine, or zero where they face away.
     """
@@ -243,10 +243,10 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
         direction = jnp.where(sample.infinite, sample.direction, scale(offset, 1.0 / jnp.sqrt(squared)))
         facing = jnp.maximum(-dot(direction, sample.point.normal), 0.0) / squared
         if sample.light is None:
-            power = luminance(sample.radiance) / sample.pdf
+            power = magnitude(sample.radiance) / sample.pdf
         else:
             one = jax.tree.map(lambda x: jnp.broadcast_to(x, (corner.shape[0], *x.shape)), sample)
-            power = luminance(radiance_towards(packed, one, direction)) / sample.pdf
+            power = magnitude(radiance_towards(packed, one, direction)) / sample.pdf
             facing = jnp.where(one.is_delta, 1.0 / squared, facing)
         cosine = dot(direction, normal)
         cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))

@@ -23,7 +23,7 @@ from jaxdr.geometry.vector import (
     z_of,
 )
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import light_intensity, light_places
 from jaxdr.transport.interaction import SurfacePoint, material_point
@@ -107,9 +107,9 @@ def shadow_distribution(
         moves = edge_moves | moving_lights[light] | moving_shapes[packed.face_shape[points.point.face]]
         wi = normalize(packed.camera.to_world[:3, 3] - points.point.position)
         seen = on_film(packed, points)
-        value = jnp.where(moves & points.point.valid, luminance(points.scattered(packed, wi)), 0.0)
+        value = jnp.where(moves & points.point.valid, magnitude(points.scattered(packed, wi)), 0.0)
         for_film = jnp.where(seen.inside, jnp.abs(value) * norm(seen.across), 0.0)
-        received = luminance(points.arriving) * jnp.abs(dot(points.point.normal, points.towards))
+        received = magnitude(points.arriving) * jnp.abs(dot(points.point.normal, points.towards))
         received = jnp.where(moves & points.point.valid, received * norm(points.tangent), 0.0)
         offset = jnp.where(infinite[light], packed.size, norm(ends_of(lines) - places[light]))
         sides = lines.ends[:, 1] - lines.ends[:, 0]

@@ -12,7 +12,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.geometry.vector import dot
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import sample_emitter
 from jaxdr.transport.path_settings import PathSettings
@@ -29,7 +29,7 @@ FLOOR = 0.02  # smallest value of a cell, relative to the mean of the cells that
 class FluxMaps(NamedTuple):
     """Two maps of C cells.
 
-    `radiance`: luminance that the surface in a cell scatters. `importance`: that of the surface in a cell for the film,
+    `radiance`: magnitude that the surface in a cell scatters. `importance`: that of the surface in a cell for the film,
     after one bounce or more towards the camera; square pixels per area and steradian.
     """
 
@@ -83,7 +83,7 @@ def _deposited(packed: PackedScene, vertex: Subpath, lower, cell) -> Float[Array
     """Throughput times the BSDF along the surface's normal, summed over the vertices in every cell."""
     point = vertex.point
     side = jnp.where(dot(point.normal, vertex.back) >= 0, 1.0, -1.0)[:, None]
-    value = luminance(vertex.throughput * Scatterer(packed, point, side * point.normal).eval(vertex.back))
+    value = magnitude(vertex.throughput * Scatterer(packed, point, side * point.normal).eval(vertex.back))
     value = jnp.where(point.valid, value, 0.0)
     return jnp.zeros(SIDE**3, value.dtype).at[_cell(lower, cell, point.position)].add(value)
 

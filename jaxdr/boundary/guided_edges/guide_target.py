@@ -12,7 +12,7 @@ from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, Boundary
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.emission import emitted
 from jaxdr.transport.path_settings import PathSettings
@@ -38,7 +38,7 @@ def segment_target(
     key,
     settings: PathSettings,
 ) -> Callable[[Float[Array, "n 3"]], Float[Array, " n"]]:
-    """|F| (luminance) as a function of primary numbers, for a displacement of one unit: f_B J_B h_S h_D."""
+    """|F| (magnitude) as a function of primary numbers, for a displacement of one unit: f_B J_B h_S h_D."""
     strategy = plan.strategy
 
     def target(primary):
@@ -47,12 +47,12 @@ def segment_target(
         ends = ends._replace(valid=ends.valid & moves(packed, moving, lunes, drawn, ends))
         density = strategy.density(packed, lunes, drawn, ends)
         weight = jnp.where(ends.valid & (density > 0), safe_divide(1.0, density), 0.0)
-        return segment_luminance(packed, maps, plan, drawn, ends, weight, key, settings)
+        return segment_magnitude(packed, maps, plan, drawn, ends, weight, key, settings)
 
     return target
 
 
-def segment_luminance(
+def segment_magnitude(
     packed: PackedScene,
     maps: FluxMaps | None,
     plan: StrategyPlan,
@@ -62,17 +62,17 @@ def segment_luminance(
     key,
     settings: PathSettings,
 ) -> Float[Array, " n"]:
-    """The luminance that segments send to the film, times `weight`, for a displacement of one unit. Detached.
+    """The magnitude that segments send to the film, times `weight`, for a displacement of one unit. Detached.
 
     Emission of the source, and a detector that the camera sees directly, are evaluated. Light that the source scatters
     (`gathered`), and what the detector sends to the film over more bounces, come from `maps`.
     """
     number = jnp.arange(weight.shape[0])
     seen = detect(packed, drawn, ends, weight, number, key, settings._replace(max_depth=2))
-    importance = luminance(seen.value[0])
+    importance = magnitude(seen.value[0])
     radiance = jnp.zeros_like(importance)
     if plan.emission:
-        radiance += luminance(jnp.broadcast_to(emitted(packed, ends.source, -drawn.towards), seen.value[0].shape))
+        radiance += magnitude(jnp.broadcast_to(emitted(packed, ends.source, -drawn.towards), seen.value[0].shape))
     if maps is not None:
         if plan.gathered:
             radiance += jnp.where(ends.source.valid, maps.radiance_at(ends.source.position), 0.0)

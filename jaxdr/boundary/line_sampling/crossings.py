@@ -84,7 +84,7 @@ class ChordKind(abc.ABC):
 
     @abc.abstractmethod
     def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings to the pilot: luminance per displacement of the edge."""
+        """Contribution of crossings to the pilot: magnitude per displacement of the edge."""
 
     def starts(self, chosen: Chosen, key, numbers: int) -> tuple[Scatterer, Float[Array, "M n"]]:
         """(BSDFs at the path vertices that chords start from, some uniform numbers for each)."""

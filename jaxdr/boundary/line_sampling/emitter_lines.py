@@ -29,7 +29,7 @@ from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.projection import project_edges
 from jaxdr.geometry.vector import between, corners, cross, dot, normalize, scale, vanishes
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import emitted, emitting_surface_pdf
@@ -115,7 +115,7 @@ class EmitterLines(ChordKind):
 
     def score(self, drawn: EmitterChords, found: Crossings) -> Float[Array, " C"]:
         projection, weight, _, _ = self._boundary(drawn, found)
-        return safe_divide(luminance(weight), projection.fraction, projection.fraction > 0)
+        return safe_divide(magnitude(weight), projection.fraction, projection.fraction > 0)
 
     def on_planes(self, drawn: EmitterChords, found: Crossings, weight: Float[Array, " C"]) -> OnPlanes:
         """The crossings as points on the emitters' planes, with their contributions times `weight`."""

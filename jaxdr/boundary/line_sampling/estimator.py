@@ -33,7 +33,7 @@ from jaxdr.boundary.shared.projection import never_silhouettes
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Answers, Requests, joined
 
@@ -150,7 +150,7 @@ class LineSampling(eqx.Module):
     def _spreads(self, packed: PackedScene, state: LineSamplingState, paths: PathSegments, settings, key):
         """(chords on emitters or None; chords around BSDF samples, around a map's samples, and towards clusters)."""
         key_emitters, key_lobes = jax.random.split(key)
-        throughput = luminance(paths.table.throughput)
+        throughput = magnitude(paths.table.throughput)
         one_light = settings._replace(max_depth=2)  # no light that the surface behind a silhouette scatters
         emitters = lobes = skies = lamps = None
         if packed.has_area_emitters and packed.clusters is None:

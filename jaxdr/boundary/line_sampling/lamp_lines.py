@@ -30,7 +30,7 @@ from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.queries import UNBOUNDED
 from jaxdr.geometry.vector import cross, dot, norm, normalize, orthonormal_basis, scale
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.emitter_clusters import EmitterClusters, chosen, picked
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import balance
@@ -186,9 +186,9 @@ class LampLines(ChordKind):
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room, moves)
 
     def score(self, drawn: LampChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings if the cluster is behind them: luminance per displacement of the edge."""
+        """Contribution of crossings if the cluster is behind them: magnitude per displacement of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
-        weight = luminance(weight * scatterer.eval(seen.towards))
+        weight = magnitude(weight * scatterer.eval(seen.towards))
         return weight * self.packed.clusters.radiance[drawn.node[found.chord]] / seen.distance
 
     def look(self, drawn: LampChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:

@@ -19,7 +19,7 @@ from jaxdr.boundary.line_sampling.lamp_lines import LampShare
 from jaxdr.boundary.line_sampling.sky_lines import SkyShare
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, numbers_behind, seen_edges
 from jaxdr.geometry.vector import scale
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.transport.radiance import Requests
 
 
@@ -45,7 +45,7 @@ class LobeLines(ChordKind):
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
         seen, scatterer, weight = self._boundary(drawn, found)
-        return luminance(weight * scatterer.eval(seen.towards)) / seen.distance
+        return magnitude(weight * scatterer.eval(seen.towards)) / seen.distance
 
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
         """Requests for the radiance behind crossings, and the factors that it is multiplied with, times `weight`."""

@@ -21,7 +21,7 @@ from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, nu
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.boundary.shared.sampled_arcs import on_same_side, place
 from jaxdr.geometry.vector import cross, dot, normalize, scale
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.sampling import balance
 from jaxdr.transport.emission import environment_radiance
@@ -81,11 +81,11 @@ class SkyLines(ChordKind):
         return drawn, *silhouette_crossings(self, chosen, apex, chords, key_seed, room)
 
     def score(self, drawn: LobeChords, found: Crossings) -> Float[Array, " C"]:
-        """Contribution of crossings if the environment is behind them: luminance per displacement of the edge."""
+        """Contribution of crossings if the environment is behind them: magnitude per displacement of the edge."""
         seen, scatterer, weight = self._boundary(drawn, found)
         radiance = scale(self._radiance(seen.towards), self._share(drawn, found, scatterer, seen.towards))
         weight = weight * scatterer.eval(seen.towards) * radiance
-        return luminance(weight) / seen.distance
+        return magnitude(weight) / seen.distance
 
     def look(self, drawn: LobeChords, found: Crossings, number, weight, key) -> tuple[Requests, Behind]:
         """Requests for the environment's radiance behind crossings, and the factors that multiply it x `weight`."""

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.geometry.vector import dot, interpolate, norm
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 from jaxdr.transport.emission import surface_radiance
@@ -48,13 +48,13 @@ def seam_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"
 
 
 def glow_jumps(packed: PackedScene, edge: Int[Array, " C"]) -> Float[Array, " C"]:
-    """How much the emission of the two faces at edges differs there, roughly: luminance. Detached."""
+    """How much the emission of the two faces at edges differs there, roughly: magnitude. Detached."""
     packed = jax.tree.map(stop_gradient, packed)
     interior, points = _beside(packed, edge)
     total = jnp.zeros(edge.shape, packed.vertices.dtype)
     for i in range(PROBES):
         one, two = (surface_radiance(packed, point) for point in points((i + 0.5) / PROBES))
-        total = total + luminance(jnp.abs(one - two)) / PROBES
+        total = total + magnitude(one - two) / PROBES
     return jnp.where(interior, total, 0.0)
 
 

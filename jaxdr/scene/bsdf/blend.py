@@ -8,9 +8,7 @@ from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, both_above
 from jaxdr.scene.bsdf.normal_map import TurnedNormal
 from jaxdr.scene.bsdf.parameters import Number, Value, number
-from jaxdr.scene.sampling import choose
-
-LEAST = 0.05  # least probability of sampling either: even at a weight of 0 or 1 both have a derivative
+from jaxdr.scene.sampling import choose, lobe_probability
 
 
 class Blend(Adapter):
@@ -46,8 +44,8 @@ class Blend(Adapter):
         return scale(self.first.eval(wi, wo), 1.0 - self.weight) + scale(self.second.eval(wi, wo), self.weight)
 
     def pdf(self, wi, wo):
-        chance = self._chance()
-        return (1.0 - chance) * self.first.pdf(wi, wo) + chance * self.second.pdf(wi, wo)
+        second = self._chance()
+        return (1.0 - second) * self.first.pdf(wi, wo) + second * self.second.pdf(wi, wo)
 
     def sample(self, wi, u):
         second, left = choose(u, self._chance())
@@ -69,17 +67,17 @@ class Blend(Adapter):
 
     def _either(self, wi, u, method: Callable[[BSDF], Callable[..., DeltaSample]]) -> DeltaSample:
         """A delta lobe of the BSDF that `u` chooses."""
-        chance = self._chance()
-        second, left = choose(u, chance)
+        chosen = self._chance()
+        second, left = choose(u, chosen)
         one, two = method(self.first)(wi, left), method(self.second)(wi, left)
         wo = jnp.where(second[..., None], two.wo, one.wo)
         weight = jnp.where(second[..., None], scale(two.weight, self.weight), scale(one.weight, 1.0 - self.weight))
-        probability = jnp.where(second, chance * two.probability, (1.0 - chance) * one.probability)
+        probability = jnp.where(second, chosen * two.probability, (1.0 - chosen) * one.probability)
         return DeltaSample(wo, weight, probability)
 
     def _chance(self):
         """Probability of sampling the second."""
-        return LEAST + (1.0 - 2.0 * LEAST) * self.weight
+        return lobe_probability(self.weight, 1.0 - self.weight)
 
 
 def _turns(bsdf: BSDF) -> bool:

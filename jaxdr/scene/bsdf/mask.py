@@ -8,15 +8,15 @@ import jax.numpy as jnp
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Number, Value, number
-from jaxdr.scene.sampling import choose
+from jaxdr.scene.sampling import choose, lobe_probability
 
 
 class Mask(Adapter):
     """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
 
     `opacity` is in [0, 1], and may be a texture. Both sides have the holes. For a two-sided BSDF write
-    `TwoSided(Mask(opacity, bsdf))`. Holes are sampled with probability 1 - opacity. So the derivative by the opacity is
-    missed where it is exactly 1. The derivative of the BSDF inside is missed where the opacity is exactly 0.
+    `TwoSided(Mask(opacity, bsdf))`. Holes are sampled with probability 1 - opacity, but at least 5 % and at most 95 %:
+    the derivative by the opacity needs both.
 
     Raises ValueError for a two-sided BSDF inside, and values out of range.
     """
@@ -36,10 +36,10 @@ class Mask(Adapter):
         return scale(self.bsdf.eval(wi, wo), self.opacity)
 
     def pdf(self, wi, wo):
-        return self.opacity * self.bsdf.pdf(wi, wo)
+        return (1.0 - self._hole_probability()) * self.bsdf.pdf(wi, wo)
 
     def sample(self, wi, u):
-        return self.bsdf.sample(wi, choose(u, 1.0 - self.opacity)[1])
+        return self.bsdf.sample(wi, choose(u, self._hole_probability())[1])
 
     def sample_delta(self, wi, u):
         return self._through_or(self.bsdf.sample_delta, wi, u)
@@ -49,15 +49,17 @@ class Mask(Adapter):
 
     def _through_or(self, sample: Callable[..., DeltaSample], wi, u) -> DeltaSample:
         """The delta lobe of a hole, or one of the BSDF inside."""
-        hole, left = choose(u, 1.0 - self.opacity)
-        share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
-        through = DeltaSample(-wi, jnp.ones_like(wi), jnp.ones(wi.shape[:-1], wi.dtype))
+        chosen = self._hole_probability()
+        hole, left = choose(u, chosen)
         inside = sample(wi, left)
-        wo, weight = (
-            jnp.where(hole[..., None], a, b) for a, b in ((through.wo, inside.wo), (through.weight, inside.weight))
-        )
-        probability = jnp.where(hole, through.probability, inside.probability)
-        return DeltaSample(wo, scale(weight, share), share * probability)
+        wo = jnp.where(hole[..., None], -wi, inside.wo)
+        weight = jnp.where(hole[..., None], 1.0, inside.weight)
+        share = jnp.where(hole, 1.0 - self.opacity, self.opacity)
+        probability = jnp.where(hole, chosen, (1.0 - chosen) * inside.probability)
+        return DeltaSample(wo, scale(weight, share), probability)
+
+    def _hole_probability(self):
+        return lobe_probability(1.0 - self.opacity, self.opacity)
 
     def rims(self, wi):
         return self.bsdf.rims(wi)

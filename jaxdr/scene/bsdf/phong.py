@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above, mirror
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
-from jaxdr.scene.sampling import choose, cosine_hemisphere
+from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 from jaxdr.scene.textures import Texture
 
 
@@ -71,9 +71,7 @@ class Phong(BSDF):
         return jnp.where(ahead, jnp.power(jnp.where(ahead, cosine, 1.0), self.exponent), 0.0)
 
     def _lobe_probability(self) -> Float[Array, "*n"]:
-        lobe, base = self.specular_reflectance.mean(-1), self.diffuse_reflectance.mean(-1)
-        total = lobe + base
-        return jnp.where(total > 0, lobe / jnp.where(total > 0, total, 1.0), 0.5)
+        return lobe_probability(jnp.abs(self.specular_reflectance).mean(-1), jnp.abs(self.diffuse_reflectance).mean(-1))
 
 
 def most(diffuse: Color, specular: Color) -> float | None:

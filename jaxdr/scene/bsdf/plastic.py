@@ -11,7 +11,7 @@ from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
 from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric
 from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
-from jaxdr.scene.sampling import choose, cosine_hemisphere
+from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 
 
 class Plastic(BSDF):
@@ -81,6 +81,4 @@ def coat_probability(
     reflectance: Float[Array, "*#n"], specular: Float[Array, "*#n 3"], diffuse: Float[Array, "*#n 3"]
 ) -> Float[Array, "*n"]:
     """Probability of sampling the coat rather than the base, in proportion to what the two reflect."""
-    coat, base = reflectance * specular.mean(-1), (1.0 - reflectance) * diffuse.mean(-1)
-    total = coat + base
-    return jnp.where(total > 0, coat / jnp.where(total > 0, total, 1.0), 0.5)
+    return lobe_probability(reflectance * jnp.abs(specular).mean(-1), (1.0 - reflectance) * jnp.abs(diffuse).mean(-1))

@@ -22,7 +22,7 @@ from jaxdr.scene.bsdf.microfacet import (
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
 from jaxdr.scene.bsdf.rough_dielectric import reflection_probability, refraction_rims
 from jaxdr.scene.color import luminance
-from jaxdr.scene.sampling import choose, cosine_hemisphere
+from jaxdr.scene.sampling import LEAST, choose, cosine_hemisphere, lobe_probability
 
 SHARPEST = 1e-3  # least alpha, as in Mitsuba
 LEAST_SPECULAR = 1e-3  # with `spec_trans`: facets between equal indices don't refract
@@ -278,15 +278,11 @@ class Principled(BSDF):
 
     def _facet_probability(self) -> Float[Array, "*n"]:
         """Probability of facets on the front. They have weight 1; the diffuse lobe and the coat have their weights."""
-        if self.spec_trans is None and self.clearcoat is None:
-            return 1.0 / (2.0 - self.metallic)
-        return 1.0 / (1.0 + self._diffuse_weight() + self._coat_weight())
+        return lobe_probability(1.0, jnp.abs(self._diffuse_weight()) + jnp.abs(self._coat_weight()))
 
     def _coat_probability(self) -> Float[Array, "*n"]:
         """Probability of the coat where facets are not chosen."""
-        coat, diffuse = self._coat_weight(), self._diffuse_weight()
-        total = coat + diffuse
-        return jnp.where(total > 0, coat / jnp.where(total > 0, total, 1.0), 0.5)
+        return lobe_probability(self._coat_weight(), self._diffuse_weight())
 
     def _diffuse_weight(self):
         return (1.0 - self.metallic) * (1.0 if self.spec_trans is None else 1.0 - self.spec_trans)
@@ -298,7 +294,7 @@ class Principled(BSDF):
         """Probability that facets reflect rather than refract. On the inside there is only glass."""
         assert self.spec_trans is not None
         through = 1.0 - reflection_probability(self._alpha(), wi, eta)
-        glass = (1.0 - self.metallic) * self.spec_trans
+        glass = jnp.clip(jnp.abs((1.0 - self.metallic) * self.spec_trans), LEAST, 1.0)
         return 1.0 - through * jnp.where(front, glass, 1.0)
 
 

@@ -32,12 +32,11 @@ from jaxdr.scene.bsdf.parameters import (
     roughness,
     roughness_across,
 )
-from jaxdr.scene.sampling import choose
+from jaxdr.scene.sampling import choose, lobe_probability
 
 # Uniform numbers of a few facets, whose reflectance decides how often reflection is chosen. By symmetry half the range
 # of the second number is enough.
 PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
-LEAST = 0.05  # least probability of either lobe: all pilots may reflect totally where other facets don't
 
 
 class RoughDielectric(BSDF):
@@ -136,7 +135,7 @@ def reflection_probability(alpha: Alpha, wi: Float[Array, "*n 3"], eta: Float[Ar
     wi = jnp.where(above, wi, jnp.asarray([0.0, 0.0, 1.0], wi.dtype))[..., None, :]
     m = DISTRIBUTIONS["ggx"].sample(wi, jax.tree.map(lambda a: a[..., None], alpha), pilots)
     mean = fresnel_dielectric(jnp.abs(dot(wi, m)), eta[..., None]).reflectance.mean(-1)
-    return LEAST + (1.0 - 2.0 * LEAST) * mean
+    return lobe_probability(mean, 1.0 - mean)  # all pilots may reflect totally where other facets don't
 
 
 def refraction_rims(wi: Float[Array, "*n 3"], eta: Float[Array, "*#n"]) -> tuple[Rim, Rim]:

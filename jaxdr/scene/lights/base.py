@@ -38,7 +38,7 @@ class DeltaLight(eqx.Module):
 
     @abc.abstractmethod
     def power(self, radius: Float[Array, ""]) -> Float[Array, ""]:
-        """Approximate luminance of the power (W) that a scene of this radius receives from one light."""
+        """Approximate magnitude of the power (W) that a scene of this radius receives from one light."""
 
     def sample(self, u: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
         """Unit world directions away from the light, drawn from `pdf`; detached. Light paths start in them.

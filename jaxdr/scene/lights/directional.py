@@ -1,13 +1,12 @@
 """Light from infinitely far away, in one direction."""
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import normalize
-from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, vector
 
 
@@ -40,4 +39,4 @@ class DirectionalLight(DeltaLight):
 
     def power(self, radius):
         # As an environment of the same mean radiance, irradiance / 4 pi; see `emitter_choice`.
-        return 0.25 * radius**2 * jnp.maximum(luminance(self.irradiance), 0.0)
+        return 0.25 * radius**2 * magnitude(self.irradiance)

@@ -2,11 +2,10 @@
 
 import math
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, vector
 
 
@@ -38,4 +37,4 @@ class PointLight(DeltaLight):
 
     def power(self, radius):
         del radius
-        return 4.0 * math.pi * jnp.maximum(luminance(self.intensity), 0.0)
+        return 4.0 * math.pi * magnitude(self.intensity)

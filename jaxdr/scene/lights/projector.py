@@ -13,7 +13,7 @@ from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import components, scale, transform, z_of
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.camera.pinhole import FOV_AXES
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.film import Film
 from jaxdr.scene.lights.base import DeltaLight
 
@@ -90,7 +90,7 @@ class Projector(DeltaLight):
         del radius
         height, width, _ = self.irradiance.shape
         area = width * height / self.camera.pixels_per_tangent**2
-        return math.pi * area * self.scale * jnp.maximum(luminance(self.irradiance), 0.0).mean()
+        return math.pi * area * jnp.abs(self.scale) * magnitude(self.irradiance).mean()
 
     def sample(self, u):
         height, width, _ = self.irradiance.shape

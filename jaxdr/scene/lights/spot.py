@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, on_host
 from jaxdr.geometry.vector import Frame, components, cross, dot, from_components, normalize, orthonormal_basis, scale
-from jaxdr.scene.color import as_rgb, luminance
+from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, vector
 from jaxdr.scene.lights.projector import bilinear
 
@@ -63,7 +63,7 @@ class Cone(DeltaLight):
     def power(self, radius):
         del radius
         cutoff, beam = jnp.cos(jnp.deg2rad(self.cutoff_angle)), jnp.cos(jnp.deg2rad(self.beam_width))
-        return 2.0 * math.pi * (1.0 - 0.5 * (cutoff + beam)) * jnp.maximum(luminance(self.intensity), 0.0)
+        return 2.0 * math.pi * (1.0 - 0.5 * (cutoff + beam)) * magnitude(self.intensity)
 
     def sample(self, u):
         axis = stop_gradient(normalize(self.direction))
@@ -159,4 +159,4 @@ class TexturedSpotLight(Cone):
         return self.within(direction) * bilinear(self.texture, from_components(column, row), "repeat")
 
     def power(self, radius):
-        return super().power(radius) * jnp.maximum(luminance(self.texture), 0.0).mean()
+        return super().power(radius) * magnitude(self.texture).mean()

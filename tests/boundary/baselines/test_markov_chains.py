@@ -94,11 +94,11 @@ def masses(steps, depth, key):
     key_fresh, key_chains = jax.random.split(key)
     u = uniform(key_fresh, (steps.seeds, 4))
     fresh = states_of(space, fresh_lines(space, u))
-    one = binned(fresh.point, jnp.where(fresh.density > 0, fresh.luminance / fresh.density, 0.0) / steps.seeds)
+    one = binned(fresh.point, jnp.where(fresh.density > 0, fresh.magnitude / fresh.density, 0.0) / steps.seeds)
     chains = run_chains(space, steps, key_chains)
     two = binned(chains.last.point, chains.total / steps.chains)
     visits = jax.tree.map(lambda table: table.reshape(-1, *table.shape[2:]), chains.visits)
-    light = states_of(space, visits_lines(visits)).luminance
+    light = states_of(space, visits_lines(visits)).magnitude
     return jnp.stack([one, two, binned(visits.point, visits.weight * light)]), chains.accepted.mean()
 
 

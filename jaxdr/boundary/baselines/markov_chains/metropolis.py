@@ -63,7 +63,7 @@ def run_chains(space: Space, steps: Steps, key: PRNGKeyArray) -> Chains:
     key_seeds, key_start, key_steps = jax.random.split(key, 3)
     dtype = space.lunes.start.dtype
     seeds = states_of(space, fresh_lines(space, lattice(key_seeds, 1, jnp.arange(steps.seeds), 4, dtype)[0]))
-    value = safe_divide(seeds.luminance, seeds.density, seeds.density > 0, 0.0)
+    value = safe_divide(seeds.magnitude, seeds.density, seeds.density > 0, 0.0)
     chosen = choice(value)
     u = (jnp.arange(steps.chains) + uniform(key_start, (), dtype)) / steps.chains
     entry, _ = chosen.sample(below_one(u))
@@ -78,12 +78,12 @@ def run_chains(space: Space, steps: Steps, key: PRNGKeyArray) -> Chains:
         proposed, accepted = propose(space, now, steps.large, u[:, :-1])
         taken = u[:, -1] < accepted
         after = _either(taken, proposed, now)
-        seen = proposed.point, proposed.towards, proposed.luminance
+        seen = proposed.point, proposed.towards, proposed.magnitude
         return (after, jnp.where(taken, number + 1, at)), (seen, accepted, at)
 
     numbers = jnp.arange(steps.length, dtype=jnp.int32)
     (last, _), (seen, accepted, at) = loops.scan(step, (start, jnp.zeros_like(start.source)), numbers)
-    first = start.point, start.towards, start.luminance
+    first = start.point, start.towards, start.magnitude
     point, towards, light = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), first, seen)
     counted = jnp.zeros_like(light).at[at, jnp.arange(steps.chains)].add(1.0 - accepted).at[1:].add(accepted)
     share = counted * (total / (steps.chains * steps.length))
@@ -113,7 +113,7 @@ def propose(space: Space, now: States, large: float, u: Float[Array, "n 5"]) -> 
 
     def in_measure(state: States) -> Float[Array, " n"]:
         inverse = safe_divide(1.0, state.density, state.density > 0, 0.0)
-        return state.luminance * jnp.where(is_large, inverse, jnp.where(is_walk, state.spread, 1.0))
+        return state.magnitude * jnp.where(is_large, inverse, jnp.where(is_walk, state.spread, 1.0))
 
     before, after = in_measure(now), in_measure(there)
     return there, jnp.minimum(safe_divide(after, before, before > 0, 0.0), 1.0)

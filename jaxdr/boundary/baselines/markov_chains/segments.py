@@ -15,7 +15,7 @@ from jaxdr.boundary.guided_edges.boundary_segments import (
 )
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, LunePoints
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
-from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_luminance
+from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_magnitude
 from jaxdr.geometry.vector import dot, norm
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
@@ -52,7 +52,7 @@ class States(NamedTuple):
     """Segments that n chains are in.
 
     - `source`: the face that they end on, or `SKY`; `seen`: the point there.
-    - `luminance`: the chains' target: what the film receives, for a displacement of one unit, per length of edge and
+    - `magnitude`: the chains' target: what the film receives, for a displacement of one unit, per length of edge and
       solid angle at the edge. Zero where a segment does not count.
     - `density`: of `fresh_lines`, in the same measure.
     - `spread`: solid angle per area of the source; 1 towards the environment.
@@ -62,7 +62,7 @@ class States(NamedTuple):
     towards: Float[Array, "n 3"]
     source: Int[Array, " n"]
     seen: Seen
-    luminance: Float[Array, " n"]
+    magnitude: Float[Array, " n"]
     density: Float[Array, " n"]
     spread: Float[Array, " n"]
 
@@ -96,7 +96,7 @@ def states_of(space: Space, lines: Lines) -> States:
     ends = ends._replace(valid=ends.valid & counts & moves(packed, space.moving, lunes, drawn, ends))
     ones = jnp.where(ends.valid, 1.0, 0.0).astype(drawn.sine.dtype)
     key = fixed_key(0)  # nothing is drawn for detectors that the camera sees directly
-    luminance = segment_luminance(packed, space.maps, space.plan, drawn, ends, ones, key, settings)
+    magnitude = segment_magnitude(packed, space.maps, space.plan, drawn, ends, ones, key, settings)
     density = DirectionSampling.density(packed, lunes, drawn)
     if space.plan.emission:
         to_emitters = EmitterSampling.density(packed, lunes, drawn, ends)
@@ -106,4 +106,4 @@ def states_of(space: Space, lines: Lines) -> States:
     facing = jnp.abs(dot(ends.source.normal, drawn.towards))
     spread = jnp.where(infinite, 1.0, safe_divide(facing, distance * distance, ~infinite & (distance > 0)))
     seen = Seen(jnp.where(infinite[:, None], drawn.towards, ends.source.position), infinite)
-    return States(lines.point, lines.towards, source, seen, luminance, density, spread)
+    return States(lines.point, lines.towards, source, seen, magnitude, density, spread)

@@ -14,7 +14,7 @@ from jaxdr.boundary.baselines.quadric_sampling.dual_bounds import one_sided
 from jaxdr.boundary.baselines.quadric_sampling.silhouette_tree import Nodes
 from jaxdr.geometry.vector import dot, norm, normalize, scale, triangle_normals, z_of
 from jaxdr.safe_divide import safe_divide
-from jaxdr.scene.color import luminance
+from jaxdr.scene.color import magnitude
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.shading import Scatterer
 
@@ -97,7 +97,7 @@ class Importance(NamedTuple):
         length = norm(across)
         across = scale(across, 1.0 / jnp.where(length > 0, length, 1.0))
         nearest = scale(towards, jnp.cos(turn)) + scale(across, jnp.sin(turn))
-        values = [luminance(self.scatterer.eval(normalize(nearest[:, k]))) for k in range(2)]
+        values = [magnitude(self.scatterer.eval(normalize(nearest[:, k]))) for k in range(2)]
         return jnp.stack(values, -1)
 
     def _light(self, nodes, position, towards, angle):
