@@ -22,8 +22,8 @@ class Moving(NamedTuple):
     - `camera`: whether the camera moves.
     - `lights`: one flag for each of `scene.lights`.
     - `environment`: whether the environment turns.
-    - `scattering`, `emission`: whether parameters of BSDFs, or of emitters, are differentiated. These move nothing, but
-      a path whose throughput is zero may have a derivative by them.
+    - `scattering`: whether parameters of BSDFs are differentiated. They need not move anything, but a path whose
+      throughput is zero may have a derivative by them.
     """
 
     shapes: tuple[bool, ...]
@@ -31,7 +31,6 @@ class Moving(NamedTuple):
     lights: tuple[bool, ...] = ()
     environment: bool = False
     scattering: bool = True
-    emission: bool = True
 
     @property
     def seen(self) -> tuple[bool, ...]:
@@ -57,7 +56,6 @@ def moving_in(scene: Scene, active: Scene) -> Moving:
         lights=tuple(_changes(_shadow_lines, *pair) for pair in _pairs(scene.lights, active.lights)),
         environment=sky is not None and _changes(lambda sky: sky.turn(), sky, active.environment),
         scattering=any(jax.tree.leaves([shape.bsdf for shape in active.shapes.values()])),
-        emission=any(jax.tree.leaves(([s.emitter for s in active.shapes.values()], active.environment, active.lights))),
     )
 
 

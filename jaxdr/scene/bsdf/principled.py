@@ -3,6 +3,7 @@
 import math
 
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from jaxdr.geometry.vector import components, dot, from_components, normalize, scale, vanishes, z_of
@@ -25,7 +26,9 @@ from jaxdr.scene.color import luminance
 from jaxdr.scene.sampling import LEAST, choose, cosine_hemisphere, lobe_probability
 
 SHARPEST = 1e-3  # least alpha, as in Mitsuba
-LEAST_SPECULAR = 1e-3  # with `spec_trans`: facets between equal indices don't refract
+# At zero the index has an infinite derivative by `specular`, though the reflectance has not, and facets between equal
+# indices don't refract. The root of the base colour, by which light is refracted, has an infinite derivative there too.
+LEAST_SPECULAR, LEAST_COLOR = 1e-3, 1e-6
 COAT_ALPHAS = 0.1, 0.001  # alpha of a clear coat at gloss 0 and at gloss 1 (Burley 2012)
 GRAZING = 1e-6  # least cosine to divide by: below it derivatives of the quotient overflow float32
 COAT_SHARE, COAT_FRESNEL, COAT_MASKING = 0.25, 0.04, 0.25
@@ -41,8 +44,8 @@ class Principled(BSDF):
 
     All parameters are in [0, 1], and all but `base_color` (RGB) are numbers. The part that is not metal has the exact
     Fresnel term. The facets are GGX with alpha = `roughness`^2, at least 0.001. At normal incidence 0.08 x `specular`
-    is reflected: the default 0.5 gives glTF's 4 %. Where `specular` is exactly zero, its derivative is taken as zero,
-    since the derivative of the index is infinite there.
+    is reflected: the default 0.5 gives glTF's 4 %. `specular` counts as at least 0.001, and
+    the base colour of refracted light as at least 0.000001: the root of zero has an infinite derivative.
 
     The model has the other lobes only if their parameter is given, even as 0:
 
@@ -50,8 +53,8 @@ class Principled(BSDF):
     - `spec_tint`: the reflection of the part that is not metal takes on the base colour.
     - `sheen`: a lobe at grazing angles. It is white, or takes on the base colour by `sheen_tint`.
     - `clearcoat`: a second, narrow reflection. The larger `clearcoat_gloss`, the narrower it is.
-    - `spec_trans`: the part that is not metal is rough glass instead of diffuse. `specular` is then at least 0.001.
-      Only such a surface has an inside; any other is black from behind.
+    - `spec_trans`: the part that is not metal is rough glass instead of diffuse. Only such a surface has an inside; any
+      other is black from behind.
     - `flatness`: the diffuse lobe becomes that of thin skin or wax.
 
     As in Burley's model, sheen, clear coat and their sum with the diffuse lobe don't conserve energy exactly.
@@ -125,7 +128,7 @@ class Principled(BSDF):
         value = scale(fresnel, facets.value) + scale(self.base_color, self._diffuse(facets, wi, wo, above))
         if self.spec_trans is not None:
             through = transmission("ggx", alpha, wi, wo, eta).value
-            value = value + scale(_root(self.base_color), glass * through)
+            value = value + scale(jnp.sqrt(_raised(self.base_color, LEAST_COLOR)), glass * through)
         if self.sheen is not None:
             share = self.sheen * (1.0 - self.metallic) * schlick_weight(facets.cosine) * z_of(wo)
             value = value + scale(self._sheen_color(), jnp.where(above, share, 0.0))
@@ -270,11 +273,7 @@ class Principled(BSDF):
         return dull + (glossy - dull) * gloss
 
     def _eta(self) -> Float[Array, "*n"]:
-        amplitude = 0.08 * self.specular
-        if self.spec_trans is not None:
-            amplitude = jnp.maximum(amplitude, 0.08 * LEAST_SPECULAR)
-        positive = amplitude > 0
-        return 2.0 / (1.0 - jnp.where(positive, jnp.sqrt(jnp.where(positive, amplitude, 1.0)), 0.0)) - 1.0
+        return 2.0 / (1.0 - jnp.sqrt(0.08 * _raised(self.specular, LEAST_SPECULAR))) - 1.0
 
     def _facet_probability(self) -> Float[Array, "*n"]:
         """Probability of facets on the front. They have weight 1; the diffuse lobe and the coat have their weights."""
@@ -302,10 +301,9 @@ def _optional(value, name: str) -> Number | None:
     return None if value is None else number(value, f"Principled: {name}", 0.0, 1.0)
 
 
-def _root(color: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """Square root; its derivative at zero, which is infinite, is taken as zero."""
-    positive = color > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, color, 1.0)), 0.0)
+def _raised(value: Float[Array, "*n"], least: float) -> Float[Array, "*n"]:
+    """The value, but at least `least`. Smaller values have the derivative of the least one, not zero."""
+    return value + stop_gradient(jnp.maximum(least - value, 0.0))
 
 
 def _coat_density(alpha: Float[Array, "*#n"], m: Float[Array, "*n 3"]) -> Float[Array, "*n"]:

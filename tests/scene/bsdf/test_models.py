@@ -83,6 +83,37 @@ def test_samples_follow_the_density(name):
         chi2_test(MODELS[name], direction(theta, 0.4))
 
 
+BEYOND = {
+    "phong": jd.Phong(COLOUR, 0.0, 12.0),
+    "rough plastic ggx": jd.RoughPlastic(0.0, 0.2),
+    "principled": jd.Principled(COLOUR, 0.0, 0.5, 0.7),
+    "principled glass": MODELS["principled glass"],
+    "mask": MODELS["mask"],
+    "blended plastic": MODELS["blended plastic"],
+}
+
+
+@pytest.mark.parametrize(
+    "name, field, value",
+    [
+        ("phong", "specular_reflectance", (-0.02, 0.01, 0.01)),
+        ("rough plastic ggx", "diffuse_reflectance", (-0.02, -0.02, 0.01)),
+        ("principled", "metallic", 1.1),
+        ("principled", "metallic", 2.5),
+        ("principled glass", "spec_trans", -0.1),
+        ("principled glass", "clearcoat", -0.2),
+        ("mask", "opacity", -0.02),
+        ("mask", "opacity", 1.5),
+        ("blended plastic", "weight", 1.3),
+    ],
+)
+def test_samples_follow_the_density_beyond_the_range(name, field, value):
+    """Traced parameters may leave their range, as those of an optimisation do. Densities stay densities."""
+    bsdf = eqx.tree_at(lambda b: getattr(b, field), BEYOND[name], jnp.asarray(value, float))
+    for theta in ANGLES[:2]:
+        chi2_test(bsdf, direction(theta, 0.4))
+
+
 @models
 def test_energy(name):
     """∫ pdf and what delta lobes are chosen with are at most one; so is ∫ eval, which sampling estimates.
