@@ -9,6 +9,7 @@ from experiments import program_size
 from jaxdr.geometry.shapes import box, displaced_sphere, rectangle, sphere
 from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.packed import concave_edges, pack
+from jaxdr.scene.sampling import EVENLY
 
 CAMERA = jd.Perspective(jd.look_at([0, -4, 1], [0, 0, 0], [0, 0, 1]), 40.0, jd.Film(4, 4))
 
@@ -94,13 +95,15 @@ def test_bsdfs_are_grouped_by_kind():
 
 
 def test_emitters():
-    """Faces of emitting shapes, chosen in proportion to area times luminance."""
+    """Faces of emitting shapes, chosen in proportion to area times luminance, and a part of the choice to area."""
     packed = pack(scene())
     np.testing.assert_array_equal(np.asarray(packed.face_shape)[np.asarray(packed.emitter_faces)], [2, 2, 3, 3])
     np.testing.assert_allclose(packed.radiance, [[0, 0, 0], [0, 0, 0], [1, 2, 4], [0.5, 0.5, 0.5]])
     luminance = np.array([0.2126, 0.7152, 0.0722])
-    power = np.array([3.0, 3.0, 0.5, 0.5]) * (np.array([[1, 2, 4]] * 2 + [[0.5] * 3] * 2) @ luminance)
-    np.testing.assert_allclose(packed.emitter_cdf, np.cumsum(power) / power.sum(), rtol=1e-5)
+    area = np.array([3.0, 3.0, 0.5, 0.5])
+    power = area * (np.array([[1, 2, 4]] * 2 + [[0.5] * 3] * 2) @ luminance)
+    chance = (1 - EVENLY) * power / power.sum() + EVENLY * area / area.sum()
+    np.testing.assert_allclose(packed.emitter_cdf, np.cumsum(chance), rtol=1e-5)
     assert packed.has_area_emitters
     dark = pack(jd.Scene({"a": jd.Shape(box())}, CAMERA))
     assert not dark.has_area_emitters and dark.emitter_faces is None and dark.radiance is None
