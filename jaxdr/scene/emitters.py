@@ -116,7 +116,10 @@ class UniformDirections(DirectionSampler):
 
 
 class ConstantEnvironment(Environment):
-    """Light of the same RGB `radiance` (W / m^2 sr) from every direction. Raises ValueError for another shape or NaN."""
+    """Light of the same RGB `radiance` (W / m^2 sr) from every direction.
+
+    Raises ValueError for another shape, and for radiance that is not finite.
+    """
 
     radiance: Float[Array, "3"]
     uniform = True

@@ -37,8 +37,8 @@ class EnvironmentMap(Environment):
     only directions matter. Conventions are Mitsuba's: in the map's frame the top of the image is the direction +y, its
     middle column is +z, and -x is to the right of the middle. Directions are sampled in proportion to luminance.
 
-    Raises ValueError unless `radiance` is [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a 4 x 4 matrix
-    that does not skew or scale unevenly.
+    Raises ValueError unless `radiance` is finite floats [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a
+    4 x 4 matrix that does not skew or scale unevenly.
     """
 
     radiance: Float[Array, "H W 3"]

@@ -24,7 +24,7 @@ POSE = jd.look_at(ABOVE, (0, 0, 0.2), (0.3, 0.8, 0.1))
 EYE = jd.look_at((0.0, -2.6, 1.7), (0.0, 0.0, 0.2), (0, 0, 1))
 FILM = jd.Film(4, 4, jd.Box())
 
-# Arguments without which a model can't be built, and those that bring in all of its lobes. None: not a model of its own.
+# Arguments without which a model can't be built, and those that bring in all of its lobes.
 ARGUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "AreaEmitter": lambda: {"radiance": (2.0, 1.5, 1.0)},
     "Bitmap": lambda: {"pixels": _picture(), "to_uv": np.array([[1.2, 0.1, 0.0], [0.0, 0.9, 0.05]])},

@@ -68,13 +68,13 @@ def test_replace_refuses_what_constructors_refuse(name, field):
         ({"ball.bsdf.alpha": 0.0}, "ball.bsdf.alpha: RoughConductor: alpha must be in [0.0001, 1], got 0.0"),
         (
             {"ball.bsdf.k": np.array([1.0, -1.0, 0.0])},
-            "ball.bsdf.k: RoughConductor: k must be at least 0, got [1.0, -1.0, 0.0]",
+            "ball.bsdf.k: RoughConductor: k must be at least 0, got [1.0, -1.0",
         ),
         ({"camera.fov": 180.0}, "camera.fov: Perspective: fov must be between 0 and 180 degrees, got 180.0"),
         ({"lamp.cutoff_angle": 10.0}, "lamp.cutoff_angle: SpotLight: need 0 <= beam_width < cutoff_angle <= 180"),
         (
             {"environment.radiance": math.nan * np.ones(3)},
-            "ConstantEnvironment: radiance must be finite, got [nan, nan",
+            "Environment: radiance must be finite, got [nan",
         ),
     ],
 )
@@ -150,9 +150,8 @@ def test_models_of_users():
     for values, words in (({"gain": 2.5}, "gain must be in [0, 2]"), ({"share": 1.5}, "share must be in [0, 1]")):
         with pytest.raises(ValueError, match=words.replace("[", r"\[")):
             Shiny(**values)
-    kept = scene(Shiny()).replace(
-        {"ball.bsdf.share": 1.5, "ball.bsdf.tint": -2.0 * np.ones(3)}
-    )  # the range is not known
+    # The ranges of these two are not known here.
+    kept = scene(Shiny()).replace({"ball.bsdf.share": 1.5, "ball.bsdf.tint": -2.0 * np.ones(3)})
     with pytest.raises(ValueError, match=r"Shiny: gain must be in \[0, 2\]"):
         kept.replace({"ball.bsdf.gain": np.full(3, -0.5)})
     with pytest.raises(ValueError, match="Shiny: tint must be finite"):

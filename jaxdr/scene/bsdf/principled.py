@@ -94,10 +94,8 @@ class Principled(BSDF):
         self.specular = number(specular, "Principled: specular")
         self.anisotropic = optional_number(anisotropic, "Principled: anisotropic")
         self.spec_tint = optional_number(spec_tint, "Principled: spec_tint")
-        self.sheen, self.sheen_tint = (
-            optional_number(sheen, "Principled: sheen"),
-            optional_number(sheen_tint, "Principled: sheen_tint"),
-        )
+        self.sheen = optional_number(sheen, "Principled: sheen")
+        self.sheen_tint = optional_number(sheen_tint, "Principled: sheen_tint")
         self.clearcoat = optional_number(clearcoat, "Principled: clearcoat")
         self.clearcoat_gloss = optional_number(clearcoat_gloss, "Principled: clearcoat_gloss")
         self.spec_trans = optional_number(spec_trans, "Principled: spec_trans")
