@@ -127,11 +127,17 @@ class Mesh(eqx.Module):
         self.closed = bool(np.all(np.asarray(self.edges.kind) == INTERIOR))
 
     def with_vertices(self, vertices: Float[Array | np.ndarray, "V 3"]) -> "Mesh":
-        """The same topology at other positions. Traceable; the values are not checked.
+        """The same topology at other positions. Traceable; the values of traced positions are not checked.
 
-        Raises `ValueError` if the number of vertices changes.
+        Raises `ValueError` if the number of vertices changes, and for concrete positions that are not finite.
         """
         vertices = as_array(vertices, self.vertices.dtype)
+        if not isinstance(vertices, jax.core.Tracer) and not (finite := np.isfinite(np.asarray(vertices))).all():
+            first = np.argwhere(~finite)[0].tolist()
+            raise ValueError(
+                f"Mesh.with_vertices: vertices must be finite, and {np.sum(~finite)} of {finite.size} values are not, "
+                f"the first at {first}"
+            )
         if vertices.shape != self.vertices.shape:
             raise ValueError(f"Mesh.with_vertices: this mesh needs shape {self.vertices.shape}, got {vertices.shape}")
         return self._with({"vertices": vertices})

@@ -9,22 +9,23 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.scene.bsdf.parameters import Color, Value, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, color
 from jaxdr.scene.color import as_rgb, magnitude
+from jaxdr.scene.ranges import Parametric, ranged
 from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
-class AreaEmitter(eqx.Module):
+class AreaEmitter(Parametric):
     """Emits RGB `radiance` (W / m^2 sr) from the side of the surface that its normal points to.
 
     `radiance` is a number, three numbers, or a texture. A texture varies over the surface and moves with it. Raises
     ValueError for another shape, and for radiance that is negative or not finite.
     """
 
-    radiance: Color
+    radiance: Color = ranged(0.0, math.inf)
 
     def __init__(self, radiance: Value):
-        self.radiance = rgb(radiance, "AreaEmitter: radiance", 0.0, math.inf)
+        self.radiance = color(radiance, "AreaEmitter: radiance")
 
 
 class DirectionSampler(eqx.Module):
@@ -58,7 +59,7 @@ class DirectionSampler(eqx.Module):
         """Approximate mean magnitude of the radiance over the sphere; detached."""
 
 
-class Environment(eqx.Module):
+class Environment(Parametric):
     """Light from infinitely far away. A new kind is a file with a look-up by direction, a sampler and a turn.
 
     `uniform`: whether radiance and density are the same in all directions.
@@ -115,7 +116,10 @@ class UniformDirections(DirectionSampler):
 
 
 class ConstantEnvironment(Environment):
-    """Light of the same RGB `radiance` (W / m^2 sr) from every direction. Raises ValueError for another shape."""
+    """Light of the same RGB `radiance` (W / m^2 sr) from every direction.
+
+    Raises ValueError for another shape, and for radiance that is not finite.
+    """
 
     radiance: Float[Array, "3"]
     uniform = True

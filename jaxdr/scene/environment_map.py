@@ -19,6 +19,7 @@ from jaxdr.geometry import vector
 from jaxdr.geometry.vector import components, from_components, normalize, transform
 from jaxdr.scene.color import magnitude
 from jaxdr.scene.emitters import DirectionSampler, Environment
+from jaxdr.scene.ranges import floats
 from jaxdr.scene.sampling import linear, linear_number, number_in_rows, search_sorted_rows
 
 FLOOR = 0.01  # added to the magnitude that directions are sampled by, relative to its mean
@@ -36,8 +37,8 @@ class EnvironmentMap(Environment):
     only directions matter. Conventions are Mitsuba's: in the map's frame the top of the image is the direction +y, its
     middle column is +z, and -x is to the right of the middle. Directions are sampled in proportion to magnitude.
 
-    Raises ValueError unless `radiance` is [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a 4 x 4 matrix
-    that does not skew or scale unevenly.
+    Raises ValueError unless `radiance` is finite floats [H >= 3, W >= 2, 3], `scale` is one number, and `to_world` is a
+    4 x 4 matrix that does not skew or scale unevenly.
     """
 
     radiance: Float[Array, "H W 3"]
@@ -46,7 +47,7 @@ class EnvironmentMap(Environment):
     uniform = False
 
     def __init__(self, radiance: ArrayLike, to_world: ArrayLike | None = None, scale: ArrayLike = 1.0):
-        self.radiance = as_array(radiance)
+        self.radiance = as_array(floats(radiance, "EnvironmentMap: radiance"))
         self.to_world = as_array(np.eye(4) if to_world is None else to_world)
         self.scale = as_array(scale)
         shape = self.radiance.shape
@@ -56,6 +57,8 @@ class EnvironmentMap(Environment):
             raise ValueError(f"EnvironmentMap: to_world must be a 4 x 4 matrix, got shape {self.to_world.shape}")
         if self.scale.shape != ():
             raise ValueError(f"EnvironmentMap: scale must be a number, got shape {self.scale.shape}")
+
+    def check_together(self):
         if not isinstance(self.to_world, Tracer):
             turn = np.asarray(self.to_world, float)[:3, :3]
             gram = turn.T @ turn

@@ -14,6 +14,7 @@ from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import AreaEmitter, Environment
 from jaxdr.scene.lights import DeltaLight
+from jaxdr.scene.ranges import check_parameter
 from jaxdr.scene.textures import Texture, textures_in
 
 RESERVED = ("camera", "environment")
@@ -89,7 +90,9 @@ class Scene(eqx.Module):
     def replace(self, values: Mapping[str, ArrayLike]) -> "Scene":
         """The scene with some parameters replaced; pure and traceable.
 
-        Raises ValueError for an unknown name or a shape that differs from the parameter's.
+        Concrete values are checked as by the constructors of the models. Traced ones can't be: the model takes the
+        nearest value that it can compute with. Raises ValueError for an unknown name, for a shape that differs from the
+        parameter's, and for concrete values that are out of range or not finite.
         """
         accessors = _accessors(self)
         for name, value in values.items():
@@ -102,27 +105,45 @@ class Scene(eqx.Module):
             return self
         getters = [accessors[name] for name in values]
         new = [as_array(v, get(self).dtype) for v, get in zip(values.values(), getters, strict=True)]
-        return eqx.tree_at(lambda scene: [get(scene) for get in getters], self, new)
+        replaced = eqx.tree_at(lambda scene: [get(scene) for get in getters], self, new)
+        for name in values:
+            owner, path = _owner(replaced, name)
+            try:
+                check_parameter(owner, path)
+            except ValueError as error:
+                raise ValueError(f"Scene.replace: {name}: {error}") from None
+        return replaced
+
+
+def _models(scene: Scene) -> dict[str, eqx.Module]:
+    """The models of a scene by the beginnings of the names of their parameters."""
+    found: dict[str, eqx.Module] = {}
+    for name, shape in scene.shapes.items():
+        found[f"{name}.bsdf"] = unwrap(shape.bsdf)
+        if shape.emitter is not None:
+            found[f"{name}.emitter"] = shape.emitter
+    found["camera"] = scene.camera
+    if scene.environment is not None:
+        found["environment"] = scene.environment
+    return found | scene.lights
+
+
+def _owner(scene: Scene, name: str) -> tuple[eqx.Module, str]:
+    """(model, path of fields) of a parameter."""
+    if name.endswith(".vertices") and (shape := name.removesuffix(".vertices")) in scene.shapes:
+        return scene.shapes[shape].mesh, "vertices"
+    return next((m, name.removeprefix(f"{key}.")) for key, m in _models(scene).items() if name.startswith(f"{key}."))
 
 
 def _accessors(scene: Scene) -> dict:
     """Parameter name -> function that takes it from a scene."""
     found = {}
-    for name, shape in scene.shapes.items():
-        found[f"{name}.vertices"] = lambda s, n=name: s.shapes[n].mesh.vertices
-        for field in _float_fields(unwrap(shape.bsdf)):
-            found[f"{name}.bsdf.{field}"] = lambda s, n=name, f=field: attrgetter(f)(unwrap(s.shapes[n].bsdf))
-        if shape.emitter is not None:
-            for field in _float_fields(shape.emitter):
-                found[f"{name}.emitter.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.shapes[n].emitter)
-    for field in _float_fields(scene.camera):
-        found[f"camera.{field}"] = lambda s, f=field: attrgetter(f)(s.camera)
-    if scene.environment is not None:
-        for field in _float_fields(scene.environment):
-            found[f"environment.{field}"] = lambda s, f=field: attrgetter(f)(s.environment)
-    for name, light in scene.lights.items():
-        for field in _float_fields(light):
-            found[f"{name}.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.lights[n])
+    for key, model in _models(scene).items():
+        if key.endswith(".bsdf"):
+            name = key.removesuffix(".bsdf")
+            found[f"{name}.vertices"] = lambda s, n=name: s.shapes[n].mesh.vertices
+        for field in _float_fields(model):
+            found[f"{key}.{field}"] = lambda s, k=key, f=field: attrgetter(f)(_models(s)[k])
     return found
 
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import from_components, z_of
+from jaxdr.scene.ranges import Parametric
 
 
 class DeltaSample(NamedTuple):
@@ -39,7 +40,7 @@ class Rim(NamedTuple):
     least: Float[Array, "*n"]
 
 
-class BSDF(eqx.Module):
+class BSDF(Parametric):
     """Bidirectional scattering distribution function of one surface.
 
     - `transmissive`: it tells the inside (wi.z < 0) from the outside, and may scatter light through the surface. Any

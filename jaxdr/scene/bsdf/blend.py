@@ -8,6 +8,7 @@ from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, both_above
 from jaxdr.scene.bsdf.normal_map import TurnedNormal
 from jaxdr.scene.bsdf.parameters import Number, Value, number
+from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
 
@@ -20,7 +21,7 @@ class Blend(Adapter):
     Raises ValueError for two-sided BSDFs inside, and for two mirrors or smooth glasses of which one has a normal map.
     """
 
-    weight: Number
+    weight: Number = ranged(0.0, 1.0)
     first: BSDF
     second: BSDF
 
@@ -38,7 +39,7 @@ class Blend(Adapter):
                 "Blend: two mirrors or smooth glasses can't have normal or bump maps of their own; put the map around "
                 "the Blend"
             )
-        self.weight = number(weight, "Blend: weight", 0.0, 1.0)
+        self.weight = number(weight, "Blend: weight")
 
     def eval(self, wi, wo):
         return scale(self.first.eval(wi, wo), 1.0 - self.weight) + scale(self.second.eval(wi, wo), self.weight)

@@ -32,7 +32,7 @@ class BumpMap(TurnedNormal):
     def __init__(self, height: Texture, bsdf: BSDF | TwoSided, scale: ArrayLike = 1.0):
         self.height = Heights.of(height, "BumpMap: height")
         self.bsdf = one_sided(bsdf, "BumpMap", "height")
-        self.scale = number(scale, "BumpMap: scale", -jnp.inf, jnp.inf)
+        self.scale = number(scale, "BumpMap: scale")
 
     def turned_normal(self):
         along, across = components(scale(self.height, -self.scale))

@@ -1,11 +1,14 @@
 """Smooth metal, which reflects as a mirror."""
 
+import math
+
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
-from jaxdr.scene.bsdf.parameters import Color, Value, complex_index, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, color, complex_index
+from jaxdr.scene.ranges import ranged
 
 
 class Conductor(DeltaBSDF):
@@ -17,9 +20,9 @@ class Conductor(DeltaBSDF):
     Raises ValueError for an unknown material, for `eta` without `k`, and for values out of range.
     """
 
-    eta: Color
-    k: Color
-    specular_reflectance: Color
+    eta: Color = ranged(0.0, math.inf)
+    k: Color = ranged(0.0, math.inf)
+    specular_reflectance: Color = ranged(0.0, 1.0)
 
     def __init__(
         self,
@@ -30,7 +33,7 @@ class Conductor(DeltaBSDF):
         specular_reflectance: Value = 1.0,
     ):
         self.eta, self.k = complex_index(material, eta, k, "Conductor")
-        self.specular_reflectance = rgb(specular_reflectance, "Conductor: specular_reflectance")
+        self.specular_reflectance = color(specular_reflectance, "Conductor: specular_reflectance")
 
     def sample_delta(self, wi, u):
         above = z_of(wi) > 0

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from jaxdr.geometry.vector import components, from_components, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import Interface, fresnel_dielectric
-from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
+from jaxdr.scene.bsdf.parameters import ETA, Color, Value, color, relative_index
+from jaxdr.scene.ranges import ranged
 
 
 class SmoothInterface(DeltaBSDF):
@@ -17,9 +18,9 @@ class SmoothInterface(DeltaBSDF):
     `specular_transmittance` (RGB in [0, 1]) scale the two lobes.
     """
 
-    eta: Float[Array, "*n"]
-    specular_reflectance: Color
-    specular_transmittance: Color
+    eta: Float[Array, "*n"] = ranged(*ETA)
+    specular_reflectance: Color = ranged(0.0, 1.0)
+    specular_transmittance: Color = ranged(0.0, 1.0)
     transmissive = True
 
     def __init__(
@@ -32,8 +33,8 @@ class SmoothInterface(DeltaBSDF):
     ):
         model = type(self).__name__
         self.eta = relative_index(int_ior, ext_ior, model)
-        self.specular_reflectance = rgb(specular_reflectance, f"{model}: specular_reflectance")
-        self.specular_transmittance = rgb(specular_transmittance, f"{model}: specular_transmittance")
+        self.specular_reflectance = color(specular_reflectance, f"{model}: specular_reflectance")
+        self.specular_transmittance = color(specular_transmittance, f"{model}: specular_transmittance")
 
 
 class Dielectric(SmoothInterface):

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
-from jaxdr.scene.bsdf.parameters import Color, Value, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, color
+from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import cosine_hemisphere
 
 
@@ -17,10 +18,10 @@ class Diffuse(BSDF):
     for values that are negative or not finite.
     """
 
-    reflectance: Color
+    reflectance: Color = ranged(0.0, math.inf)
 
     def __init__(self, reflectance: Value = 0.5):
-        self.reflectance = rgb(reflectance, "Diffuse: reflectance", 0.0, math.inf)
+        self.reflectance = color(reflectance, "Diffuse: reflectance")
 
     def eval(self, wi, wo):
         cosine = jnp.where(both_above(wi, wo), z_of(wo), 0.0)

@@ -9,6 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.geometry.vector import from_components
+from jaxdr.scene.ranges import at_least, within
+
+ETA = 1e-3, 1e3  # range of the ratio of two indices of refraction, each from 0.1 to 100
 
 
 class Interface(NamedTuple):
@@ -30,6 +33,7 @@ def fresnel_dielectric(cosine: Float[Array, "*#n"], eta: Float[Array, "*#n"]) ->
     It is differentiable in both. The derivative of `cos_t` is infinite where total internal reflection begins, and zero
     beyond. Walter et al. 2007, Eq. 22, is the same in other variables.
     """
+    eta = index(eta)
     eta_ti = jnp.where(cosine >= 0, 1.0 / eta, eta)
     cos_i = jnp.abs(cosine)
     squared = 1.0 - eta_ti * eta_ti * (1.0 - cosine * cosine)
@@ -41,13 +45,19 @@ def fresnel_dielectric(cosine: Float[Array, "*#n"], eta: Float[Array, "*#n"]) ->
     return Interface(jnp.where(transmits, 0.5 * (s * s + p * p), 1.0), cos_t, eta_ti)
 
 
+def index(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The ratio of two indices, or the nearest that there is: beyond them are divisions by zero."""
+    return within(eta, *ETA)
+
+
 def fresnel_conductor(
     cosine: Float[Array, "*n"], eta: Float[Array, "*#n 3"], k: Float[Array, "*#n 3"]
 ) -> Float[Array, "*n 3"]:
     """Reflectance of a conductor with complex index eta - i k, RGB, for a ray at `cosine` ≥ 0 to the normal.
 
-    Born and Wolf, Principles of Optics, 14.2. eta = 0, k > 0 is a perfect mirror.
+    Born and Wolf, Principles of Optics, 14.2. eta = 0, k > 0 is a perfect mirror. Negative values count as zero.
     """
+    eta, k = at_least(eta, 0.0), at_least(k, 0.0)
     cos = from_components(cosine, cosine, cosine)
     cos2 = cos * cos
     sin2 = 1.0 - cos2

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Number, Value, number
+from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
 
@@ -21,7 +22,7 @@ class Mask(Adapter):
     Raises ValueError for a two-sided BSDF inside, and values out of range.
     """
 
-    opacity: Number
+    opacity: Number = ranged(0.0, 1.0)
     bsdf: BSDF
     delta: ClassVar[bool] = True
 
@@ -29,7 +30,7 @@ class Mask(Adapter):
         if not isinstance(bsdf, BSDF):
             inside = type(bsdf).__name__
             raise ValueError(f"Mask: bsdf can't be a {inside}; a two-sided one is TwoSided(Mask(opacity, bsdf))")
-        self.opacity = number(opacity, "Mask: opacity", 0.0, 1.0)
+        self.opacity = number(opacity, "Mask: opacity")
         self.bsdf = bsdf
 
     def eval(self, wi, wo):

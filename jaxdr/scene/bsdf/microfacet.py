@@ -15,7 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxdr.geometry.vector import components, dot, from_components, norm, normalize, scale, vanishes, z_of
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
+from jaxdr.scene.ranges import at_least
 
+SMOOTHEST = 1e-4  # least alpha: half-vectors in float32 are too coarse for less
 NEWTON_STEPS = 5  # at the worst angle four steps converge to the rounding of float32
 
 # Roughness of facets: one number for all directions, or two, (along the x axis, along the y axis).
@@ -195,9 +197,10 @@ def mirrored_width(alpha: Alpha) -> Float[Array, "*n"]:
     return jnp.minimum(2.0 * narrowest(alpha), 1.0)
 
 
-def along_and_across(alpha: Float[Array, "*n"], alpha_v: Float[Array, "*n"] | None) -> Alpha:
-    """Roughness along x and, where it differs, along y."""
-    return alpha if alpha_v is None else (alpha, alpha_v)
+def along_and_across(alpha: Float[Array, "*n"], alpha_v: Float[Array, "*n"] | None = None) -> Alpha:
+    """Roughness along x and, where it differs, along y; at least `SMOOTHEST`, as in Mitsuba, also for traced values."""
+    along, across = (None if value is None else at_least(value, SMOOTHEST) for value in (alpha, alpha_v))
+    return along if across is None else (along, across)
 
 
 def narrowest(alpha: Alpha) -> Float[Array, "*n"]:

@@ -19,7 +19,8 @@ from jaxdr.geometry.vector import (
     z_of,
 )
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, no_delta
-from jaxdr.scene.bsdf.parameters import Color, Value, rgb
+from jaxdr.scene.bsdf.parameters import Color, Value, color
+from jaxdr.scene.ranges import ranged
 
 
 class TurnedNormal(Adapter):
@@ -96,11 +97,11 @@ class NormalMap(TurnedNormal):
     Raises ValueError for a two-sided BSDF inside.
     """
 
-    normal: Color
+    normal: Color = ranged(0.0, 1.0)
     bsdf: BSDF
 
     def __init__(self, normal: Value, bsdf: BSDF | TwoSided):
-        self.normal = rgb(normal, "NormalMap: normal")
+        self.normal = color(normal, "NormalMap: normal")
         self.bsdf = one_sided(bsdf, "NormalMap", "normal")
 
     def turned_normal(self):

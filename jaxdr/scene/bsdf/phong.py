@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above, mirror
-from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, color, number
+from jaxdr.scene.ranges import at_least, ranged
 from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 from jaxdr.scene.textures import Texture
 
@@ -24,14 +25,16 @@ class Phong(BSDF):
     Raises ValueError where the sum of the reflectances may be above 1, or for a negative exponent.
     """
 
-    diffuse_reflectance: Color
-    specular_reflectance: Color
-    exponent: Number
+    diffuse_reflectance: Color = ranged(0.0, 1.0)
+    specular_reflectance: Color = ranged(0.0, 1.0)
+    exponent: Number = ranged(0.0, math.inf)
 
     def __init__(self, diffuse_reflectance: Value = 0.5, specular_reflectance: Value = 0.2, exponent: Value = 30.0):
-        self.diffuse_reflectance = rgb(diffuse_reflectance, "Phong: diffuse_reflectance")
-        self.specular_reflectance = rgb(specular_reflectance, "Phong: specular_reflectance")
-        self.exponent = number(exponent, "Phong: exponent", 0.0, np.inf)
+        self.diffuse_reflectance = color(diffuse_reflectance, "Phong: diffuse_reflectance")
+        self.specular_reflectance = color(specular_reflectance, "Phong: specular_reflectance")
+        self.exponent = number(exponent, "Phong: exponent")
+
+    def check_together(self):
         total = most(self.diffuse_reflectance, self.specular_reflectance)
         if total is not None and total > 1.0 + 1e-5:
             raise ValueError(
@@ -41,18 +44,18 @@ class Phong(BSDF):
     def eval(self, wi, wo):
         above = both_above(wi, wo)
         cosine = jnp.where(above, z_of(wo), 0.0)
-        lobe = self._lobe(wi, wo) * (self.exponent + 2.0) / (2.0 * math.pi)
+        lobe = self._lobe(wi, wo) * (self._exponent() + 2.0) / (2.0 * math.pi)
         return scale(self.diffuse_reflectance, cosine / math.pi) + scale(self.specular_reflectance, lobe * cosine)
 
     def pdf(self, wi, wo):
         above, chance = both_above(wi, wo), self._lobe_probability()
-        lobe = self._lobe(wi, wo) * (self.exponent + 1.0) / (2.0 * math.pi)
+        lobe = self._lobe(wi, wo) * (self._exponent() + 1.0) / (2.0 * math.pi)
         return jnp.where(above, chance * lobe + (1.0 - chance) * z_of(wo) / math.pi, 0.0)
 
     def sample(self, wi, u):
         lobe, left = choose(u, jnp.broadcast_to(self._lobe_probability(), wi.shape[:-1]))
         first, second = components(left)
-        cosine = jnp.power(1.0 - first, 1.0 / (self.exponent + 1.0))
+        cosine = jnp.power(1.0 - first, 1.0 / (self._exponent() + 1.0))
         radius, angle = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0)), 2.0 * math.pi * second
         axis = mirror(wi)
         s, t = orthonormal_basis(axis)
@@ -62,13 +65,17 @@ class Phong(BSDF):
 
     def lobe_width(self, wi):
         """The angle at which a narrow lobe has fallen to 1 / e."""
-        return jnp.broadcast_to(jnp.minimum(jnp.sqrt(2.0 / (self.exponent + 1.0)), 1.0), wi.shape[:-1])
+        return jnp.broadcast_to(jnp.minimum(jnp.sqrt(2.0 / (self._exponent() + 1.0)), 1.0), wi.shape[:-1])
 
     def _lobe(self, wi, wo) -> Float[Array, "*n"]:
         """cos^n a; zero beyond a right angle."""
         cosine = dot(mirror(wi), wo)
         ahead = cosine > 0
-        return jnp.where(ahead, jnp.power(jnp.where(ahead, cosine, 1.0), self.exponent), 0.0)
+        return jnp.where(ahead, jnp.power(jnp.where(ahead, cosine, 1.0), self._exponent()), 0.0)
+
+    def _exponent(self) -> Float[Array, "*n"]:
+        """No negative one, also for traced values: the lobe would have no bound."""
+        return at_least(self.exponent, 0.0)
 
     def _lobe_probability(self) -> Float[Array, "*n"]:
         return lobe_probability(jnp.abs(self.specular_reflectance).mean(-1), jnp.abs(self.diffuse_reflectance).mean(-1))

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
-from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric
-from jaxdr.scene.bsdf.parameters import Color, Value, relative_index, rgb
+from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric, index
+from jaxdr.scene.bsdf.parameters import ETA, Color, Value, color, relative_index
+from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 
 
@@ -26,9 +27,9 @@ class Plastic(BSDF):
     Raises ValueError for an unknown name, and values out of range.
     """
 
-    diffuse_reflectance: Color
-    eta: Float[Array, "*n"]
-    specular_reflectance: Color
+    diffuse_reflectance: Color = ranged(0.0, 1.0)
+    eta: Float[Array, "*n"] = ranged(*ETA)
+    specular_reflectance: Color = ranged(0.0, 1.0)
     nonlinear: bool = eqx.field(static=True)
 
     def __init__(
@@ -40,17 +41,18 @@ class Plastic(BSDF):
         specular_reflectance: Value = 1.0,
         nonlinear: bool = False,
     ):
-        self.diffuse_reflectance = rgb(diffuse_reflectance, "Plastic: diffuse_reflectance")
+        self.diffuse_reflectance = color(diffuse_reflectance, "Plastic: diffuse_reflectance")
         self.eta = relative_index(int_ior, ext_ior, "Plastic")
-        self.specular_reflectance = rgb(specular_reflectance, "Plastic: specular_reflectance")
+        self.specular_reflectance = color(specular_reflectance, "Plastic: specular_reflectance")
         self.nonlinear = nonlinear
 
     def eval(self, wi, wo):
         above = both_above(wi, wo)
         entering, leaving = (1.0 - fresnel_dielectric(jnp.abs(z_of(w)), self.eta).reflectance for w in (wi, wo))
-        internal = diffuse_reflectance(1.0 / self.eta)
+        eta = index(self.eta)
+        internal = diffuse_reflectance(1.0 / eta)
         base = coated(self.diffuse_reflectance, internal, self.nonlinear)
-        share = entering * leaving * z_of(wo) / (math.pi * self.eta * self.eta)
+        share = entering * leaving * z_of(wo) / (math.pi * eta * eta)
         return scale(base, jnp.where(above, share, 0.0))
 
     def pdf(self, wi, wo):

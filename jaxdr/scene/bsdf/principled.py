@@ -20,9 +20,10 @@ from jaxdr.scene.bsdf.microfacet import (
     refract,
     transmission,
 )
-from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
+from jaxdr.scene.bsdf.parameters import Color, Number, Value, color, number, optional_number
 from jaxdr.scene.bsdf.rough_dielectric import reflection_probability, refraction_rims
 from jaxdr.scene.color import luminance
+from jaxdr.scene.ranges import ranged, within
 from jaxdr.scene.sampling import LEAST, choose, cosine_hemisphere, lobe_probability
 
 SHARPEST = 1e-3  # least alpha, as in Mitsuba
@@ -61,18 +62,18 @@ class Principled(BSDF):
     Raises ValueError for values out of range, `sheen_tint` without `sheen`, and `clearcoat_gloss` without `clearcoat`.
     """
 
-    base_color: Color
-    metallic: Number
-    roughness: Number
-    specular: Number
-    anisotropic: Number | None
-    spec_tint: Number | None
-    sheen: Number | None
-    sheen_tint: Number | None
-    clearcoat: Number | None
-    clearcoat_gloss: Number | None
-    spec_trans: Number | None
-    flatness: Number | None
+    base_color: Color = ranged(0.0, 1.0)
+    metallic: Number = ranged(0.0, 1.0)
+    roughness: Number = ranged(0.0, 1.0)
+    specular: Number = ranged(0.0, 1.0)
+    anisotropic: Number | None = ranged(0.0, 1.0)
+    spec_tint: Number | None = ranged(0.0, 1.0)
+    sheen: Number | None = ranged(0.0, 1.0)
+    sheen_tint: Number | None = ranged(0.0, 1.0)
+    clearcoat: Number | None = ranged(0.0, 1.0)
+    clearcoat_gloss: Number | None = ranged(0.0, 1.0)
+    spec_trans: Number | None = ranged(0.0, 1.0)
+    flatness: Number | None = ranged(0.0, 1.0)
 
     def __init__(
         self,
@@ -90,17 +91,18 @@ class Principled(BSDF):
         spec_trans: Value | None = None,
         flatness: Value | None = None,
     ):
-        self.base_color = rgb(base_color, "Principled: base_color")
-        self.metallic = number(metallic, "Principled: metallic", 0.0, 1.0)
-        self.roughness = number(roughness, "Principled: roughness", 0.0, 1.0)
-        self.specular = number(specular, "Principled: specular", 0.0, 1.0)
-        self.anisotropic = _optional(anisotropic, "anisotropic")
-        self.spec_tint = _optional(spec_tint, "spec_tint")
-        self.sheen, self.sheen_tint = _optional(sheen, "sheen"), _optional(sheen_tint, "sheen_tint")
-        self.clearcoat = _optional(clearcoat, "clearcoat")
-        self.clearcoat_gloss = _optional(clearcoat_gloss, "clearcoat_gloss")
-        self.spec_trans = _optional(spec_trans, "spec_trans")
-        self.flatness = _optional(flatness, "flatness")
+        self.base_color = color(base_color, "Principled: base_color")
+        self.metallic = number(metallic, "Principled: metallic")
+        self.roughness = number(roughness, "Principled: roughness")
+        self.specular = number(specular, "Principled: specular")
+        self.anisotropic = optional_number(anisotropic, "Principled: anisotropic")
+        self.spec_tint = optional_number(spec_tint, "Principled: spec_tint")
+        self.sheen = optional_number(sheen, "Principled: sheen")
+        self.sheen_tint = optional_number(sheen_tint, "Principled: sheen_tint")
+        self.clearcoat = optional_number(clearcoat, "Principled: clearcoat")
+        self.clearcoat_gloss = optional_number(clearcoat_gloss, "Principled: clearcoat_gloss")
+        self.spec_trans = optional_number(spec_trans, "Principled: spec_trans")
+        self.flatness = optional_number(flatness, "Principled: flatness")
         for detail, lobe in (("sheen_tint", "sheen"), ("clearcoat_gloss", "clearcoat")):
             if getattr(self, detail) is not None and getattr(self, lobe) is None:
                 raise ValueError(f"Principled: {detail} has no effect without {lobe}")
@@ -263,17 +265,17 @@ class Principled(BSDF):
         alpha = self.roughness * self.roughness
         if self.anisotropic is None:
             return jnp.maximum(alpha, SHARPEST)
-        aspect = jnp.sqrt(1.0 - 0.9 * self.anisotropic)
+        aspect = jnp.sqrt(1.0 - 0.9 * within(self.anisotropic, 0.0, 1.0))
         return jnp.maximum(alpha / aspect, SHARPEST), jnp.maximum(alpha * aspect, SHARPEST)
 
     def _coat_alpha(self) -> Float[Array, "*n"]:
         dull, glossy = COAT_ALPHAS
         assert self.clearcoat is not None
         gloss = jnp.zeros_like(self.clearcoat) if self.clearcoat_gloss is None else self.clearcoat_gloss
-        return dull + (glossy - dull) * gloss
+        return dull + (glossy - dull) * within(gloss, 0.0, 1.0)
 
     def _eta(self) -> Float[Array, "*n"]:
-        return 2.0 / (1.0 - jnp.sqrt(0.08 * _raised(self.specular, LEAST_SPECULAR))) - 1.0
+        return 2.0 / (1.0 - jnp.sqrt(0.08 * _raised(within(self.specular, 0.0, 1.0), LEAST_SPECULAR))) - 1.0
 
     def _facet_probability(self) -> Float[Array, "*n"]:
         """Probability of facets on the front. They have weight 1; the diffuse lobe and the coat have their weights."""

@@ -1,5 +1,7 @@
 """Rough metal: microfacet reflection."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -8,15 +10,17 @@ from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, Alpha, along_and_across, mirrored_width, reflect, reflection
 from jaxdr.scene.bsdf.parameters import (
+    ALPHA,
     Color,
     Number,
     Value,
+    color,
     complex_index,
     distribution_name,
-    rgb,
-    roughness,
-    roughness_across,
+    number,
+    optional_number,
 )
+from jaxdr.scene.ranges import ranged
 
 
 class RoughConductor(BSDF):
@@ -32,11 +36,11 @@ class RoughConductor(BSDF):
     distribution.
     """
 
-    alpha: Number
-    eta: Color
-    k: Color
-    specular_reflectance: Color
-    alpha_v: Number | None
+    alpha: Number = ranged(*ALPHA)
+    eta: Color = ranged(0.0, math.inf)
+    k: Color = ranged(0.0, math.inf)
+    specular_reflectance: Color = ranged(0.0, 1.0)
+    alpha_v: Number | None = ranged(*ALPHA)
     distribution: str = eqx.field(static=True)
 
     def __init__(
@@ -50,10 +54,10 @@ class RoughConductor(BSDF):
         distribution: str = "ggx",
         alpha_v: Value | None = None,
     ):
-        self.alpha = roughness(alpha, "RoughConductor")
+        self.alpha = number(alpha, "RoughConductor: alpha")
         self.eta, self.k = complex_index(material, eta, k, "RoughConductor")
-        self.specular_reflectance = rgb(specular_reflectance, "RoughConductor: specular_reflectance")
-        self.alpha_v = roughness_across(alpha_v, "RoughConductor")
+        self.specular_reflectance = color(specular_reflectance, "RoughConductor: specular_reflectance")
+        self.alpha_v = optional_number(alpha_v, "RoughConductor: alpha_v")
         self.distribution = distribution_name(distribution, "RoughConductor")
 
     @property

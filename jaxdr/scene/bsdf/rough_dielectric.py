@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import dot, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, Rim
-from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
+from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, index
 from jaxdr.scene.bsdf.microfacet import (
     DISTRIBUTIONS,
     Alpha,
@@ -23,15 +23,18 @@ from jaxdr.scene.bsdf.microfacet import (
     transmission,
 )
 from jaxdr.scene.bsdf.parameters import (
+    ALPHA,
+    ETA,
     Color,
     Number,
     Value,
+    color,
     distribution_name,
+    number,
+    optional_number,
     relative_index,
-    rgb,
-    roughness,
-    roughness_across,
 )
+from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
 # Uniform numbers of a few facets, whose reflectance decides how often reflection is chosen. By symmetry half the range
@@ -48,11 +51,11 @@ class RoughDielectric(BSDF):
     Raises ValueError as these two do, and for equal indices inside and outside.
     """
 
-    alpha: Number
-    eta: Float[Array, "*n"]
-    specular_reflectance: Color
-    specular_transmittance: Color
-    alpha_v: Number | None
+    alpha: Number = ranged(*ALPHA)
+    eta: Float[Array, "*n"] = ranged(*ETA)
+    specular_reflectance: Color = ranged(0.0, 1.0)
+    specular_transmittance: Color = ranged(0.0, 1.0)
+    alpha_v: Number | None = ranged(*ALPHA)
     distribution: str = eqx.field(static=True)
     transmissive = True
 
@@ -67,14 +70,16 @@ class RoughDielectric(BSDF):
         distribution: str = "ggx",
         alpha_v: Value | None = None,
     ):
-        self.alpha = roughness(alpha, "RoughDielectric")
+        self.alpha = number(alpha, "RoughDielectric: alpha")
         self.eta = relative_index(int_ior, ext_ior, "RoughDielectric")
-        if not isinstance(self.eta, Tracer) and np.asarray(self.eta) == 1:
-            raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
-        self.specular_reflectance = rgb(specular_reflectance, "RoughDielectric: specular_reflectance")
-        self.specular_transmittance = rgb(specular_transmittance, "RoughDielectric: specular_transmittance")
-        self.alpha_v = roughness_across(alpha_v, "RoughDielectric")
+        self.specular_reflectance = color(specular_reflectance, "RoughDielectric: specular_reflectance")
+        self.specular_transmittance = color(specular_transmittance, "RoughDielectric: specular_transmittance")
+        self.alpha_v = optional_number(alpha_v, "RoughDielectric: alpha_v")
         self.distribution = distribution_name(distribution, "RoughDielectric")
+
+    def check_together(self):
+        if not isinstance(self.eta, Tracer) and np.any(np.asarray(self.eta) == 1):
+            raise ValueError("RoughDielectric: int_ior and ext_ior must differ; between equal media no facet refracts")
 
     @property
     def tangential(self) -> bool:
@@ -108,21 +113,22 @@ class RoughDielectric(BSDF):
 
     def lobe_width(self, wi):
         """The width of the narrower lobe. Turning a facet turns refracted light by |1 - eta_i / eta_t| as much."""
-        relative = jnp.where(z_of(wi) > 0, 1.0 / self.eta, self.eta)
+        eta = index(self.eta)
+        relative = jnp.where(z_of(wi) > 0, 1.0 / eta, eta)
         alpha = self._facets()
         return jnp.minimum(mirrored_width(alpha), narrowest(alpha) * jnp.abs(1.0 - relative))
 
     def rims(self, wi):
-        return refraction_rims(wi, self.eta)
+        return refraction_rims(wi, index(self.eta))
 
     def _facets(self) -> Alpha:
         return along_and_across(self.alpha, self.alpha_v)
 
     def _seen_from_above(self, wi, wo):
         """(wi, wo, index beyond the surface over that on wi's side); both directions are negated where wi is below."""
-        below = z_of(wi) < 0
+        below, eta = z_of(wi) < 0, index(self.eta)
         side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)
-        return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / self.eta, self.eta)
+        return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / eta, eta)
 
     def _reflection_probability(self, wi, eta) -> Float[Array, "*n"]:
         return reflection_probability(self._facets(), wi, eta)

@@ -11,9 +11,10 @@ from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
-from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import Color, Number, Value, distribution_name, relative_index, rgb, roughness
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, along_and_across, mirrored_width, reflect, reflection
+from jaxdr.scene.bsdf.parameters import ALPHA, Color, Number, Value, color, distribution_name, number, relative_index
 from jaxdr.scene.bsdf.plastic import coat_probability, coated
+from jaxdr.scene.ranges import ranged, within
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
@@ -27,10 +28,10 @@ class RoughPlastic(BSDF):
     Raises ValueError as `Plastic` does, and for an unknown distribution.
     """
 
-    diffuse_reflectance: Color
-    alpha: Number
-    eta: Float[Array, "*n"]
-    specular_reflectance: Color
+    diffuse_reflectance: Color = ranged(0.0, 1.0)
+    alpha: Number = ranged(*ALPHA)
+    eta: Float[Array, "*n"] = ranged(1.0, HIGHEST_ETA)
+    specular_reflectance: Color = ranged(0.0, 1.0)
     distribution: str = eqx.field(static=True)
     nonlinear: bool = eqx.field(static=True)
 
@@ -45,38 +46,45 @@ class RoughPlastic(BSDF):
         distribution: str = "ggx",
         nonlinear: bool = False,
     ):
-        self.diffuse_reflectance = rgb(diffuse_reflectance, "RoughPlastic: diffuse_reflectance")
-        self.alpha = roughness(alpha, "RoughPlastic")
+        self.diffuse_reflectance = color(diffuse_reflectance, "RoughPlastic: diffuse_reflectance")
+        self.alpha = number(alpha, "RoughPlastic: alpha")
         self.eta = relative_index(int_ior, ext_ior, "RoughPlastic", 1.0, HIGHEST_ETA)
-        self.specular_reflectance = rgb(specular_reflectance, "RoughPlastic: specular_reflectance")
+        self.specular_reflectance = color(specular_reflectance, "RoughPlastic: specular_reflectance")
         self.distribution = distribution_name(distribution, "RoughPlastic")
         self.nonlinear = nonlinear
 
     def eval(self, wi, wo):
         above = both_above(wi, wo)
-        facets = reflection(self.distribution, self.alpha, wi, wo, above)
-        coat = fresnel_dielectric(facets.cosine, self.eta).reflectance * facets.value
-        internal = internal_reflectance(self.distribution, self.alpha, self.eta)
+        facets = reflection(self.distribution, self._facets(), wi, wo, above)
+        coat = fresnel_dielectric(facets.cosine, self._index()).reflectance * facets.value
+        internal = internal_reflectance(self.distribution, self._facets(), self._index())
         base = coated(self.diffuse_reflectance, internal, self.nonlinear)
-        share = self._transmittance(wi) * self._transmittance(wo) * z_of(wo) / (math.pi * self.eta * self.eta)
+        share = self._transmittance(wi) * self._transmittance(wo) * z_of(wo) / (math.pi * self._index() * self._index())
         return scale(self.specular_reflectance, coat) + scale(base, jnp.where(above, share, 0.0))
 
     def pdf(self, wi, wo):
         above, chance = both_above(wi, wo), self._coat_probability(wi)
-        facets = reflection(self.distribution, self.alpha, wi, wo, above)
+        facets = reflection(self.distribution, self._facets(), wi, wo, above)
         return chance * facets.pdf + (1.0 - chance) * jnp.where(above, z_of(wo), 0.0) / math.pi
 
     def sample(self, wi, u):
         facets, left = choose(u, self._coat_probability(wi))
-        mirrored = reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self.alpha, left))
+        mirrored = reflect(wi, DISTRIBUTIONS[self.distribution].sample(wi, self._facets(), left))
         return jnp.where(facets[..., None], mirrored, cosine_hemisphere(left))
 
     def lobe_width(self, wi):
         """The width of the coat's lobe, whatever share of the light it reflects."""
-        return jnp.broadcast_to(mirrored_width(self.alpha), wi.shape[:-1])
+        return jnp.broadcast_to(mirrored_width(self._facets()), wi.shape[:-1])
+
+    def _facets(self) -> Float[Array, "*n"]:
+        return along_and_across(self.alpha)
+
+    def _index(self) -> Float[Array, "*n"]:
+        """The index within the tables of the coat, also for traced values."""
+        return within(self.eta, 1.0, HIGHEST_ETA)
 
     def _transmittance(self, w) -> Float[Array, "*n"]:
-        return transmittance(self.distribution, self.alpha, self.eta, jnp.abs(z_of(w)))
+        return transmittance(self.distribution, self._facets(), self._index(), jnp.abs(z_of(w)))
 
     def _coat_probability(self, wi) -> Float[Array, "*n"]:
         reflected = 1.0 - self._transmittance(wi)

@@ -10,9 +10,10 @@ from jaxtyping import Array, Bool, Float
 from jaxdr.arrays import as_array
 from jaxdr.scene.camera.view import View
 from jaxdr.scene.film import Film
+from jaxdr.scene.ranges import Parametric
 
 
-class Camera(eqx.Module):
+class Camera(Parametric):
     """A camera maps film points (pixels) to rays, and world points back to film points.
 
     Its float fields are parameters of the scene, such as `camera.to_world` [4, 4] (camera to world). It sees what lies

@@ -32,6 +32,9 @@ class Orthographic(Camera):
         self.film = film
         self.near_clip, self.far_clip = checked_clip("Orthographic", near_clip, far_clip)
 
+    def check_together(self):
+        checked_pose("Orthographic", self.to_world, scales=True)
+
     def view(self, u=None) -> ParallelView:
         axes, position = self.to_world[:3, :3], self.to_world[:3, 3]
         pixels = jnp.asarray(0.5 * self.film.width, axes.dtype)

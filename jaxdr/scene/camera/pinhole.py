@@ -7,10 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array
-from jaxdr.scene.camera.base import Camera, checked_clip, checked_pose, concrete
+from jaxdr.scene.camera.base import Camera, checked_clip, checked_pose
 from jaxdr.scene.camera.view import PinholeView
 from jaxdr.scene.film import Film
+from jaxdr.scene.ranges import ranged, within
 
+FOV = 0.0, 180.0  # degrees, without the ends
+FOV_COMPUTED = 1e-4, 180.0 - 1e-3  # nearer to the ends the film is a point or infinite in float32
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 
 
@@ -18,7 +21,7 @@ class PinholeCamera(Camera):
     """A camera with central projection. Its parameters are those of `Perspective`."""
 
     to_world: Float[Array, "4 4"]
-    fov: Float[Array, ""]
+    fov: Float[Array, ""] = ranged(*FOV, open=True, unit="degrees")
     principal_point: Float[Array, "2"]
     film: Film
     fov_axis: str = eqx.field(static=True)
@@ -35,13 +38,15 @@ class PinholeCamera(Camera):
         self.near_clip, self.far_clip = checked_clip(name, near_clip, far_clip)
         if fov_axis not in FOV_AXES:
             raise ValueError(f"{name}: fov_axis must be one of {', '.join(FOV_AXES)}; got {fov_axis!r}")
-        degrees = concrete(fov)
-        if degrees is not None and not (degrees.shape == () and 0 < degrees < 180):
-            raise ValueError(f"{name}: fov must be between 0 and 180 degrees, got {fov}")
+        if self.fov.shape != ():
+            raise ValueError(f"{name}: fov must be a number (degrees), got shape {self.fov.shape}")
         if self.principal_point.shape != (2,):
             raise ValueError(
                 f"{name}: principal_point must be two numbers, x and y, got shape {self.principal_point.shape}"
             )
+
+    def check_together(self):
+        checked_pose(type(self).__name__, self.to_world, scales=False)
 
     @property
     def position(self) -> Float[Array, "3"]:
@@ -57,7 +62,7 @@ class PinholeCamera(Camera):
             wide = film.width >= film.height
             axis = "x" if wide == (axis == "larger") else "y"
         length = {"x": film.width, "y": film.height, "diagonal": math.hypot(film.width, film.height)}[axis]
-        return 0.5 * length / jnp.tan(jnp.deg2rad(self.fov) / 2)
+        return 0.5 * length / jnp.tan(jnp.deg2rad(within(self.fov, *FOV_COMPUTED)) / 2)
 
     def view(self, u=None) -> PinholeView:
         size = jnp.asarray([self.film.width, self.film.height], self.principal_point.dtype)

@@ -1,15 +1,19 @@
 """Camera with a lens: depth of field."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import dot, norm, z_of
-from jaxdr.scene.camera.base import concrete
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.camera.view import PinholeView
 from jaxdr.scene.film import Film
+from jaxdr.scene.ranges import at_least, ranged
 from jaxdr.scene.sampling import uniform_disk
+
+NEAREST = 1e-3  # least focus distance, of the near clip
 
 
 class ThinLens(PinholeCamera):
@@ -23,8 +27,8 @@ class ThinLens(PinholeCamera):
     Raises ValueError as `Perspective` does, and unless radius and distance are positive.
     """
 
-    aperture_radius: Float[Array, ""]
-    focus_distance: Float[Array, ""]
+    aperture_radius: Float[Array, ""] = ranged(0.0, math.inf, open=True, remedy="a pinhole is a Perspective camera")
+    focus_distance: Float[Array, ""] = ranged(0.0, math.inf, open=True)
     aperture = True
 
     def __init__(
@@ -42,11 +46,9 @@ class ThinLens(PinholeCamera):
         super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)
         self.aperture_radius = as_array(aperture_radius)
         self.focus_distance = as_array(focus_distance)
-        for name, given in (("aperture_radius", aperture_radius), ("focus_distance", focus_distance)):
-            value = concrete(given)
-            if value is not None and not (value.shape == () and value > 0):
-                remedy = "; without an aperture take Perspective" if name == "aperture_radius" else ""
-                raise ValueError(f"ThinLens: {name} must be a positive number, got {given}{remedy}")
+        for name in ("aperture_radius", "focus_distance"):
+            if (shape := getattr(self, name).shape) != ():
+                raise ValueError(f"ThinLens: {name} must be a number, got shape {shape}")
 
     def view(self, u=None) -> PinholeView:
         central = super().view()
@@ -55,12 +57,16 @@ class ThinLens(PinholeCamera):
         # A pinhole at the lens point. Its image is shifted so that points at the depth of focus stay in place.
         lens = self.aperture_radius * uniform_disk(u)
         position = central.position + lens @ central.matrix[:, :2].T
-        centre = central.centre - central.pixels * lens / self.focus_distance
+        centre = central.centre - central.pixels * lens / self._focus()
         return PinholeView(central.matrix, position, central.pixels, centre, self.film, self.near_clip, self.far_clip)
 
     def blur(self, local):
         reach = self.pixels_per_tangent * self.aperture_radius
-        return reach * (1.0 / z_of(local) - 1.0 / self.focus_distance)
+        return reach * (1.0 / z_of(local) - 1.0 / self._focus())
+
+    def _focus(self) -> Float[Array, ""]:
+        """The focus distance; for traced values at least a small share of what the camera can see."""
+        return at_least(self.focus_distance, NEAREST * self.near_clip)
 
     def turns(self, points, normal):
         # A surface turns where its plane meets the lens: the distance of the centre from the plane is no more than the

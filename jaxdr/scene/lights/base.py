@@ -4,16 +4,16 @@ import abc
 import math
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array
+from jaxdr.scene.ranges import Parametric
 from jaxdr.scene.sampling import uniform_sphere
 
 
-class DeltaLight(eqx.Module):
+class DeltaLight(Parametric):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
     A light is `infinite` if it shines from infinitely far away, in one direction. When its methods are called, its

@@ -24,6 +24,8 @@ class DirectionalLight(DeltaLight):
     def __init__(self, direction: ArrayLike, irradiance: ArrayLike = 1.0):
         self.direction = vector(direction, "DirectionalLight: direction")
         self.irradiance = as_rgb(irradiance, "DirectionalLight: irradiance")
+
+    def check_together(self):
         if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
             raise ValueError("DirectionalLight: direction must not be zero")
 

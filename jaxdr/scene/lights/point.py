@@ -15,7 +15,7 @@ class PointLight(DeltaLight):
     - `position` [3]: world space, scene units.
     - `intensity`: RGB, W / sr; a number means grey.
 
-    Raises ValueError for another shape of either.
+    Raises ValueError for another shape of either, and for numbers that are not finite.
     """
 
     position: Float[Array, "*n 3"]

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import components, scale, transform, z_of
 from jaxdr.scene.camera import Perspective
-from jaxdr.scene.camera.pinhole import FOV_AXES
+from jaxdr.scene.camera.pinhole import FOV, FOV_AXES
 from jaxdr.scene.color import magnitude
 from jaxdr.scene.film import Film
 from jaxdr.scene.lights.base import DeltaLight
+from jaxdr.scene.ranges import floats, ranged
 
 WRAPS = ("clamp", "repeat")
 
@@ -34,7 +35,7 @@ class Projector(DeltaLight):
 
     irradiance: Float[Array, "H W 3"]
     to_world: Float[Array, "4 4"]
-    fov: Float[Array, ""]
+    fov: Float[Array, ""] = ranged(*FOV, open=True, unit="degrees")
     scale: Float[Array, ""]
     fov_axis: str = eqx.field(static=True)
     wrap: Literal["clamp", "repeat"] = eqx.field(static=True)
@@ -49,7 +50,7 @@ class Projector(DeltaLight):
         fov_axis: str = "x",
         wrap: Literal["clamp", "repeat"] = "clamp",
     ):
-        self.irradiance = as_array(irradiance)
+        self.irradiance = as_array(floats(irradiance, "Projector: irradiance"))
         self.to_world, self.fov, self.scale = (as_array(value) for value in (to_world, fov, scale))
         self.fov_axis, self.wrap = fov_axis, wrap
         if self.irradiance.ndim != 3 or self.irradiance.shape[2] != 3:

@@ -14,6 +14,10 @@ from jaxdr.geometry.vector import Frame, components, cross, dot, from_components
 from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, vector
 from jaxdr.scene.lights.projector import bilinear
+from jaxdr.scene.ranges import floats, ranged, within
+
+LEAST_ANGLE = 1e-3  # degrees: a cone has to have directions
+WIDEST = 0.499 * math.pi  # of a cone with a texture, whose screen has no end at a right angle
 
 
 class Cone(DeltaLight):
@@ -22,8 +26,8 @@ class Cone(DeltaLight):
     position: Float[Array, "*n 3"]
     direction: Float[Array, "*n 3"]
     intensity: Float[Array, "*n 3"]
-    cutoff_angle: Float[Array, "*n"]
-    beam_width: Float[Array, "*n"]
+    cutoff_angle: Float[Array, "*n"] = ranged(0.0, 180.0, unit="degrees")
+    beam_width: Float[Array, "*n"] = ranged(0.0, 180.0, unit="degrees")
 
     def __init__(self, position, direction, intensity, cutoff_angle, beam_width):
         kind = type(self).__name__
@@ -35,6 +39,9 @@ class Cone(DeltaLight):
         for name in ("cutoff_angle", "beam_width"):
             if getattr(self, name).shape != ():
                 raise ValueError(f"{kind}: {name} must be a number (degrees)")
+
+    def check_together(self):
+        kind = type(self).__name__
         if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
             raise ValueError(f"{kind}: direction must not be zero")
         if not any(isinstance(angle, Tracer) for angle in (self.cutoff_angle, self.beam_width)):
@@ -52,17 +59,18 @@ class Cone(DeltaLight):
 
     def within(self, direction: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """RGB intensity (W / sr) of the cone without a texture."""
-        cutoff, beam = jnp.deg2rad(self.cutoff_angle), jnp.deg2rad(self.beam_width)
+        cutoff, beam = self._angles()
         cosine = dot(direction, normalize(self.direction))
         within, lit = cosine >= jnp.cos(beam), cosine > jnp.cos(cutoff)
         fades = lit & ~within
         angle = jnp.arccos(jnp.where(fades, jnp.clip(cosine, -1.0, 1.0), 0.0))
-        share = jnp.where(fades, (cutoff - angle) / (cutoff - beam), jnp.where(within, 1.0, 0.0))
+        width = jnp.where(cutoff > beam, cutoff - beam, 1.0)
+        share = jnp.where(fades, (cutoff - angle) / width, jnp.where(within, 1.0, 0.0))
         return scale(self.intensity, share)
 
     def power(self, radius):
         del radius
-        cutoff, beam = jnp.cos(jnp.deg2rad(self.cutoff_angle)), jnp.cos(jnp.deg2rad(self.beam_width))
+        cutoff, beam = map(jnp.cos, self._angles())
         return 2.0 * math.pi * (1.0 - 0.5 * (cutoff + beam)) * magnitude(self.intensity)
 
     def sample(self, u):
@@ -82,7 +90,12 @@ class Cone(DeltaLight):
 
     def _opening(self) -> Float[Array, "*n"]:
         """1 - cos of the cutoff angle, detached."""
-        return 2.0 * jnp.sin(0.5 * jnp.deg2rad(stop_gradient(self.cutoff_angle))) ** 2
+        return 2.0 * jnp.sin(0.5 * stop_gradient(self._angles()[0])) ** 2
+
+    def _angles(self) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+        """(cutoff angle, beam width), radians; for traced values the nearest that are allowed."""
+        cutoff = within(self.cutoff_angle, LEAST_ANGLE, 180.0)
+        return jnp.deg2rad(cutoff), jnp.deg2rad(within(self.beam_width, 0.0, cutoff))
 
 
 class SpotLight(Cone):
@@ -137,9 +150,13 @@ class TexturedSpotLight(Cone):
         beam_width: ArrayLike | None = None,
     ):
         super().__init__(position, direction, intensity, cutoff_angle, beam_width)
-        self.texture, self.up = as_array(texture), vector(up, "TexturedSpotLight: up")
+        self.texture = as_array(floats(texture, "TexturedSpotLight: texture"))
+        self.up = vector(up, "TexturedSpotLight: up")
         if self.texture.ndim != 3 or self.texture.shape[2] != 3:
             raise ValueError(f"TexturedSpotLight: texture must be an RGB image [H, W, 3], got {self.texture.shape}")
+
+    def check_together(self):
+        super().check_together()
         if not isinstance(self.cutoff_angle, Tracer) and float(self.cutoff_angle) >= 90:
             raise ValueError(f"TexturedSpotLight: cutoff_angle must be below 90, got {float(self.cutoff_angle):g}")
         if not any(isinstance(axis, Tracer) for axis in (self.up, self.direction)):
@@ -152,7 +169,7 @@ class TexturedSpotLight(Cone):
         x = normalize(cross(self.up, z))
         across, down, ahead = dot(direction, x), dot(direction, cross(z, x)), dot(direction, z)
         lit = ahead > 0
-        reach = 2.0 * jnp.where(lit, ahead, 1.0) * jnp.tan(jnp.deg2rad(self.cutoff_angle))
+        reach = 2.0 * jnp.where(lit, ahead, 1.0) * jnp.tan(jnp.minimum(self._angles()[0], WIDEST))
         column, row = (
             (0.5 + jnp.where(lit, part, 0.0) / reach) * size for part, size in ((across, width), (down, height))
         )

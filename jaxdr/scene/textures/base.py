@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, broadcast, on_host
 from jaxdr.geometry.vector import components, from_components, transform
+from jaxdr.scene.ranges import Parametric
 
 
 class TexturePoint(NamedTuple):
@@ -37,7 +38,7 @@ class TexturePoint(NamedTuple):
     axes: Float[Array, "N 3"] | None = None
 
 
-class Texture(eqx.Module):
+class Texture(Parametric):
     """Values over a surface, one number or RGB at each point. The base class of textures.
 
     - `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex or, with

@@ -212,7 +212,7 @@ WRONG = [
     (lambda: jd.RoughConductor(jd.Bitmap(np.zeros((2, 2)))), r"alpha must be in \[0.0001, 1\].* from 0 to 0"),
     (lambda: jd.Principled(jd.Bitmap(2 * PIXELS)), r"base_color must be in \[0, 1\], and the texture has values"),
     (lambda: jd.Diffuse(jd.Bitmap(-PIXELS)), "reflectance must be at least 0, and the texture has values from -0"),
-    (lambda: jd.Diffuse(jd.VertexColors([[np.nan] * 3])), "reflectance must be at least 0, and the texture has values"),
+    (lambda: jd.Diffuse(jd.VertexColors([[np.nan] * 3])), r"VertexColors: colors must be finite, got \[\[nan"),
     (lambda: jd.Dielectric(jd.Bitmap(PIXELS)), "int_ior must be a number or a name, not a texture"),
 ]
 

@@ -1,0 +1,124 @@
+"""Ranges of parameters. A range is declared once, at its field. Constructors and `Scene.replace` check values by it.
+
+The values of traced arrays can't be checked. A model has to take them: for what has no continuation beyond its range,
+such as a roughness, it computes with `within`.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+SHOWN = 4  # values that a message shows; of larger arrays it shows the first that is wrong
+
+
+class Range(NamedTuple):
+    """Values from `low` to `high`, always finite; without the ends themselves if it is `open`.
+
+    `unit` and `remedy` are words for messages.
+    """
+
+    low: float
+    high: float
+    open: bool = False
+    unit: str = ""
+    remedy: str = ""
+
+    def has(self, values: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+        """Which values lie in the range."""
+        inside = (values >= self.low) & (values <= self.high) & np.isfinite(values)
+        return np.asarray(inside & (values != self.low) & (values != self.high) if self.open else inside)
+
+    def __str__(self) -> str:
+        ends = "in [{:g}, {:g}]" if not self.open else "between {:g} and {:g}"
+        if self.high == math.inf:
+            ends = "at least {:g}" if not self.open else "a positive number" if self.low == 0 else "above {:g}"
+        words = "finite" if self.low == -self.high == -math.inf else ends.format(self.low, self.high)
+        return words + (f" {self.unit}" if self.unit else "") + (f" ({self.remedy})" if self.remedy else "")
+
+
+FINITE = Range(-math.inf, math.inf)
+
+
+def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remedy: str = "") -> Any:
+    """A field of a model whose values are from `low` to `high`: `reflectance: Color = ranged(0.0, 1.0)`."""
+    return eqx.field(metadata={"range": Range(low, high, open, unit, remedy)})
+
+
+def range_of(model: type | eqx.Module, field: str) -> Range:
+    """The range that a field of a model, or of its class, declares; all finite numbers if it declares none."""
+    return model.__dataclass_fields__[field].metadata.get("range", FINITE)
+
+
+class Parametric(eqx.Module):
+    """A model with parameters: its concrete values are in the ranges that its fields declare, and finite.
+
+    Raises ValueError, with the names of model and field, for other values.
+    """
+
+    def __check_init__(self):
+        self.check(self.__dataclass_fields__)
+
+    def check(self, fields: Iterable[str]) -> None:
+        """Raises ValueError where a concrete value of these fields is out of range, or does not go with others."""
+        for field in fields:
+            check_range(getattr(self, field), f"{type(self).__name__}: {field}", range_of(self, field))
+        self.check_together()
+
+    def check_together(self) -> None:
+        """Raises ValueError where concrete values don't go together. Models with such conditions define it."""
+
+
+def check_parameter(model: eqx.Module, path: str) -> None:
+    """`Parametric.check` for one parameter of a model; names of fields of models inside follow a dot."""
+    field, _, rest = path.partition(".")
+    if rest:
+        check_parameter(getattr(model, field), rest)
+    if isinstance(model, Parametric):
+        model.check([field])
+    elif not rest:
+        check_range(getattr(model, field), field, FINITE)
+
+
+def check_range(value: Any, name: str, within: Range) -> None:
+    """Raises ValueError, with the name, for values outside. A value may be a texture; what is no float passes."""
+    if hasattr(value, "check_range"):
+        if within != FINITE:  # it has checked that itself
+            value.check_range(name, within.low, within.high)
+        return
+    if isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | np.generic | float):
+        return
+    values = np.asarray(value)
+    if not np.issubdtype(values.dtype, np.floating) or (right := within.has(values)).all():
+        return
+    if values.size <= SHOWN:
+        raise ValueError(f"{name} must be {within}, got {values.tolist()}")
+    first = np.argwhere(~right)[0].tolist()
+    wrong = f"{np.sum(~right)} of {values.size} values are not, the first {values[tuple(first)]:g} at {first}"
+    raise ValueError(f"{name} must be {within}, and {wrong}")
+
+
+def at_least(value: Float[Array, "*n"], low: float) -> Float[Array, "*n"]:
+    """`within` [low, inf)."""
+    return jnp.where(value < low, low, value)
+
+
+def within(
+    value: Float[Array, "*n"], low: float | Float[Array, "*n"], high: float | Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """The nearest value in [low, high]. Unlike with `jnp.clip`, the derivative at the ends is that of inner values."""
+    return jnp.where(value < low, low, jnp.where(value > high, high, value))
+
+
+def floats(value: Any, name: str) -> Any:
+    """The value. Raises ValueError, with the name, for an image of whole numbers, as files of 8 bits have them."""
+    kind = getattr(value, "dtype", None)
+    if kind is not None and not jnp.issubdtype(kind, jnp.floating):
+        raise ValueError(f"{name} must be floats, linear, got {kind}; jd.load_image reads files as such")
+    return value
