@@ -97,7 +97,7 @@ def derivative_terms(
         integrator = default_integrator(scene, moving)
         _say_default(scene, integrator, moving)
     if integrator.boundary is not None:
-        warn_of_turning_away(scene, floats, moving, integrator.max_depth)
+        warn_of_turning_away(floats, moving, integrator.max_depth)
     return _estimate(unfolded(scene), inner_key(key), spp, integrator, moving)
 
 
@@ -140,7 +140,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     integrator = eqx.combine(program.integrator, arrays)
     if integrator.boundary is not None:
         refuse((MOVED_MAPS,), flags)
-        warn_of_turning_away(_join(program, floats, others), flags, moving, integrator.max_depth)
+        warn_of_turning_away(flags, moving, integrator.max_depth)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):

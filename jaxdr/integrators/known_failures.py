@@ -96,7 +96,7 @@ def warn_of_known_failure(scene: Scene, boundary: Any) -> None:
         warn(f"jaxdr: {type(boundary).__name__} fails by nature here: {reason}", EstimatorWarning)
 
 
-def turning_away(scene: Scene, active: Scene, moving: Moving, max_depth: int) -> str | None:
+def turning_away(active: Scene, moving: Moving, max_depth: int) -> str | None:
     """Name of a shape where the jump of turned normals may move; None if there is none.
 
     A normal or bump map flips the normals that face away from the previous vertex of a path. The image jumps there, and
@@ -106,8 +106,7 @@ def turning_away(scene: Scene, active: Scene, moving: Moving, max_depth: int) ->
     if max_depth < 2:
         return None
     apex_moves = moving.camera or (max_depth > 2 and any(moving.shapes))
-    for name, shape in scene.shapes.items():
-        flags = active.shapes[name]
+    for name, flags in active.shapes.items():
         for turned in _turned_normals(unwrap(flags.bsdf)):
             # All leaves but those of the BSDF inside turn the normal.
             turns = sum(jax.tree.leaves(turned)) > sum(jax.tree.leaves(turned.bsdf))
@@ -124,13 +123,13 @@ def _turned_normals(bsdf: BSDF) -> Iterator[TurnedNormal]:
         yield from _turned_normals(inside)
 
 
-def warn_of_turning_away(scene: Scene, active: Scene, moving: Moving, max_depth: int) -> None:
+def warn_of_turning_away(active: Scene, moving: Moving, max_depth: int) -> None:
     """Warn with an `EstimatorWarning` at the caller's line where `turning_away` finds a shape."""
-    name = turning_away(scene, active, moving, max_depth)
+    name = turning_away(active, moving, max_depth)
     if name is not None:
         warn(
             f"jaxdr: the derivative lacks a jump inside the faces of {name}: its normal or bump map flips normals that "
             "face away from the viewer. It is right where none does, but may be off by more than its own size where "
-            "bumps are steep and seen at a slant; take flatter maps, a steeper view, or large bumps as part of the mesh",
+            "bumps are steep and seen at a slant; take flatter maps, a steeper view, or big bumps as part of the mesh",
             EstimatorWarning,
         )

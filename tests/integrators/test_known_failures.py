@@ -182,7 +182,7 @@ def flipped(of, name, depth):
     parameter = of.parameters()[name]
     active = jax.tree.map(lambda leaf: leaf is parameter, of)
     assert sum(jax.tree.leaves(active)) == 1
-    return turning_away(of, active, moving_in(of, active), depth)
+    return turning_away(active, moving_in(of, active), depth)
 
 
 @pytest.mark.parametrize(("name", "depth"), MOVES)
