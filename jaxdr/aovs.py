@@ -6,42 +6,23 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Int, PRNGKeyArray
 
 from jaxdr import loops
 from jaxdr.compilation import unfolded
-from jaxdr.geometry.vector import norm
+from jaxdr.integrators.aov import CONTINUOUS, FLOATS, AovImage, aov_values
+from jaxdr.render import render
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
 from jaxdr.transport.keys import inner_key
-from jaxdr.transport.primary import Form, PrimarySamples, primary_samples
-from jaxdr.transport.shading import Scatterer
+from jaxdr.transport.primary import Form, primary_samples
 
 CHUNK = 1 << 18  # camera rays at once
 
-
-def _depth(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 1"]:
-    view, position = primary.view, primary.first.position
-    origin, _ = view.rays(view.project(position))
-    return norm(position - origin)[:, None]
-
-
-def _albedo(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 3"]:
-    scatterer = Scatterer(packed, primary.first, -primary.direction)
-    sampled = scatterer.sample(primary.u[:, 2:])
-    density = scatterer.pdf(sampled)[:, None]
-    return jnp.where(density > 0, scatterer.eval(sampled) / jnp.where(density > 0, density, 1.0), 0.0)
-
-
-# Averages over samples, zero where nothing is hit; and numbers at pixel centres. To add one, add a function and a line.
-FLOATS: dict[str, Callable[[PackedScene, PrimarySamples], Float[Array, "N C"]]] = {
-    "depth": _depth,
-    "position": lambda packed, primary: primary.first.position,
-    "shading_normal": lambda packed, primary: primary.first.shading_normal,
-    "albedo": _albedo,
-}
+# Numbers at pixel centres. To add one, add a function and a line.
 IDS: dict[str, Callable[[PackedScene, Int[Array, " N"]], Int[Array, " N"]]] = {
     "face": lambda packed, face: face - jnp.asarray(packed.first_face)[packed.face_shape[face]],
     "shape": lambda packed, face: packed.face_shape[face],
@@ -63,6 +44,7 @@ def render_aovs(
     Floats are means over `spp` samples per pixel, weighted by the pixel filter, as in Mitsuba's `aov` integrator. A
     sample that hits nothing counts as zero. At borders both sides are mixed.
 
+    - `alpha` (C = 1): coverage, the share of samples that hit a surface of any kind.
     - `depth` (C = 1): distance along the ray, in scene units, from the pinhole, from the point on the lens, or from the
       plane of a parallel camera. (Mitsuba measures from the near plane.)
     - `position` (C = 3): world space.
@@ -73,8 +55,12 @@ def render_aovs(
     int32 numbers are those at pixel centres, seen from the centre of the lens; -1 means that nothing is hit. `shape` is
     an index into `scene.shapes`, `face` an index into the faces of that shape's mesh.
 
-    `rays` names the implementation of the ray queries, as in `PathTracer`. Raises ValueError for unknown names, and
-    when it is differentiated, because its jumps at edges have no derivative. Take `jax.lax.stop_gradient` of the scene.
+    `alpha`, `depth` and `position` are differentiable by everything that moves surfaces or the camera: silhouettes have
+    the term that they have in `render`. Value and derivative use independent random numbers. Ask for these names alone.
+    The others jump elsewhere, too.
+
+    `rays` names the implementation of the ray queries, as in `PathTracer`. Raises ValueError for unknown names, for
+    spp < 1, and when another float is differentiated. Then take `jax.lax.stop_gradient` of the scene.
     """
     names = tuple(names)
     for name in names:
@@ -82,13 +68,60 @@ def render_aovs(
             raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
     if int(spp) != spp or spp < 1:
         raise ValueError(f"render_aovs: spp must be a positive whole number of samples per pixel, got {spp}")
-    found = _render(_Settings(names, int(spp), rays), scene, inner_key(key))
+    found = _images(_Settings(names, int(spp), rays), scene, inner_key(key))
     return {name: found[name] for name in names}
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _images(settings: _Settings, scene: Scene, key) -> dict[str, Array]:
+    return _render(settings, scene, key)
+
+
+@partial(_images.defjvp, symbolic_zeros=True)
+def _images_jvp(settings: _Settings, primals, tangents):
+    scene, key = primals
+    images = _render(settings, scene, key)
+    leaves, structure = jax.tree.flatten(scene)
+    moved = jax.tree.leaves(tangents[0], is_leaf=_is_zero)
+    active = [not _is_zero(t) for t in moved]
+    if not any(active):
+        return images, {name: _zero(image) for name, image in images.items()}
+    for name in settings.names:
+        if name in FLOATS and name not in CONTINUOUS:
+            raise ValueError(
+                f"render_aovs: {name} has no derivative, because it jumps inside outlines; differentiate "
+                f"{', '.join(CONTINUOUS)} alone, or take stop_gradient of the scene"
+            )
+
+    def image(at, name):
+        at = iter(at)
+        moving = jax.tree.unflatten(structure, [next(at) if a else x for a, x in zip(active, leaves, strict=True)])
+        return render(moving, key, settings.spp, AovImage(name, settings.rays))[..., : images[name].shape[-1]]
+
+    at, along = ([x for a, x in zip(active, table, strict=True) if a] for table in (leaves, moved))
+
+    def tangent(name):
+        if name in IDS:
+            return _zero(images[name])
+        return jax.jvp(partial(image, name=name), (at,), (along,))[1]
+
+    return images, {name: tangent(name) for name in images}
+
+
+def _is_zero(tangent) -> bool:
+    return isinstance(tangent, SymbolicZero)
+
+
+def _zero(image):
+    """A tangent of zero; whole numbers have tangents without a type of their own."""
+    if jnp.issubdtype(image.dtype, jnp.floating):
+        return jnp.zeros_like(image)
+    return np.zeros(image.shape, jax.dtypes.float0)
 
 
 @partial(jax.jit, static_argnums=0)
 def _render(settings: _Settings, scene: Scene, key) -> dict[str, Array]:
-    packed = pack(unfolded(_without_derivative(scene)))
+    packed = pack(unfolded(scene))
     images = {}
     if any(name in FLOATS for name in settings.names):
         images |= _averages(settings, packed, key)
@@ -107,8 +140,8 @@ def _averages(settings: _Settings, packed: PackedScene, key) -> dict[str, Array]
     def chunk(total, index):
         samples = index * per_chunk + jnp.arange(per_chunk)
         primary = primary_samples(packed, samples, key, settings.rays, Form.FIXED)
-        counts = primary.first.valid & jnp.tile(samples < settings.spp, width * height)
-        values = {n: jnp.where(counts[:, None], FLOATS[n](packed, primary), 0.0) / settings.spp for n in names}
+        counts = jnp.tile(samples < settings.spp, width * height)
+        values = {n: jnp.where(counts[:, None], aov_values(n, packed, primary), 0.0) / settings.spp for n in names}
         return {n: total[n] + v.reshape(height, width, per_chunk, -1).sum(2) for n, v in values.items()}, None
 
     first = jax.eval_shape(lambda: primary_samples(packed, jnp.arange(1), key, settings.rays, Form.FIXED))
@@ -127,21 +160,3 @@ def _central_faces(settings: _Settings, packed: PackedScene):
     start, reach = view.clipped(origin, direction)
     hit = intersect(packed, start, direction, jnp.ones(width * height, bool), settings.rays, reach)
     return hit.face, (height, width)
-
-
-@jax.custom_jvp
-def _without_derivative(scene: Scene) -> Scene:
-    return scene
-
-
-@partial(_without_derivative.defjvp, symbolic_zeros=True)
-def _jvp(primals, tangents):
-    if any(not isinstance(t, SymbolicZero) for t in jax.tree.leaves(tangents, is_leaf=_is_zero)):
-        raise ValueError(
-            "render_aovs has no derivative, because its values jump at edges; take stop_gradient of the scene"
-        )
-    return primals[0], tangents[0]
-
-
-def _is_zero(tangent) -> bool:
-    return isinstance(tangent, SymbolicZero)

@@ -22,7 +22,7 @@ from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
 from jaxdr.integrators.base import Batch
 from jaxdr.integrators.defaults import default_integrator, say_default
-from jaxdr.integrators.known_failures import warn_of_known_failure
+from jaxdr.integrators.known_failures import warn_of_known_failure, warn_of_turning_away
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
@@ -91,10 +91,13 @@ def derivative_terms(
 
     Everything counts as moving unless `moving` says otherwise.
     """
-    moving = moving or moving_in(scene, jax.tree.map(eqx.is_inexact_array, scene))
+    floats = jax.tree.map(eqx.is_inexact_array, scene)
+    moving = moving or moving_in(scene, floats)
     if integrator is None:
         integrator = default_integrator(scene, moving)
         _say_default(scene, integrator, moving)
+    if integrator.boundary is not None:
+        warn_of_turning_away(floats, moving, integrator.max_depth)
     return _estimate(unfolded(scene), inner_key(key), spp, integrator, moving)
 
 
@@ -137,6 +140,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     integrator = eqx.combine(program.integrator, arrays)
     if integrator.boundary is not None:
         refuse((MOVED_MAPS,), flags)
+        warn_of_turning_away(flags, moving, integrator.max_depth)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):

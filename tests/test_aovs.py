@@ -31,6 +31,7 @@ def wall(camera, size=30.0):
 def test_wall(kind):
     found = jd.render_aovs(wall(CAMERAS[kind]), KEY, spp=64)
     assert {name: (v.shape, v.dtype) for name, v in found.items()} == {
+        "alpha": ((10, 12, 1), np.float32),
         "depth": ((10, 12, 1), np.float32),
         "position": ((10, 12, 3), np.float32),
         "shading_normal": ((10, 12, 3), np.float32),
@@ -38,6 +39,7 @@ def test_wall(kind):
         "face": ((10, 12), np.int32),
         "shape": ((10, 12), np.int32),
     }
+    np.testing.assert_allclose(found["alpha"], 1.0, rtol=1e-6)
     np.testing.assert_allclose(found["albedo"], np.broadcast_to([0.2, 0.5, 0.7], (10, 12, 3)), rtol=1e-5)
     np.testing.assert_allclose(found["shading_normal"], np.broadcast_to([0, 0, 1], (10, 12, 3)), atol=1e-5)
     assert np.all(found["shape"] == 1)  # after the ball
@@ -57,9 +59,10 @@ def test_wall(kind):
 def test_borders_are_mixed_and_numbers_are_not():
     """A wall that ends within pixels: means there, whole numbers at the centres; a crop window is a part of it."""
     of = wall(CAMERAS["parallel"], size=3.2)  # 3.2 / 0.5 pixels across: 2.8 to 9.2
-    found = jd.render_aovs(of, KEY, spp=256, names=("shape", "depth", "albedo"))
-    assert list(found) == ["shape", "depth", "albedo"]
+    found = jd.render_aovs(of, KEY, spp=256, names=("shape", "alpha", "depth", "albedo"))
+    assert list(found) == ["shape", "alpha", "depth", "albedo"]
     covered = np.minimum(np.clip(np.arange(12) + 1 - 2.8, 0, 1), np.clip(9.2 - np.arange(12), 0, 1))
+    np.testing.assert_allclose(found["alpha"][5, :, 0], covered, atol=0.02)
     np.testing.assert_allclose(found["depth"][5, :, 0], 5 * covered, atol=0.1)
     np.testing.assert_allclose(found["albedo"][5, :, 1], 0.5 * covered, atol=0.01)
     assert found["shape"][5].tolist() == [-1] * 3 + [1] * 6 + [-1] * 3
@@ -96,17 +99,69 @@ def test_chunks_change_nothing(monkeypatch):
 
 def test_errors():
     of = wall(CAMERAS["perspective"])
-    with pytest.raises(ValueError, match="unknown name 'dept'; known: depth, position, shading_normal, albedo, face"):
+    with pytest.raises(
+        ValueError, match="unknown name 'dept'; known: alpha, depth, position, shading_normal, albedo, face"
+    ):
         jd.render_aovs(of, KEY, names=("dept",))
     with pytest.raises(ValueError, match="spp must be a positive whole number"):
         jd.render_aovs(of, KEY, spp=0)
 
-    def depth(fov):
-        return jd.render_aovs(of.replace({"camera.fov": fov}), KEY, spp=1, names=("depth",))["depth"].sum()
+    def normal(fov):
+        found = jd.render_aovs(of.replace({"camera.fov": fov}), KEY, spp=1, names=("depth", "shading_normal"))
+        return found["shading_normal"].sum()
 
-    with pytest.raises(ValueError, match="render_aovs has no derivative"):
-        jax.grad(depth)(jnp.asarray(60.0))
-    assert jax.grad(lambda fov: fov * depth(jax.lax.stop_gradient(fov)))(jnp.asarray(60.0)) > 0
+    with pytest.raises(ValueError, match=r"shading_normal has no derivative, .*; differentiate alpha, depth, position"):
+        jax.grad(normal)(jnp.asarray(60.0))
+    assert jax.grad(lambda fov: fov * normal(jax.lax.stop_gradient(fov)))(jnp.asarray(60.0)) > 0
+
+
+def test_derivatives_of_a_square_that_moves():
+    """Its left and right borders alone change their columns: by length x velocity x value at the border."""
+    of = wall(CAMERAS["parallel"], size=3.2)
+    vertices, names = of.parameters()["wall.vertices"], ("alpha", "depth", "position")
+
+    def columns(x):
+        moved = of.replace({"wall.vertices": vertices + x * jnp.asarray([1.0, 0.0, 0.0])})
+        return {name: v.sum(0) for name, v in jd.render_aovs(moved, KEY, spp=16, names=names).items()}
+
+    _, found = jax.jvp(jax.jit(columns), (0.0,), (1.0,))
+    rate = np.zeros(12)  # pixels of area per scene unit
+    rate[2], rate[9] = -6.4 / 0.5, 6.4 / 0.5
+    np.testing.assert_allclose(found["alpha"][:, 0], rate, atol=1e-3)
+    np.testing.assert_allclose(found["depth"][:, 0], 5 * rate, atol=1e-3)
+    np.testing.assert_allclose(found["position"][:, 0], 1.6 * np.abs(rate), atol=1e-3)
+    np.testing.assert_allclose(found["position"][:, 1:], 0.0, atol=0.5)  # y has a mean of zero along the borders
+
+
+def test_derivatives_by_the_camera():
+    """The front of a unit cube covers (f / d)² pixels; what is behind it, and its colour, change nothing."""
+    cube = jd.Scene({"cube": jd.Shape(jd.shapes.box())}, CAMERAS["perspective"])
+    pose, fov = (cube.parameters()[name] for name in ("camera.to_world", "camera.fov"))
+
+    def coverage(back, fov, color):
+        moved = {"camera.to_world": pose.at[2, 3].add(back), "camera.fov": fov, "cube.bsdf.reflectance": color}
+        return jd.render_aovs(cube.replace(moved), KEY, spp=16, names=("alpha", "shape"))["alpha"].sum()
+
+    area, found = jax.jit(jax.value_and_grad(coverage, (0, 1, 2)))(0.0, fov, jnp.full(3, 0.5))
+    focal, half, distance = 6 / np.tan(np.pi / 6), np.pi / 6, 4.5
+    expected = (focal / distance) ** 2
+    np.testing.assert_allclose(area, expected, rtol=0.05)
+    np.testing.assert_allclose(found[0], -2 * expected / distance, rtol=1e-3)
+    np.testing.assert_allclose(found[1], -2 * expected / focal * 6 / np.sin(half) ** 2 * np.pi / 360, rtol=1e-3)
+    assert np.all(found[2] == 0)
+
+
+def test_depth_of_a_wall_that_moves_away():
+    """No silhouette: the wall slides under the rays, and depth is in proportion to its distance from the camera."""
+    of = wall(CAMERAS["perspective"])
+    vertices = of.parameters()["wall.vertices"]
+
+    def depth(back):
+        moved = of.replace({"wall.vertices": vertices - back * jnp.asarray([0.0, 0.0, 1.0])})
+        return jd.render_aovs(moved, KEY, spp=16, names=("depth",))["depth"]
+
+    value, found = jax.jvp(jax.jit(depth), (0.0,), (1.0,))
+    np.testing.assert_allclose(found, value / 5, rtol=0.01)
 
 
 SCENE = """<scene version="3.0.0">

@@ -230,7 +230,7 @@ def test_boundary_is_chosen(scenes):
         ("render scene.xml -o out.png --spp many", "argument --spp: invalid whole number value: 'many'"),
         (
             "render scene.xml -o out.png --aov depth,colour",
-            "argument --aov: unknown AOV 'colour'; known: depth, position",
+            "argument --aov: unknown AOV 'colour'; known: alpha, depth, position",
         ),
         ("render scene.xml -o out.png --sp 3", "unrecognized arguments: --sp 3"),
         ("render scene.xml -o out.png --set widht=3", "widht"),

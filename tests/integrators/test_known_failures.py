@@ -8,14 +8,15 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxdr as jd
 from jaxdr.geometry.shapes import box, rectangle, sphere
 from jaxdr.integrators import known_failures
 from jaxdr.integrators.defaults import default_integrator
-from jaxdr.integrators.known_failures import known_failure, traits
-from jaxdr.moving import Moving
+from jaxdr.integrators.known_failures import known_failure, traits, turning_away
+from jaxdr.moving import Moving, moving_in
 from jaxdr.plan.candidates import candidates
 from jaxdr.plan.static_look import static_look
 
@@ -146,3 +147,60 @@ def test_plans_and_defaults_go_by_the_same_rules(made):
     assert found.left_out.get("KernelDensity") == fails
     assert known_failure(default_integrator(of).boundary, traits(of)) is None
     assert (default_integrator(of) == jd.PathTracer()) == (fails is None)
+
+
+HEIGHTS = jd.Bitmap(np.random.default_rng(0).uniform(size=(4, 4)))
+BUMPS = jd.BumpMap(HEIGHTS, jd.Diffuse(0.5), 0.2)
+MAPS = {
+    "bump map": BUMPS,
+    "normal map": jd.NormalMap(jd.Bitmap(np.full((2, 2, 3), (0.7, 0.5, 0.8))), jd.Diffuse()),
+    "two-sided": jd.TwoSided(BUMPS),
+    "in a blend": jd.Blend(0.3, jd.Diffuse(), BUMPS),
+    "in a mask": jd.Mask(0.5, BUMPS),
+}
+MOVES = {  # what is differentiated, to which depth: whether the curve of flipped normals on a bumpy floor moves
+    ("floor.vertices", 2): True,
+    ("camera.to_world", 2): True,
+    ("camera.fov", 2): True,
+    ("floor.bsdf.scale", 2): True,
+    ("floor.bsdf.height.pixels", 2): True,
+    ("box.vertices", 3): True,
+    ("box.vertices", 2): False,
+    ("floor.bsdf.bsdf.reflectance", 3): False,
+    ("lamp.emitter.radiance", 3): False,
+    ("floor.vertices", 1): False,
+}
+
+
+def with_floor(bsdf):
+    of = scene()
+    return jd.Scene(of.shapes | {"floor": jd.Shape(of.shapes["floor"].mesh, bsdf)}, CAMERA)
+
+
+def flipped(of, name, depth):
+    """The shape whose flipped normals are told of if the parameter `name` alone is differentiated."""
+    parameter = of.parameters()[name]
+    active = jax.tree.map(lambda leaf: leaf is parameter, of)
+    assert sum(jax.tree.leaves(active)) == 1
+    return turning_away(active, moving_in(of, active), depth)
+
+
+@pytest.mark.parametrize(("name", "depth"), MOVES)
+def test_jumps_of_flipped_normals_are_told(name, depth):
+    assert flipped(with_floor(BUMPS), name, depth) == ("floor" if MOVES[name, depth] else None)
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_every_map_that_turns_normals_is_found(kind):
+    assert flipped(with_floor(MAPS[kind]), "camera.to_world", 2) == "floor"
+    assert flipped(scene(), "camera.to_world", 3) is None
+
+
+def test_a_warning_of_flipped_normals():
+    of = with_floor(BUMPS)
+    (found,) = warned(of, RIGHT, name="floor.bsdf.scale")
+    assert "lacks a jump inside the faces of floor: its normal or bump map flips" in str(found.message)
+    assert (found.filename, found.lineno) == (__file__, line_of_render())
+    still = Moving((False, False, False), False)
+    with pytest.warns(jd.EstimatorWarning, match="a jump inside the faces of floor"):
+        jax.eval_shape(lambda: jd.derivative_terms(of, jax.random.key(0), 1, jd.PathTracer(2, RIGHT), still))

@@ -92,7 +92,7 @@ class NormalMap(TurnedNormal):
     al. 2019). For a two-sided BSDF write `TwoSided(NormalMap(normal, bsdf))`.
 
     Where a mapped normal begins to face away, at grazing angles, the image jumps inside faces. The motion of that jump
-    has no derivative.
+    has no derivative, and `render` warns of it (docs/limits.md).
 
     Raises ValueError for a two-sided BSDF inside.
     """
