@@ -1,4 +1,10 @@
-"""Arrays from values of users and files, without compiling: `jnp.asarray` compiles a conversion for every shape."""
+"""Arrays from values of users and files, without compiling: `jnp.asarray` compiles a conversion for every shape.
+
+Under `jit` it makes a traced array of any value. Here values stay concrete unless they are traced themselves. So
+whatever is made of concrete values is the same inside `jit`.
+"""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +16,30 @@ from jaxtyping import Array
 HOST = (np.ndarray, np.generic, bool, int, float)
 
 
+def traced(*values: Any) -> bool:
+    """Whether a value, or a part of one, is traced."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+
+
 def as_array(value, dtype: DTypeLike | None = float) -> Array:
     """`jnp.asarray(value, dtype)`. Values on the host are converted and copied there, and then put on the device."""
-    if not all(isinstance(leaf, HOST) and np.asarray(leaf).dtype.kind in "biuf" for leaf in jax.tree.leaves(value)):
+    if traced(value):
         return jnp.asarray(value, dtype)
-    with np.errstate(over="ignore"):  # an overflow becomes inf, as in JAX
-        return jax.device_put(np.array(value, dtype and jnp.result_type(dtype)))
+    with jax.ensure_compile_time_eval():
+        if not all(isinstance(leaf, HOST) and np.asarray(leaf).dtype.kind in "biuf" for leaf in jax.tree.leaves(value)):
+            return jnp.asarray(value, dtype)
+        with np.errstate(over="ignore"):  # an overflow becomes inf, as in JAX
+            return jax.device_put(np.array(value, dtype and jnp.result_type(dtype)))
 
 
 def on_host(array: Array) -> Array | np.ndarray:
     """The array as a NumPy array, unless it is traced. For computations whose result goes into `as_array`."""
     return array if isinstance(array, Tracer) else np.asarray(array)
+
+
+def numpy_for(*values: Any) -> Any:
+    """`jax.numpy` if a value is traced, else NumPy. For computations whose result goes into `as_array`."""
+    return jnp if traced(*values) else np
 
 
 def broadcast(array: Array, shape: tuple[int, ...]) -> Array:

@@ -60,20 +60,11 @@ def render(
     Raises ValueError for spp < 1 or an argument of the wrong kind. Warns with `EstimatorWarning` if the derivative's
     estimator fails by nature on the scene.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"render: expected a jaxdr.Scene, got {type(scene).__name__}")
+    _check("render", scene, spp, integrator)
     by_default = integrator is None
     integrator = default_integrator(scene) if integrator is None else integrator
-    if not isinstance(integrator, Integrator):
-        raise ValueError(f"render: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}")
-    if int(spp) != spp or spp < 1:
-        raise ValueError(f"render: spp must be a positive whole number of samples per pixel, got {spp}")
-    integrator.check(scene)
-    leaves, structure = jax.tree.flatten(scene)
-    is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
-    floats, others = _split(leaves, is_float)
-    arrays, static = eqx.partition(integrator, eqx.is_array)
-    return _render(Program(structure, is_float, int(spp), static, by_default), floats, others, arrays, inner_key(key))
+    program, floats, others, arrays = _program(scene, spp, integrator, by_default)
+    return _render(program, floats, others, arrays, inner_key(key))
 
 
 def derivative_terms(
@@ -89,16 +80,103 @@ def derivative_terms(
     - `chains`: with mirrors and smooth glass.
     - `warp`: with `primary="warp"`, in place of `silhouettes` and `creases`.
 
-    Everything counts as moving unless `moving` says otherwise.
+    Everything counts as moving unless `moving` says otherwise. Raises ValueError and warns as `render` does, and raises
+    ValueError for a `moving` of another scene, and for derivatives by what moves against its word.
     """
-    floats = jax.tree.map(eqx.is_inexact_array, scene)
-    moving = moving or moving_in(scene, floats)
+    _check("derivative_terms", scene, spp, integrator)
+    moving = _everything(scene) if moving is None else moving
+    _check_moving(scene, moving)
     if integrator is None:
         integrator = default_integrator(scene, moving)
         _say_default(scene, integrator, moving)
+    program, floats, others, _ = _program(scene, spp, integrator, False)
+    floats = _watched((program, moving), floats, others)
+    return _estimate(_join(program, floats, unfolded(others)), inner_key(key), spp, integrator, moving)
+
+
+def _check(caller: str, scene, spp, integrator) -> None:
+    """Raises ValueError for arguments of the wrong kind, and for scenes that the integrator does not take."""
+    if not isinstance(scene, Scene):
+        raise ValueError(f"{caller}: expected a jaxdr.Scene, got {type(scene).__name__}")
+    # The class has all that an `Integrator` needs as well.
+    if isinstance(integrator, type) or not isinstance(integrator, Integrator | None):
+        raise ValueError(
+            f"{caller}: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}"
+        )
+    if int(spp) != spp or spp < 1:
+        raise ValueError(f"{caller}: spp must be a positive whole number of samples per pixel, got {spp}")
+    (default_integrator(scene) if integrator is None else integrator).check(scene)
+
+
+def _everything(scene: Scene) -> Moving:
+    return moving_in(scene, jax.tree.map(eqx.is_inexact_array, scene))
+
+
+def _check_derivative(integrator: Integrator, flags: Scene, moving: Moving) -> None:
+    """Raises ValueError for derivatives that no integrator with boundary terms has; warns where a part is missing.
+
+    `flags`: what is differentiated. What moves is refused by `Integrator.prepare`.
+    """
     if integrator.boundary is not None:
-        warn_of_turning_away(floats, moving, integrator.max_depth)
-    return _estimate(unfolded(scene), inner_key(key), spp, integrator, moving)
+        refuse((MOVED_MAPS,), flags)
+        warn_of_turning_away(flags, moving, integrator.max_depth)
+
+
+def _check_moving(scene: Scene, moving: Moving) -> None:
+    for what, flags, members in (("shapes", moving.shapes, scene.shapes), ("lights", moving.lights, scene.lights)):
+        # `lights` may be left out.
+        if len(flags) != len(members) and (flags or what == "shapes"):
+            raise ValueError(
+                f"derivative_terms: moving has {len(flags)} flags of {what}, and the scene has {len(members)} {what}; "
+                "give one flag for each"
+            )
+
+
+def _check_still(scene: Scene, found: Moving, moving: Moving) -> None:
+    """Raises ValueError if something is `found` to move, and `moving` says that it stays."""
+    lights = moving.lights or (False,) * len(scene.lights)
+    moves = dict(zip(scene.shapes, zip(found.shapes, moving.shapes, strict=True), strict=True))
+    moves |= dict(zip(scene.lights, zip(found.lights, lights, strict=True), strict=True))
+    moves |= {"camera": (found.camera, moving.camera), "environment": (found.environment, moving.environment)}
+    for name, (does, said) in moves.items():
+        if does and not said:
+            raise ValueError(
+                f"derivative_terms: {name} moves, and moving says that it stays; set its flag in jaxdr.Moving, or "
+                "leave moving out"
+            )
+
+
+def _program(scene: Scene, spp: int, integrator: Integrator, by_default: bool):
+    """(static part of a rendering, float leaves of the scene, its other leaves, arrays of the integrator)."""
+    leaves, structure = jax.tree.flatten(scene)
+    is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
+    floats, others = _split(leaves, is_float)
+    arrays, static = eqx.partition(integrator, eqx.is_array)
+    return Program(structure, is_float, int(spp), static, by_default), floats, others, arrays
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _watched(static: tuple[Program, Moving], floats, others):
+    """`floats`, `unfolded`. Raises ValueError when somebody takes a derivative by them that is not covered."""
+    return unfolded(floats)
+
+
+@partial(_watched.defjvp, symbolic_zeros=True)
+def _watched_jvp(static, primals, tangents):
+    (program, moving), (floats, others) = static, primals
+    active = tuple(not isinstance(t, SymbolicZero) for t in tangents[0])
+    flags = _flags(program, active)
+    scene = _join(program, floats, others)
+    found = moving_in(scene, flags)
+    _check_derivative(program.integrator, flags, found)
+    if program.integrator.boundary is not None:
+        _check_still(scene, found, moving)
+    return unfolded(floats), tangents[0]  # the barrier's own rule would make zeros of what is not differentiated
+
+
+def _flags(program: Program, active: tuple[bool, ...]) -> Scene:
+    """A scene whose leaves say whether they are differentiated."""
+    return _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
 
 
 def _split(leaves, is_float):
@@ -130,7 +208,7 @@ def _render_jvp(program, primals, tangents):
 
 def _derivative(program: Program, active: tuple[bool, ...], moved, floats, others, arrays, key):
     """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
-    flags = _join(program, active, (False,) * (len(program.is_float) - sum(program.is_float)))
+    flags = _flags(program, active)
     moving = moving_in(_join(program, floats, others), flags)
     if program.by_default:
         scene = _join(program, floats, others)
@@ -138,9 +216,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
         program = program._replace(integrator=static)
         _say_default(scene, static, moving)
     integrator = eqx.combine(program.integrator, arrays)
-    if integrator.boundary is not None:
-        refuse((MOVED_MAPS,), flags)
-        warn_of_turning_away(flags, moving, integrator.max_depth)
+    _check_derivative(integrator, flags, moving)
     still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
 
     def packed_at(at):

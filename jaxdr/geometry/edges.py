@@ -21,8 +21,8 @@ class Edges(eqx.Module):
 
     Face 0 of an edge runs through it from `vertices[:, 0]` to `vertices[:, 1]`, so (v0, v1, opposite 0) is face 0 up to
     rotation. Face 1 of an interior edge runs the other way. Edges are sorted by (min(v0, v1), max(v0, v1)), or in
-    spatial order. v0 < v1 unless all faces at the edge run from the higher vertex number to the lower; at interior
-    edges only one does.
+    spatial order. In a new mesh v0 < v1 unless all faces at the edge run from the higher vertex number to the lower; at
+    interior edges only one does.
 
     **Fields**
 

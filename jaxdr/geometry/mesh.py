@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from jaxdr.arrays import as_array
+from jaxdr.arrays import as_array, on_host, traced
 from jaxdr.callers_line import warn
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
 from jaxdr.geometry.vector import cross, dot, normalize, scale
@@ -85,8 +84,9 @@ class Mesh(eqx.Module):
         arrays, wrong shapes or types, positions or UVs that are not finite, an index out of range, and a mesh without
         any face.
         """
-        if isinstance(vertices, jax.core.Tracer):
+        if traced(vertices):
             raise ValueError("Mesh: needs concrete vertices; under jit or grad use mesh.with_vertices(vertices)")
+        _require_concrete(faces=faces, uvs=uvs, uv_faces=uv_faces, normal_faces=normal_faces)
         if (uvs is None) != (uv_faces is None):
             raise ValueError("Mesh: needs uvs and uv_faces together, or neither")
         points = _checked_floats("vertices", vertices, 3)
@@ -144,6 +144,7 @@ class Mesh(eqx.Module):
 
     def with_uvs(self, uvs: ArrayLike, uv_faces: ArrayLike) -> "Mesh":
         """The same mesh with other texture coordinates; on the host. Raises ValueError as the constructor does."""
+        _require_concrete(uvs=uvs, uv_faces=uv_faces)
         points = _checked_floats("uvs", uvs, 2)
         corners = _checked_indices("uv_faces", uv_faces, len(points), "uvs")
         if len(corners) != len(self.faces):
@@ -167,6 +168,21 @@ class Mesh(eqx.Module):
     def flat(self) -> "Mesh":
         """The same mesh with flat shading: the face normal everywhere on a face. Traceable."""
         return self._with_normal_faces(None, 0)
+
+    def turned(self, turns: bool | Bool[Array, ""] = True) -> "Mesh":
+        """The same mesh turned inside out if `turns`, which may be traced: corners of faces in the other order."""
+        if turns is False:
+            return self
+
+        def reversed_if(indices):
+            if indices is None or isinstance(turns, bool):
+                return None if indices is None else as_array(on_host(indices)[..., ::-1], np.int32)
+            return jnp.where(turns, indices[..., ::-1], indices)
+
+        corners = {name: reversed_if(getattr(self, name)) for name in ("faces", "uv_faces", "normal_faces")}
+        # Each face runs through its edges the other way. So it is still the one at the same place of the table.
+        edges = dataclasses.replace(self.edges, vertices=reversed_if(self.edges.vertices))
+        return self._with(corners | {"edges": edges})
 
     def _with_normal_faces(self, normal_faces: Int[Array, "F 3"] | None, group_count: int) -> "Mesh":
         return self._with({"normal_faces": normal_faces, "normal_group_count": group_count})
@@ -251,6 +267,12 @@ def _checked_floats(name: str, values: ArrayLike, width: int) -> np.ndarray:
         row = int(np.argmin(finite))
         raise ValueError(f"Mesh: {name}[{row}] = {array[row].tolist()} is not finite ({np.sum(~finite)} such rows)")
     return array
+
+
+def _require_concrete(**arrays: ArrayLike | None) -> None:
+    for name, array in arrays.items():
+        if traced(array):
+            raise ValueError(f"Mesh: needs concrete {name}, not traced ones: make the mesh outside of jit and grad")
 
 
 def _checked_indices(name: str, indices: ArrayLike, count: int | None, target: str) -> np.ndarray:

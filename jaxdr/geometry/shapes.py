@@ -3,11 +3,15 @@
 from collections.abc import Sequence
 from itertools import combinations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.arrays import numpy_for, traced
 from jaxdr.geometry.mesh import Mesh, MeshArrays, weld
+from jaxdr.geometry.vector import transform
 
 Vector = ArrayLike | Sequence  # beartype does not count a tuple as ArrayLike
 ORIGIN = (0.0, 0.0, 0.0)
@@ -208,9 +212,11 @@ def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) 
 def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     """The mesh under an affine map [4, 4] of column vectors. A map that mirrors also reverses the faces.
 
-    So their outside stays outside. For concrete matrices, on the host; inside jit use `mesh.with_vertices`. Raises
-    ValueError for a matrix of another shape, one that is not affine, and one without an inverse.
+    So their outside stays outside. Traceable and differentiable. Concrete values are checked: raises ValueError for a
+    matrix of another shape, one that is not affine, and one without an inverse.
     """
+    if traced(mesh, matrix):
+        return _transformed_traced(mesh, matrix)
     uvs = None if mesh.uvs is None else np.asarray(mesh.uvs)
     indices = (None if faces is None else np.asarray(faces) for faces in (mesh.uv_faces, mesh.normal_faces))
     arrays = MeshArrays(np.asarray(mesh.vertices, float), np.asarray(mesh.faces), uvs, *indices)
@@ -220,26 +226,46 @@ def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
 def transformed_arrays(arrays: MeshArrays, matrix: Vector) -> MeshArrays:
     """`transformed` for the arrays of a mesh."""
     matrix = np.asarray(matrix, float)
+    mirrors = _mirrors(matrix)
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
+    moved = arrays._replace(vertices=arrays.vertices @ linear.T + offset)
+    return moved.turned() if mirrors else moved
+
+
+def _transformed_traced(mesh: Mesh, matrix: Vector) -> Mesh:
+    """`transformed` if the mesh or the matrix is traced. The edges stay in their order."""
+    known = None if traced(matrix) else _mirrors(np.asarray(matrix, float))
+    matrix = jnp.asarray(matrix, mesh.vertices.dtype)
+    _require(matrix.shape == (4, 4), "transformed: matrix must have shape [4, 4]", matrix.shape)
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
+    moved = mesh.with_vertices(transform(linear, mesh.vertices) + offset)
+    if known is None:
+        return moved.turned(jnp.linalg.det(jax.lax.stop_gradient(linear)) < 0)
+    return moved.turned(known)
+
+
+def _mirrors(matrix: Float[np.ndarray, "..."]) -> bool:
+    """Whether an affine map mirrors. Raises ValueError for other matrices, and for those without an inverse."""
     _require(matrix.shape == (4, 4), "transformed: matrix must have shape [4, 4]", matrix.shape)
     _require(np.array_equal(matrix[3], [0, 0, 0, 1]), "transformed: the last row must be 0 0 0 1", matrix[3].tolist())
-    linear, offset = matrix[:3, :3], matrix[:3, 3]
-    determinant = np.linalg.det(linear)
+    determinant = np.linalg.det(matrix[:3, :3])
     _require(np.isfinite(determinant) and determinant != 0, "transformed: matrix has no inverse", matrix.tolist())
-    moved = arrays._replace(vertices=arrays.vertices @ linear.T + offset)
-    return moved.turned() if determinant < 0 else moved
+    return bool(determinant < 0)
 
 
 def centred(mesh: Mesh, size: float) -> Mesh:
     """The mesh with its bounding box around the origin, the longest side `size` long.
 
-    On the host, like `transformed`. Raises ValueError for a size that is not positive.
+    Traceable, like `transformed`. Raises ValueError for a size that is not positive.
     """
-    _require(size > 0, "size must be positive", size)
-    points = np.asarray(mesh.vertices, float)
+    if not traced(size):
+        _require(size > 0, "size must be positive", size)
+    xp = numpy_for(mesh.vertices, size)
+    points = xp.asarray(mesh.vertices, float)
     low, high = points.min(0), points.max(0)
-    matrix = np.diag([*3 * [size / (high - low).max()], 1.0])
-    matrix[:3, 3] = -matrix[0, 0] * (low + high) / 2
-    return transformed(mesh, matrix)
+    factor = size / (high - low).max()
+    top = xp.concatenate([factor * xp.eye(3), (-factor * (low + high) / 2)[:, None]], axis=1)
+    return transformed(mesh, xp.concatenate([top, xp.asarray([[0.0, 0.0, 0.0, 1.0]])]))
 
 
 def _require(condition: bool | np.bool_, message: str, value) -> None:

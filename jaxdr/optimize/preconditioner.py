@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxdr.arrays import as_array
 from jaxdr.geometry.mesh import Mesh
 
 
@@ -34,8 +35,8 @@ class LargeSteps(eqx.Module):
             raise ValueError(f"LargeSteps: lam must be a finite number, zero or larger; got {lam}")
         edges, count = np.asarray(mesh.edges.vertices), len(mesh.vertices)
         degrees = np.bincount(edges.ravel(), minlength=count)
-        self.edges = jnp.asarray(edges, jnp.int32)
-        self.degrees = jnp.asarray(degrees, jnp.int32)
+        self.edges = as_array(edges, np.int32)
+        self.degrees = as_array(degrees, np.int32)
         self.lam = float(lam)
         self.factors = Factors(edges, degrees, self.lam)
 

@@ -117,7 +117,6 @@ class Pilot:
 
             return jax.jvp(images, (t,), (jnp.ones_like(t),))[1]
 
-        integrator.check(self.scene)
         return jit(derivative).lower(self.scene, self.along, jnp.zeros(()), self.key)
 
     def _call(self, program, turn: int, key: PRNGKeyArray) -> tuple[dict[str, Array], float]:

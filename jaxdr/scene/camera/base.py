@@ -4,10 +4,9 @@ import abc
 
 import equinox as eqx
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from jaxdr.arrays import as_array
+from jaxdr.arrays import as_array, numpy_for, traced
 from jaxdr.scene.camera.view import View
 from jaxdr.scene.film import Film
 from jaxdr.scene.ranges import Parametric
@@ -62,25 +61,26 @@ class Camera(Parametric):
         return self.view().project_local(local)
 
 
-def look_at(origin, target, up) -> Float[np.ndarray, "4 4"]:
+def look_at(origin, target, up) -> Float[np.ndarray | Array, "4 4"]:
     """Camera-to-world matrix that looks from `origin` to `target`. Columns are left, up, forward, origin (Mitsuba's).
 
-    Raises ValueError if origin and target coincide, or if `up` is parallel to the line between them.
+    Traceable and differentiable; for concrete vectors it is a NumPy array. Raises ValueError if origin and target
+    coincide, or if `up` is parallel to the line between them. For traced vectors the matrix is NaN then.
     """
-    origin, target, up = (np.asarray(v, float) for v in (origin, target, up))
+    xp = numpy_for(origin, target, up)
+    origin, target, up = (xp.asarray(v, float) for v in (origin, target, up))
     forward = target - origin
-    left = np.cross(up, forward)
-    if not np.linalg.norm(left) > 1e-12 * max(np.linalg.norm(up) * np.linalg.norm(forward), 1e-300):
+    left = xp.cross(up, forward)
+    if xp is np and not np.linalg.norm(left) > 1e-12 * max(np.linalg.norm(up) * np.linalg.norm(forward), 1e-300):
         raise ValueError(f"look_at: up {up} is parallel to the view direction {forward}, or one of them is zero")
-    forward, left = forward / np.linalg.norm(forward), left / np.linalg.norm(left)
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
-    return matrix
+    forward, left = forward / xp.linalg.norm(forward), left / xp.linalg.norm(left)
+    axes = xp.stack([left, xp.cross(forward, left), forward, origin], axis=1)
+    return xp.concatenate([axes, xp.asarray([[0.0, 0.0, 0.0, 1.0]], axes.dtype)])
 
 
 def concrete(value: object) -> np.ndarray | None:
     """The value on the host; None for a traced value."""
-    return None if isinstance(value, Tracer) else np.asarray(value)
+    return None if traced(value) else np.asarray(value)
 
 
 def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
