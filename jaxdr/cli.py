@@ -53,7 +53,7 @@ from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.formats.mitsuba.settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 from jaxdr.view.write import NAME as PAGE_NAME
 from jaxdr.view.write import write_page
 
@@ -358,7 +358,7 @@ def _load_scene(options) -> Scene:
     assignments = [split_assignment(text) for text in options.set]
     with _warning_lines():
         scene = _read_scene(Path(options.scene), options.ignore_unsupported, _variables(options))
-    parameters = scene.parameters()
+    parameters = every_parameter(scene)
     values = {}
     for name, value in assignments:
         if "." not in name:

@@ -1,11 +1,14 @@
 """Scene: shapes, camera, environment and lights as one pytree with named parameters."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike
 
 from jaxdr.arrays import as_array
@@ -52,6 +55,7 @@ class Scene(eqx.Module):
     - `camera`: a `Perspective`, `ThinLens` or `Orthographic`, with its film.
     - `environment`: light from infinitely far away, or None for black.
     - `lights`: lights without area, by id.
+    - `tied`: pairs (name, names of parameters that it stands for), see `tie`. Loaders tie what a file shares.
 
     Names of `parameters` begin with an id. Raises ValueError for a scene without shapes, for an id that is empty, has a
     dot, is `camera` or `environment`, or names both a shape and a light, and for textures that do not fit the mesh of
@@ -62,6 +66,7 @@ class Scene(eqx.Module):
     camera: Camera
     environment: Environment | None = None
     lights: dict[str, DeltaLight] = eqx.field(converter=_sorted_by_id, default_factory=dict)
+    tied: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         if not self.shapes:
@@ -82,27 +87,112 @@ class Scene(eqx.Module):
         for name, shape in self.shapes.items():
             _check_textures(name, shape)
 
-    def parameters(self) -> dict[str, Array]:
-        """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them."""
-        return {name: get(self) for name, get in _accessors(self).items()}
+    def parameters(self, tied: bool = False) -> dict[str, Array]:
+        """Every continuous parameter by name (`spot.vertices`, `camera.to_world`, …), as `replace` takes them.
+
+        With `tied`, parameters that are tied are one, by the name of the tie. Then ValueError is raised if they differ.
+        """
+        found = {name: get(self) for name, get in _accessors(self).items()}
+        if not tied:
+            return found
+        for name, members in _ties(self, found).items():
+            values = [found.pop(member) for member in members]
+            _check_equal("Scene.parameters", name, members, values)
+            found[name] = values[0]
+        return found
 
     def replace(self, values: Mapping[str, ArrayLike]) -> "Scene":
         """The scene with some parameters replaced; pure and traceable.
 
-        Raises ValueError for an unknown name or a shape that differs from the parameter's.
+        The name of a tie sets all its parameters, so the derivative by it is the sum of theirs. Raises ValueError for
+        an unknown name, a parameter that is given twice, or a shape that differs from the parameter's.
         """
         accessors = _accessors(self)
+        ties = _ties(self, accessors)
+        new: dict[str, Array] = {}
         for name, value in values.items():
-            if name not in accessors:
-                raise ValueError(f"Scene.replace: unknown parameter {name!r}; this scene has: {', '.join(accessors)}")
-            old = accessors[name](self)
+            if name not in accessors and name not in ties:
+                known = ", ".join([*accessors, *ties])
+                raise ValueError(f"Scene.replace: unknown parameter {name!r}; this scene has: {known}")
+            members = ties.get(name, (name,))
+            old = accessors[members[0]](self)
             if jnp.shape(value) != old.shape:
                 raise ValueError(f"Scene.replace: {name} has shape {old.shape}, got {jnp.shape(value)}")
-        if not values:
+            for member in members:
+                if member in new:
+                    raise ValueError(
+                        f"Scene.replace: {member} is given twice, by its name and by a tie; give one value"
+                    )
+            new.update(dict.fromkeys(members, as_array(value, old.dtype)))
+        if not new:
             return self
-        getters = [accessors[name] for name in values]
-        new = [as_array(v, get(self).dtype) for v, get in zip(values.values(), getters, strict=True)]
-        return eqx.tree_at(lambda scene: [get(scene) for get in getters], self, new)
+        getters = [accessors[name] for name in new]
+        return eqx.tree_at(lambda scene: [get(scene) for get in getters], self, list(new.values()))
+
+    def tie(self, ties: Mapping[str, Sequence[str]]) -> "Scene":
+        """The scene with parameters tied: each name stands for several parameters of one value, in place of them.
+
+        `replace({"red.reflectance": ...})` sets all that `red.reflectance` ties; `parameters(tied=True)` has it in
+        their place. Their own names still work. A tie holds for those of its parameters that the scene has: one whose
+        material is exchanged leaves it.
+
+        Raises ValueError for a name that is a parameter's or another tie's, for fewer than two parameters, unknown
+        ones and ones that are tied already, and for parameters whose shapes or values differ.
+        """
+        found = self.parameters()
+        known = _ties(self, found)
+        tied = {member: name for name, members in known.items() for member in members}
+        for name, members in ties.items():
+            if not name or name in found or name in known:
+                raise ValueError(f"Scene.tie: {name!r} is taken or empty; give the tie a name of its own")
+            if len(members) < 2:
+                raise ValueError(f"Scene.tie: {name} ties {list(members)}; name two parameters or more")
+            for member in members:
+                if member not in found:
+                    raise ValueError(f"Scene.tie: unknown parameter {member!r}; this scene has: {', '.join(found)}")
+                if member in tied:
+                    raise ValueError(
+                        f"Scene.tie: {member} is tied by {tied[member]} already; it can be in one tie only"
+                    )
+                tied[member] = name
+            values = [found[member] for member in members]
+            if len({value.shape for value in values}) > 1:
+                shapes = ", ".join(f"{member} {found[member].shape}" for member in members)
+                raise ValueError(f"Scene.tie: {name}: the shapes differ: {shapes}; tie parameters of one shape")
+            _check_equal("Scene.tie", name, members, values)
+        pairs = {**known, **{name: tuple(members) for name, members in ties.items()}}
+        return dataclasses.replace(self, tied=tuple(sorted(pairs.items())))
+
+
+def every_parameter(scene: Scene) -> dict[str, Array]:
+    """Every parameter by its own name, and the ties whose parameters have one value."""
+    found = scene.parameters()
+    values = {name: [found[member] for member in members] for name, members in _ties(scene, found).items()}
+    return found | {name: first for name, (first, *_) in values.items() if _first_difference(values[name]) is None}
+
+
+def _ties(scene: Scene, known: Mapping) -> dict[str, tuple[str, ...]]:
+    """The ties of a scene, each with those of its parameters that are `known`; at least two."""
+    kept = {name: tuple(member for member in members if member in known) for name, members in scene.tied}
+    return {name: members for name, members in kept.items() if len(members) > 1}
+
+
+def _check_equal(caller: str, tie: str, members: Sequence[str], values: Sequence[Array]) -> None:
+    """Raises ValueError if the values of tied parameters differ. Traced ones pass."""
+    other = _first_difference(values)
+    if other is not None:
+        raise ValueError(
+            f"{caller}: {tie} is one parameter, and {members[0]} and {members[other]} differ; give both one value by "
+            "Scene.replace first"
+        )
+
+
+def _first_difference(values: Sequence[Array]) -> int | None:
+    """The number of the first value that differs from value number 0; None if all are one, or are traced."""
+    if any(isinstance(value, Tracer) for value in values):
+        return None
+    pairs = (np.array_equal(value, values[0], equal_nan=True) for value in values)
+    return next((number for number, equal in enumerate(pairs) if not equal), None)
 
 
 def _accessors(scene: Scene) -> dict:
@@ -110,18 +200,18 @@ def _accessors(scene: Scene) -> dict:
     found = {}
     for name, shape in scene.shapes.items():
         found[f"{name}.vertices"] = lambda s, n=name: s.shapes[n].mesh.vertices
-        for field in _float_fields(unwrap(shape.bsdf)):
+        for field in float_fields(unwrap(shape.bsdf)):
             found[f"{name}.bsdf.{field}"] = lambda s, n=name, f=field: attrgetter(f)(unwrap(s.shapes[n].bsdf))
         if shape.emitter is not None:
-            for field in _float_fields(shape.emitter):
+            for field in float_fields(shape.emitter):
                 found[f"{name}.emitter.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.shapes[n].emitter)
-    for field in _float_fields(scene.camera):
+    for field in float_fields(scene.camera):
         found[f"camera.{field}"] = lambda s, f=field: attrgetter(f)(s.camera)
     if scene.environment is not None:
-        for field in _float_fields(scene.environment):
+        for field in float_fields(scene.environment):
             found[f"environment.{field}"] = lambda s, f=field: attrgetter(f)(s.environment)
     for name, light in scene.lights.items():
-        for field in _float_fields(light):
+        for field in float_fields(light):
             found[f"{name}.{field}"] = lambda s, n=name, f=field: attrgetter(f)(s.lights[n])
     return found
 
@@ -131,13 +221,13 @@ def unwrap(bsdf: BSDF | TwoSided) -> BSDF:
     return bsdf.bsdf if isinstance(bsdf, TwoSided) else bsdf
 
 
-def _float_fields(module: eqx.Module) -> list[str]:
+def float_fields(module: eqx.Module) -> list[str]:
     """Names of the fields that are float arrays; those of modules inside (textures, inner BSDFs) follow a dot."""
     names = []
     for name in module.__dataclass_fields__:
         value = getattr(module, name)
         if isinstance(value, eqx.Module):
-            names += [f"{name}.{inner}" for inner in _float_fields(value)]
+            names += [f"{name}.{inner}" for inner in float_fields(value)]
         elif isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating):
             names.append(name)
     return names

@@ -14,6 +14,7 @@ from jaxdr.scene.formats.gltf.lights import light_at, read_light
 from jaxdr.scene.formats.gltf.materials import is_unlit, unsupported_at, unsupported_in
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.shapes import Names, Shapes, material_of, shared_color
+from jaxdr.scene.formats.ties import tie_shared
 from jaxdr.scene.lights import DeltaLight
 from jaxdr.scene.scene import RESERVED, Scene
 
@@ -37,6 +38,8 @@ def load_gltf(
       two-sided if the material is. A normal texture puts it in a `NormalMap`, and alpha with holes in a `Mask`.
     - A material that transmits all light is glass. One that transmits a part of it is a `Blend` with glass. An unlit
       one shines with its base colour and reflects nothing.
+    - A material that several shapes have can be changed in all of them by names that begin with its own, such as
+      `brass.bsdf.roughness` (`Scene.tie`). Without a name it is `material_` and its number.
     - Emissive factors become area emitters, with their textures; lights become lights. The file's photometric numbers
       are kept. If nothing shines, there is a constant environment of radiance 1.
     - Animated, skinned and morphed files are loaded in their default pose, with a warning.
@@ -58,7 +61,8 @@ def load_gltf(
         nodes = scene_nodes(document, places)
         _find_problems(document, nodes, problems)
     problems.check(ignore_unsupported)
-    shapes = Shapes(document, problems, places).read(nodes)
+    reader = Shapes(document, problems, places)
+    shapes = reader.read(nodes)
     if not shapes:
         raise ValueError(f"load_gltf: {path} has no triangles")
     lights = _lights(document, nodes, problems, taken=(*RESERVED, *shapes))
@@ -66,7 +70,8 @@ def load_gltf(
         camera = read_camera(document, nodes, shapes, width, height)
     problems.warn_notes()
     shines = lights or any(shape.emitter is not None for shape in shapes.values())
-    return Scene(shapes, camera, None if shines else ConstantEnvironment(1.0), lights)
+    scene = Scene(shapes, camera, None if shines else ConstantEnvironment(1.0), lights)
+    return tie_shared(scene, reader.materials.made())
 
 
 def _lights(document: Document, nodes: list[Node], problems: Problems, taken: Iterable[str]) -> dict[str, DeltaLight]:

@@ -5,16 +5,20 @@ a plugin is read. A new plugin is one function and one line in its table.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from jaxdr.scene.formats.mitsuba.document import read_document
+import equinox as eqx
+
+from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import SHAPE_EMITTERS, read_emitters
 from jaxdr.scene.formats.mitsuba.scene_shapes import SceneShapes
 from jaxdr.scene.formats.mitsuba.sensors import read_film, read_filter, read_sampler, read_sensor
+from jaxdr.scene.formats.mitsuba.shapes import Plan
 from jaxdr.scene.formats.mitsuba.textures import TEXTURES
 from jaxdr.scene.formats.mitsuba.xml import Properties, read_plugin
+from jaxdr.scene.formats.ties import Made, tie_shared
 from jaxdr.scene.scene import Scene
 
 INTEGRATOR_SETTINGS = (
@@ -29,6 +33,8 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     - Keywords set the file's `$variables` and override its `<default>`s.
     - Shapes are named by their XML ids. A shape without id is named by its type (`sphere`, `sphere_1`, …). An instance
       of several shapes gives each of them a name of three parts: the name of the instance, `_`, and that of the shape.
+    - A BSDF, texture or emitter that several shapes refer to by its id has parameters of its own, `<id>.reflectance`:
+      `Scene.replace` sets those of all shapes by it, and `Scene.parameters(tied=True)` lists it (`Scene.tie`).
     - Everything becomes meshes, and instances become copies of them. The module `shapes` says how fine they are, and
       where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
     - Integrator and sampler are checked, but have no effect: `jaxdr.render` has arguments of its own for them.
@@ -71,7 +77,21 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     if not found:
         raise root.error("the scene has no <shape> that can be seen; it needs at least one")
     with root.located():
-        return Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+        scene = Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+        return tie_shared(scene, _made(root, plans.values()))
+
+
+def _made(root: Element, plans: Iterable[Plan]) -> list[Made]:
+    """What was made of all elements with ids, and of the BSDFs and emitters without ids of instances."""
+    named = [element for _, element in descendants(root) if "id" in element.attributes]
+    found = {id(element.made): (element.attributes["id"], "", element) for element in named if element.tag != "shape"}
+    for plan in plans:
+        owner = plan.element.attributes.get("id", plan.element.type)
+        for element in (plan.bsdf, plan.emitter) if plan.instance is not None else ():
+            if element is not None:
+                found.setdefault(id(element.made), (owner, f".{element.tag}", element))
+    made = [Made(name, kind, each) for name, kind, element in found.values() for each in element.made.values()]
+    return [each for each in made if each.modules and all(isinstance(m, eqx.Module) for m in each.modules)]
 
 
 def _read_part(element: Element, read: Callable[[Element], object]) -> None:
