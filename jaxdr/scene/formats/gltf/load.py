@@ -27,7 +27,12 @@ def is_gltf(path: str | os.PathLike) -> bool:
 
 
 def load_gltf(
-    path: str | os.PathLike, *, width: int = 512, height: int | None = None, ignore_unsupported: bool = False
+    path: str | os.PathLike,
+    *,
+    width: int = 512,
+    height: int | None = None,
+    camera: str | int | None = None,
+    ignore_unsupported: bool = False,
 ) -> Scene:
     """The scene in a glTF 2.0 file, y up, in its units: one shape for each mesh primitive of each node.
 
@@ -43,12 +48,13 @@ def load_gltf(
     - Emissive factors become area emitters, with their textures; lights become lights. The file's photometric numbers
       are kept. If nothing shines, there is a constant environment of radiance 1.
     - Animated, skinned and morphed files are loaded in their default pose, with a warning.
-    - The camera is the first one of the file. If it has none, the camera shows the whole scene from the front.
+    - The camera is the first one of the scene, or the one that `camera` names: by its node, by itself, or by its
+      number among those of the scene, from 0. If there is none, the camera shows the whole scene from the front.
     - The film is `width` pixels wide. Without `height` the camera's aspect ratio gives it (square without one).
 
     Raises one ValueError that lists everything that is not supported, before anything is loaded. With
     `ignore_unsupported` these become warnings, and the rest is loaded. Raises ValueError, with the place in the file,
-    for a missing or damaged file.
+    for a missing or damaged file. Raises ValueError for a camera that is not there.
     """
     path = Path(path)
     if not is_gltf(path):
@@ -67,10 +73,10 @@ def load_gltf(
         raise ValueError(f"load_gltf: {path} has no triangles")
     lights = _lights(document, nodes, problems, taken=(*RESERVED, *shapes))
     with document.at("the camera"):
-        camera = read_camera(document, nodes, shapes, width, height)
+        view = read_camera(document, nodes, shapes, width, height, camera)
     problems.warn_notes()
     shines = lights or any(shape.emitter is not None for shape in shapes.values())
-    scene = Scene(shapes, camera, None if shines else ConstantEnvironment(1.0), lights)
+    scene = Scene(shapes, view, None if shines else ConstantEnvironment(1.0), lights)
     return tie_shared(scene, reader.materials.made())
 
 

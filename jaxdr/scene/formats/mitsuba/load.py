@@ -14,7 +14,7 @@ from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import SHAPE_EMITTERS, read_emitters
 from jaxdr.scene.formats.mitsuba.scene_shapes import SceneShapes
-from jaxdr.scene.formats.mitsuba.sensors import read_film, read_filter, read_sampler, read_sensor
+from jaxdr.scene.formats.mitsuba.sensors import chosen_sensor, read_film, read_filter, read_sampler, read_sensor
 from jaxdr.scene.formats.mitsuba.shapes import Plan
 from jaxdr.scene.formats.mitsuba.textures import TEXTURES
 from jaxdr.scene.formats.mitsuba.xml import Properties, read_plugin
@@ -27,10 +27,18 @@ INTEGRATOR_SETTINGS = (
 )
 
 
-def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False, **variables: object) -> Scene:
+def load_mitsuba(
+    path: str | os.PathLike,
+    /,
+    *,
+    sensor: str | int | None = None,
+    ignore_unsupported: bool = False,
+    **variables: object,
+) -> Scene:
     """The scene in a Mitsuba 3 XML file. Units and orientations are Mitsuba's.
 
-    - Keywords set the file's `$variables` and override its `<default>`s.
+    - Other keywords set the file's `$variables` and override its `<default>`s.
+    - The camera is the one `<sensor>`. If there are several, `sensor` is the id or the number, from 0, of the one.
     - Shapes are named by their XML ids. A shape without id is named by its type (`sphere`, `sphere_1`, …). An instance
       of several shapes gives each of them a name of three parts: the name of the instance, `_`, and that of the shape.
     - A BSDF, texture or emitter that several shapes refer to by its id has parameters of its own, `<id>.reflectance`:
@@ -56,8 +64,8 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     for tag, read in (("film", read_film), ("rfilter", read_filter), ("sampler", read_sampler)):
         for element in properties.objects(tag):
             _read_part(element, read)
-    sensor = properties.at_most_one("sensor")
-    camera = None if sensor is None else read_sensor(sensor)
+    seen_by = chosen_sensor(root, properties.objects("sensor"), sensor)
+    camera = None if seen_by is None else read_sensor(seen_by)
     plans = shapes.plans(properties.objects("shape"))
     emitters = properties.objects("emitter")
     for element in emitters:
@@ -66,11 +74,11 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     others = [element for element in emitters if element.type not in SHAPE_EMITTERS]
     environment, lights = read_emitters(others, plans)
     properties.finish()
-    if sensor is None:
+    if seen_by is None:
         root.problems.add(root, root.place("the scene has no <sensor>"))
     root.problems.check(Path(path), ignore_unsupported)
     if camera is None:
-        raise sensor.error("the scene has no other sensor that could take its place")
+        raise seen_by.error("the scene has no other sensor that could take its place")
     meshes = {name: shapes.shape(plan) for name, plan in plans.items()}
     root.problems.check(Path(path), ignore_unsupported)
     found = {name: shape for name, shape in meshes.items() if shape is not None}
