@@ -11,7 +11,7 @@ from jaxdr.geometry.mesh import EmptyMesh, Mesh, has_area
 from jaxdr.geometry.shapes import transformed_arrays
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.emitters import AreaEmitter
-from jaxdr.scene.formats.mitsuba.attributes import Attributes
+from jaxdr.scene.formats.attributes import Attributes
 from jaxdr.scene.formats.mitsuba.bsdfs import read_bsdf
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import read_shape_emitter
