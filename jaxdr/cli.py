@@ -53,7 +53,7 @@ from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.formats.mitsuba.settings import RenderSettings, mitsuba_settings
 from jaxdr.scene.motion import motion
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 from jaxdr.view.write import NAME as PAGE_NAME
 from jaxdr.view.write import write_page
 
@@ -353,12 +353,12 @@ def _view(options) -> int:
 def _load_scene(options) -> Scene:
     """The scene with `--set` applied: names with a dot are scene parameters, others go to the loader.
 
-    The loader takes the $variables of a Mitsuba file, or width and height for a glTF file.
+    The loader takes the sensor and the $variables of a Mitsuba file, or camera, width and height for a glTF file.
     """
     assignments = [split_assignment(text) for text in options.set]
     with _warning_lines():
         scene = _read_scene(Path(options.scene), options.ignore_unsupported, _variables(options))
-    parameters = scene.parameters()
+    parameters = every_parameter(scene)
     values = {}
     for name, value in assignments:
         if "." not in name:
@@ -397,8 +397,10 @@ def _read_scene(path: Path, ignore_unsupported: bool, variables: dict) -> Scene:
     if not is_gltf(path):
         return load_mitsuba(path, ignore_unsupported=ignore_unsupported, **variables)
     for name, value in variables.items():
-        if name not in ("width", "height") or not isinstance(value, int) or value < 1:
-            raise ValueError(f"--set {name}={value}: a glTF file takes width and height, whole pixels")
+        if name != "camera" and (name not in ("width", "height") or not isinstance(value, int) or value < 1):
+            raise ValueError(
+                f"--set {name}={value}: a glTF file takes width and height, whole pixels, and the name of a camera"
+            )
     return load_gltf(path, ignore_unsupported=ignore_unsupported, **variables)
 
 

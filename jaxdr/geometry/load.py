@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import re
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxdr.atomic_file import atomic_path
+from jaxdr.callers_line import warn
 from jaxdr.geometry.gltf.document import GltfError
 from jaxdr.geometry.gltf.parts import read_stored_parts
 from jaxdr.geometry.mesh import EmptyMesh, Mesh, MeshArrays, weld
@@ -23,7 +26,8 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
 
     Vertices at the same position are welded. UVs keep their own indices, so a seam does not split a vertex. The meshes
     of a GLB are joined, each at the place of its node in the scene, in the default pose of the file. If only some of
-    the meshes have UVs, the others get (0, 0). Materials are not read.
+    the meshes have UVs, the others get (0, 0). A mesh has no colours: a warning says if the file has some, and which
+    function keeps them (`load_shape`, `load_gltf`).
 
     `shading` is one of these:
 
@@ -41,47 +45,85 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
         raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
     parts = read_parts(path)
     try:
-        return joined(parts, shading)
+        mesh = joined(parts, shading)
     except ValueError as error:
         raise ValueError(f"load_mesh: {path}: {error}") from error
+    _warn_of_colors(Path(path), parts)
+    return mesh
 
 
-def read_parts(path: str | PathLike) -> list["Triangles"]:
+def _warn_of_colors(path: Path, parts: Sequence["Triangles"]) -> None:
+    found = list(dict.fromkeys(part.colored for part in parts if part.colored is not None))
+    if found:
+        keeps = {".glb": "jd.load_gltf", ".stl": "no function"}.get(path.suffix.lower(), "jd.load_shape")
+        warn(f"load_mesh: {path}: the colours of its {' and '.join(found)} are left out; {keeps} keeps them")
+
+
+def read_parts(path: str | PathLike, caller: str = "load_mesh") -> list["Triangles"]:
     """The triangle meshes of a file, each at its place. Raises ValueError like `load_mesh`."""
     path = Path(path)
-    _check_extension("load_mesh", path)
+    _check_extension(caller, path)
     if not path.is_file():
-        raise ValueError(f"load_mesh: there is no file {path}")
+        raise ValueError(f"{caller}: there is no file {path}")
     if path.suffix.lower() == ".glb":
         try:
             parts = [
-                Triangles(vertices, faces, uvs, None if normals is None else _unit(normals))
-                for vertices, faces, uvs, normals in read_stored_parts(path)
+                Triangles(
+                    *(part.vertices, part.faces, part.uvs),
+                    None if part.normals is None else _unit(part.normals),
+                    colored="materials" if part.colored else None,
+                )
+                for part in read_stored_parts(path)
             ]
         except GltfError as error:
-            raise ValueError(f"load_mesh: {error}") from error
-        return _not_empty(parts, path)
+            raise ValueError(f"{caller}: {error}") from error
+        return _not_empty(parts, path, caller)
     import trimesh  # imported here, because that takes longer than reading most files
 
-    source = io.StringIO(_text(path)) if path.suffix.lower() == ".obj" else path
-    options = _parser_options(path)
+    is_obj = path.suffix.lower() == ".obj"
+    text = read_text(path) if is_obj else ""
+    source = io.StringIO(text) if is_obj else path
+    options = _parser_options(path, text)
     try:
         scene = trimesh.load_scene(source, file_type=path.suffix.lower()[1:], process=False, **options)
     except Exception as error:  # trimesh's parsers may raise anything for a damaged file
         reason = str(error) or type(error).__name__
-        raise ValueError(f"load_mesh: {path} is not a readable {path.suffix} file ({reason})") from error
+        raise ValueError(f"{caller}: {path} is not a readable {path.suffix} file ({reason})") from error
     nodes = [(scene.geometry[name], to_world) for to_world, name in map(scene.graph.get, scene.graph.nodes_geometry)]
     parts = [Part(geometry, to_world) for geometry, to_world in nodes if is_triangles(geometry)]
-    return _not_empty(parts, path)
+    if is_obj:
+        _add_vertex_colors(parts, text)
+        if any(part.material is not None for part in parts) and any(map(Path.is_file, material_files(path, text))):
+            for part in parts:
+                part.colored = "materials"
+    return _not_empty(parts, path, caller)
 
 
-def _not_empty(parts: Sequence["Triangles"], path: Path) -> list["Triangles"]:
+def _not_empty(parts: Sequence["Triangles"], path: Path, caller: str) -> list["Triangles"]:
     if not parts:
-        raise EmptyMesh(f"load_mesh: {path} has no triangles")
+        raise EmptyMesh(f"{caller}: {path} has no triangles")
     return list(parts)
 
 
-def _text(path: Path) -> str:
+def _add_vertex_colors(parts: Sequence["Triangles"], text: str) -> None:
+    """Store the colours that the lines of an OBJ file have after positions. trimesh rounds them, or drops them."""
+    first = re.search(r"^v[ \t]+(.*)$", text, re.MULTILINE)
+    if first is None or len(first[1].split()) < 6:
+        return
+    lines = [words.split()[:6] for words in _statements(text, "v")]
+    for part in parts:
+        part.colored = "vertices"
+    if any(len(words) < 6 for words in lines):
+        return
+    table = np.array(lines, float) + 0.0  # +0 makes -0.0 a plain zero
+    colors = {row[:3].tobytes(): row[3:] for row in table}
+    if all(np.array_equal(colors[row[:3].tobytes()], row[3:]) for row in table):
+        for part in parts:
+            found = np.array([colors[position.tobytes()] for position in part.vertices + 0.0])
+            part.stored["vertex"] = dict(zip("rgb", found.T, strict=True))
+
+
+def read_text(path: Path) -> str:
     """The text of a file in UTF-8, else Latin-1: only comments and names can have other characters than ASCII."""
     content = path.read_bytes()
     try:
@@ -97,11 +139,15 @@ def joined(parts: Sequence["Triangles"], shading: str) -> Mesh:
     return mesh.smooth() if shading == "smooth" else mesh
 
 
-def joined_arrays(parts: Sequence["Triangles"], shading: str) -> tuple[MeshArrays, Int[np.ndarray, " n"]]:
+def joined_arrays(
+    parts: Sequence["Triangles"], shading: str, caller: str = "load_mesh"
+) -> tuple[MeshArrays, Int[np.ndarray, " n"]]:
     """(arrays of the joined mesh, row in its vertices of every vertex of the parts in turn).
 
-    The caller applies the shading "smooth".
+    The caller applies the shading "smooth". Raises ValueError for an unknown shading.
     """
+    if shading not in SHADINGS:
+        raise ValueError(f"{caller}: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
     counts = [len(part.vertices) for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
     soup = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
@@ -128,17 +174,18 @@ def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
 
     OBJ keeps everything. GLB splits vertices where UVs or normals differ, PLY drops UVs, STL has positions only; all
     three store float32. `load_mesh` welds again, and with shading "file" finds the smoothing groups again. Raises
-    `ValueError` for an unknown extension or a missing folder.
+    `ValueError` for an unknown extension or a missing folder. The file appears complete or not at all.
     """
     path = Path(path)
     _check_extension("save_mesh", path)
     if not path.parent.is_dir():
         raise ValueError(f"save_mesh: there is no folder {path.parent}")
     extension = path.suffix.lower()
-    if extension == ".obj":
-        path.write_text(_obj_text(mesh))
-    else:
-        _trimesh(mesh).export(path, file_type=extension[1:])
+    with atomic_path(path) as temporary:
+        if extension == ".obj":
+            temporary.write_text(_obj_text(mesh))
+        else:
+            _trimesh(mesh).export(temporary, file_type=extension[1:])
 
 
 def _check_extension(caller: str, path: Path) -> None:
@@ -146,10 +193,30 @@ def _check_extension(caller: str, path: Path) -> None:
         raise ValueError(f"{caller}: {path} has an unknown extension; known are {', '.join(EXTENSIONS)}")
 
 
-def _parser_options(path: Path) -> dict[str, Any]:
+def material_files(path: Path, text: str) -> list[Path]:
+    """The MTL files that an OBJ file with this text names. They may be missing."""
+    return [path.parent / name for name in _statements(text, "mtllib")]
+
+
+def _statements(text: str, keyword: str) -> list[str]:
+    return [found.strip() for found in re.findall(rf"^[ \t]*{keyword}[ \t]+(.+)$", text, re.MULTILINE)]
+
+
+class _Materials(dict):
+    """In place of the MTL files of an OBJ file: materials of the names that it uses, of which nothing is read."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.text = "\n".join(f"newmtl {name}" for name in dict.fromkeys(_statements(text, "usemtl")))
+
+    def __missing__(self, name: str) -> str:
+        return self.text
+
+
+def _parser_options(path: Path, text: str) -> dict[str, Any]:
     extension = path.suffix.lower()
     if extension == ".obj":
-        return {"skip_materials": True}
+        return {"resolver": _Materials(text)}
     if extension == ".ply":
         # "fix_texture" splits vertices at UV seams but not their normals. So use it only for UVs stored at corners.
         header = path.read_bytes().partition(b"end_header")[0]
@@ -168,7 +235,9 @@ def is_triangles(geometry: Any) -> bool:
 class Triangles:
     """One mesh of a file. `uvs` and `normals` belong to the vertices, or are None.
 
-    `stored` are further numbers of a PLY file, by element ("vertex", "face") and property.
+    - `stored`: further numbers of a PLY file, by element ("vertex", "face") and property.
+    - `colored`: what has colours that are no part of a mesh: "vertices", "faces" or "materials"; None if nothing has.
+    - `material`: the name of the material in an OBJ file, or None.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -176,6 +245,8 @@ class Triangles:
     uvs: Float[np.ndarray, "V 2"] | None = None
     normals: Float[np.ndarray, "V 3"] | None = None
     stored: dict[str, dict[str, np.ndarray]] = dataclasses.field(default_factory=dict)
+    colored: str | None = None
+    material: str | None = None
 
     def corner_normals(self) -> Float[np.ndarray, "F 3 3"]:
         """The stored normal at each corner; without stored normals that of the face."""
@@ -200,6 +271,11 @@ class Part(Triangles):
             _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None,
             _ply_properties(geometry),
         )
+        self.material = getattr(getattr(geometry.visual, "material", None), "name", None)
+        # What trimesh has not read as colours of a PLY file (because of texture coordinates) is still in its metadata.
+        raw = geometry.metadata.get("_ply_raw", {})
+        kinds = [name for name in ("vertex", "face") if {"red", "r"} & set(raw.get(name, {}).get("properties", {}))]
+        self.colored = {"vertex": "vertices", "face": "faces"}.get((kinds or [geometry.visual.kind])[0])
 
 
 def _ply_properties(geometry: Any) -> dict[str, dict[str, np.ndarray]]:
@@ -260,6 +336,7 @@ def _trimesh(mesh: Mesh) -> Any:
     """A trimesh.Trimesh with one index for all arrays, as GLB and PLY need it."""
     import trimesh
     from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
 
     if mesh.uvs is None and mesh.normal_faces is None:  # nothing to split: keep the vertices in their order
         return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
@@ -269,7 +346,7 @@ def _trimesh(mesh: Mesh) -> Any:
         faces,
         process=False,
         vertex_normals=None if mesh.normal_faces is None else np.asarray(mesh.vertex_normals())[triples[:, 2]],
-        visual=None if mesh.uvs is None else TextureVisuals(uv=np.asarray(mesh.uvs)[triples[:, 1]]),
+        visual=None if mesh.uvs is None else TextureVisuals(np.asarray(mesh.uvs)[triples[:, 1]], PBRMaterial()),
     )
 
 

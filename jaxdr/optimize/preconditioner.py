@@ -20,7 +20,8 @@ class LargeSteps(eqx.Module):
 
     `lam` is the strength of the smoothing: 0 does nothing, 19 is a good start for remeshed objects. The matrix is
     factorised once, on the host in float64, for the edges of `mesh`. A mesh with new faces needs a new `LargeSteps`.
-    The object is a pytree: close over it in a jitted function, or pass it as an argument.
+    The object is a pytree: close over it in a jitted function, or pass it as an argument. A pickle of it has the edges,
+    and factorises again when it is read.
 
     Raises ValueError when `lam` is negative or not finite.
     """
@@ -67,18 +68,29 @@ class LargeSteps(eqx.Module):
 class Factors:
     """Sparse LU factors of I + lam L for the undirected `edges` [E, 2] of a graph with vertex `degrees` [V].
 
-    Compared and hashed by identity, so that it can be static in a pytree: a new factorisation traces anew.
+    Compared and hashed by identity, so that it can be static in a pytree: a new factorisation traces anew. In a pickle
+    are the edges: SuperLU's factors can't be written, and are the same bit for bit when they are made again.
     """
 
     def __init__(self, edges: np.ndarray, degrees: np.ndarray, lam: float):
         import scipy.sparse  # on use: importing it takes long
         import scipy.sparse.linalg
 
+        self._made_of = edges, degrees, lam
         count = len(degrees)
         weights = np.full(len(edges), -lam)
         upper = scipy.sparse.coo_matrix((weights, (edges[:, 0], edges[:, 1])), (count, count))
         matrix = scipy.sparse.diags(1.0 + lam * degrees) + upper + upper.T
         self._lu = scipy.sparse.linalg.splu(matrix.tocsc())
+
+    def __reduce__(self):
+        return Factors, self._made_of
+
+    def __copy__(self) -> "Factors":
+        return self  # nothing in it changes, and a copy that is another one would trace anew
+
+    def __deepcopy__(self, memo: dict) -> "Factors":
+        return self
 
     def __call__(self, b: Float[Array, "V n"]) -> Float[Array, "V n"]:
         """Solve for every column of `b`, inside JAX."""

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.motion import motion, rounding_step
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 
 
 class Direction(NamedTuple):
@@ -37,8 +37,8 @@ def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> 
     their size: vertices move as a whole, turn and grow; cameras and other frames move and turn; numbers change
     independently. Raises ValueError for an unknown name, for no name, and if two names mean the same parameter.
     """
-    parameters = scene.parameters()
-    names = [name for name in parameters if name.endswith(".vertices")] if params is None else list(params)
+    parameters = every_parameter(scene)
+    names = [name for name in scene.parameters() if name.endswith(".vertices")] if params is None else list(params)
     if not names:
         raise ValueError("plan: params is empty; name at least one parameter, or leave it out for all vertices")
     values, velocities = {}, {}
@@ -56,7 +56,7 @@ def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> 
 
 def moving_along(scene: Scene, names: Sequence[str]) -> Moving:
     """What moves in the scene when the parameters `names` change."""
-    parameters = scene.parameters()
+    parameters = every_parameter(scene)
     replaced = scene.replace({name: parameters[name] + 0 for name in names})
     return moving_in(scene, jax.tree.map(lambda new, old: new is not old, replaced, scene))
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 
 EPSILON = float(np.finfo(np.float32).eps)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -28,12 +28,12 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     - `<shape>.rotate.x|y|z`: right-handed rotation, in radians, about a world axis through the centre of the shape's
       bounding box;
     - `camera.translate.x|y|z`, `camera.rotate.x|y|z`: the same for the camera, about its position;
-    - any other parameter of `scene.parameters()` (`spot.bsdf.reflectance`, `camera.fov`, …): all its components
-      grow together, by one per unit.
+    - any other parameter of `scene.parameters()` (`spot.bsdf.reflectance`, `camera.fov`, …), or a tie: all its
+      components grow together, by one per unit.
 
     Raises ValueError for any other name.
     """
-    parameters = scene.parameters()
+    parameters = every_parameter(scene)
     geometric = {key: key.removesuffix(".vertices") for key in parameters if key.endswith(".vertices")}
     owners = {owner: key for key, owner in geometric.items()} | {"camera": "camera.to_world"}
 

@@ -21,12 +21,23 @@ class Kept:
 
     The first ones stay. Pictures are used in rounds over all of them, so the least recently used picture is needed
     next. A cache that drops it would never have the right one.
+
+    Copies share the cache. A pickle of it is empty: another process reads what it needs.
     """
 
     def __init__(self, limit: int):
         self.limit, self.bytes = limit, 0
         self._values: dict[Hashable, Any] = {}
         self._lock = threading.Lock()
+
+    def __reduce__(self):
+        return Kept, (self.limit,)
+
+    def __copy__(self) -> "Kept":
+        return self
+
+    def __deepcopy__(self, memo: dict) -> "Kept":
+        return self
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._values

@@ -18,12 +18,16 @@ NOT_OF_MESHES = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_"
 
 
 class StoredPart(NamedTuple):
-    """A primitive at a node: world positions, faces, UVs with v upwards, and stored world normals of any length."""
+    """A primitive at a node: world positions, faces, UVs with v upwards, and stored world normals of any length.
+
+    `colored`: whether its material or its vertices have a colour.
+    """
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     uvs: Float[np.ndarray, "V 2"] | None
     normals: Float[np.ndarray, "V 3"] | None
+    colored: bool
 
 
 def read_stored_parts(path: Path) -> Iterator[StoredPart]:
@@ -52,10 +56,21 @@ def read_stored_parts(path: Path) -> Iterator[StoredPart]:
                         joints = joint_matrices(document, node.header["skin"], places, node.label)
                         positions, matrices = skinned(document, stored, joints), np.eye(4)[None]
                     for matrix in matrices if len(stored.faces) else ():
-                        yield _placed(stored.attributes, positions, stored.faces, matrix)
+                        yield _placed(stored.attributes, positions, stored.faces, matrix, _colored(document, primitive))
 
 
-def _placed(attributes: dict, positions: np.ndarray, faces: np.ndarray, matrix: np.ndarray) -> StoredPart:
+def _colored(document: Document, primitive: dict) -> bool:
+    if "COLOR_0" in primitive["attributes"]:
+        return True
+    material = document.item("materials", primitive["material"], "a primitive") if "material" in primitive else {}
+    surface = material.get("pbrMetallicRoughness", {})
+    white = surface.get("baseColorFactor", [1, 1, 1])[:3] == [1, 1, 1]
+    return not white or "baseColorTexture" in surface or any(material.get("emissiveFactor", []))
+
+
+def _placed(
+    attributes: dict, positions: np.ndarray, faces: np.ndarray, matrix: np.ndarray, colored: bool
+) -> StoredPart:
     """The primitive in world space, with the vertices that its faces use. A matrix that mirrors reverses the faces."""
     used, faces = np.unique(faces, return_inverse=True)
     faces, linear, positions = faces.reshape(-1, 3), matrix[:3, :3], positions[used]
@@ -65,4 +80,5 @@ def _placed(attributes: dict, positions: np.ndarray, faces: np.ndarray, matrix: 
         faces[:, ::-1] if np.linalg.det(linear) < 0 else faces,
         None if uvs is None else uvs.astype(float) * (1, -1) + (0, 1),
         None if normals is None else normals.astype(float) @ np.linalg.pinv(linear),
+        colored,
     )

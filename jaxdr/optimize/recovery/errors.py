@@ -10,7 +10,7 @@ from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.recovery.config import RecoveryConfig
 from jaxdr.optimize.recovery.parameters import Motion, angle_between
 from jaxdr.optimize.recovery.problem import Latents, Problem
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 
 ALBEDO_SPP = 16
 
@@ -32,7 +32,7 @@ class Errors:
         self.names: list[str] = []
         if problem.target is None:
             return
-        self.true = problem.target.parameters()
+        self.true = every_parameter(problem.target)
         textures = False
         for name, parameter in problem.parameters.items():
             if name.endswith(("pixels", "colors")) and ".bsdf." in name:

@@ -17,7 +17,7 @@ from jaxdr.optimize.recovery.scenes import load_scene
 from jaxdr.render import render
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Film
-from jaxdr.scene.scene import Scene
+from jaxdr.scene.scene import Scene, every_parameter
 
 Latents = dict[str, Array]
 
@@ -69,7 +69,7 @@ def build_problem(config: RecoveryConfig) -> Problem:
     """Everything that a config describes. Raises ValueError that starts with the key of what can't be built or read."""
     source, aim = config.scene, config.target
     scene = _viewed(_placed("scene", load_scene, source.name, source.file, source.options), config)
-    values = scene.parameters()
+    values = every_parameter(scene)
     parameters = {}
     for i, options in enumerate(config.parameters):
         place = f"parameters[{i}]"
@@ -100,7 +100,7 @@ def build_problem(config: RecoveryConfig) -> Problem:
 
 def parametrization(scene: Scene, options: Parameter) -> Parametrization:
     """How a parameter depends on latent numbers. Raises ValueError for an initial value that doesn't fit."""
-    value = scene.parameters()[options.name]
+    value = every_parameter(scene)[options.name]
     if options.moving:
         count = Motion.COUNTS[options.moving]
         offset = np.zeros(count)

@@ -207,7 +207,7 @@ CUBE = '<shape type="cube">%s</shape>'
 ERRORS = {
     "no sensor": (CUBE % "", "1, <scene>: the scene has no <sensor>"),
     "no shape": (SENSOR, "1, <scene>: the scene has no <shape> that can be seen"),
-    "two sensors": (f"{SENSOR}\n{SENSOR}", "3, <sensor>: a second one in one <scene>"),
+    "two sensors": (f"{SENSOR}\n{SENSOR}", "3, <sensor>: the scene has several sensors"),
     "two environments": (f'{SENSOR}<emitter type="constant"/>\n<emitter type="constant"/>', "3, <emitter>: a second"),
     "unknown element": (
         '<volume type="grid"/>',

@@ -242,7 +242,7 @@ COLUMNS = {
 @pytest.mark.parametrize("vertex, face, names", COLUMNS.values(), ids=COLUMNS)
 def test_attributes_as_in_mitsuba(mitsuba, tmp_path, vertex, face, names):
     from jaxdr.geometry.load import joined_arrays, read_parts
-    from jaxdr.scene.formats.mitsuba.attributes import mesh_attributes
+    from jaxdr.scene.formats.attributes import mesh_attributes
 
     path = tmp_path / "a.ply"
     path.write_text(ply(HILL["vertices"], HILL["faces"], vertex, face))
@@ -259,7 +259,7 @@ def test_attributes_as_in_mitsuba(mitsuba, tmp_path, vertex, face, names):
 
 def test_attributes_of_faces_without_area_and_of_vertices_that_become_one(tmp_path):
     from jaxdr.geometry.load import Triangles, joined_arrays
-    from jaxdr.scene.formats.mitsuba.attributes import mesh_attributes
+    from jaxdr.scene.formats.attributes import mesh_attributes
     from jaxdr.scene.formats.mitsuba.scene_shapes import _mesh
     from jaxdr.scene.formats.mitsuba.shapes import Plan, Source
 

@@ -29,7 +29,8 @@ MESSAGES = [
     "line 4, <float>: unknown parameter 'aperture' of sensor 'perspective'; known: ",
     "line 5, <rfilter>: unknown type 'lanczos'; known: box, gaussian, tent; with ignore_unsupported a Gaussian",
     "line 5, <integer>: unknown parameter 'widht' of film 'hdrfilm'; did you mean 'width'?; with ignore_unsupported it",
-    "line 6, <sensor>: a second one in one <scene>; with ignore_unsupported the first one counts",
+    "line 6, <sensor>: the scene has several sensors (0: without id, 1: without id); choose one by its id or its "
+    "number: sensor=0 (--set sensor=0); with ignore_unsupported the first one counts",
     "line 7, <emitter>: unknown type 'sunsky'; models of the sky are not supported; write the sky into",
     "line 8, <integrator>: unknown type 'depth'",
     "line 9, <medium>: participating media are not supported; with ignore_unsupported it is left out: space is empty",

@@ -13,18 +13,43 @@ FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: a
 
 
 def read_camera(
-    document: Document, nodes: list[Node], shapes: dict[str, Shape], width: int, height: int | None
+    document: Document,
+    nodes: list[Node],
+    shapes: dict[str, Shape],
+    width: int,
+    height: int | None,
+    chosen: str | int | None = None,
 ) -> Camera:
-    """The first camera of the file, or one that frames the scene if there is none."""
-    for node, index in named(nodes, "camera"):
-        camera = document.item("cameras", index, node.label)
-        with document.at(document.label("cameras", index)):
-            matrix = node.to_world @ np.diag([-1.0, 1, -1, 1])  # glTF looks along -z with x to the right
-            matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
-            if camera["type"] == "orthographic":
-                return _orthographic(matrix, camera["orthographic"], width, height)
-            return _perspective(matrix, camera["perspective"], width, height)
-    return _framing(shapes, width, height)
+    """The chosen camera of the file, by default the first, or one that frames the scene if there is none.
+
+    Raises ValueError for a choice that is none of them, or more than one.
+    """
+    cameras = list(named(nodes, "camera"))
+    if chosen is None and not cameras:
+        return _framing(shapes, width, height)
+    node, index = cameras[0 if chosen is None else _number(document, cameras, chosen)]
+    camera = document.item("cameras", index, node.label)
+    with document.at(document.label("cameras", index)):
+        matrix = node.to_world @ np.diag([-1.0, 1, -1, 1])  # glTF looks along -z with x to the right
+        matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+        if camera["type"] == "orthographic":
+            return _orthographic(matrix, camera["orthographic"], width, height)
+        return _perspective(matrix, camera["perspective"], width, height)
+
+
+def _number(document: Document, cameras: list[tuple[Node, int]], chosen: str | int) -> int:
+    """The number of the camera with this number or name; the names of a camera are its node's and its own."""
+    owners = [(node.header, document.item("cameras", index, node.label)) for node, index in cameras]
+    names = [list(dict.fromkeys(owner["name"] for owner in pair if owner.get("name"))) for pair in owners]
+    listed = ", ".join(f"{i}: " + (" or ".join(map(repr, found)) or "without name") for i, found in enumerate(names))
+    if isinstance(chosen, int) and not isinstance(chosen, bool) and 0 <= chosen < len(cameras):
+        return chosen
+    found = [number for number, own in enumerate(names) if chosen in own]
+    if not found:
+        raise ValueError(f"there is no camera {chosen!r}; the scene has {listed or 'none'}")
+    if len(found) > 1:
+        raise ValueError(f"several cameras are called {chosen!r}; choose one by its number: {listed}")
+    return found[0]
 
 
 def _perspective(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Perspective:

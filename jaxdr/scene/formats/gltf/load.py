@@ -14,6 +14,7 @@ from jaxdr.scene.formats.gltf.lights import light_at, read_light
 from jaxdr.scene.formats.gltf.materials import is_unlit, unsupported_at, unsupported_in
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.shapes import Names, Shapes, material_of, shared_color
+from jaxdr.scene.formats.ties import tie_shared
 from jaxdr.scene.lights import DeltaLight
 from jaxdr.scene.scene import RESERVED, Scene
 
@@ -26,7 +27,12 @@ def is_gltf(path: str | os.PathLike) -> bool:
 
 
 def load_gltf(
-    path: str | os.PathLike, *, width: int = 512, height: int | None = None, ignore_unsupported: bool = False
+    path: str | os.PathLike,
+    *,
+    width: int = 512,
+    height: int | None = None,
+    camera: str | int | None = None,
+    ignore_unsupported: bool = False,
 ) -> Scene:
     """The scene in a glTF 2.0 file, y up, in its units: one shape for each mesh primitive of each node.
 
@@ -37,15 +43,18 @@ def load_gltf(
       two-sided if the material is. A normal texture puts it in a `NormalMap`, and alpha with holes in a `Mask`.
     - A material that transmits all light is glass. One that transmits a part of it is a `Blend` with glass. An unlit
       one shines with its base colour and reflects nothing.
+    - A material that several shapes have can be changed in all of them by names that begin with its own, such as
+      `brass.bsdf.roughness` (`Scene.tie`). Without a name it is `material_` and its number.
     - Emissive factors become area emitters, with their textures; lights become lights. The file's photometric numbers
       are kept. If nothing shines, there is a constant environment of radiance 1.
     - Animated, skinned and morphed files are loaded in their default pose, with a warning.
-    - The camera is the first one of the file. If it has none, the camera shows the whole scene from the front.
+    - The camera is the first one of the scene, or the one that `camera` names: by its node, by itself, or by its
+      number among those of the scene, from 0. If there is none, the camera shows the whole scene from the front.
     - The film is `width` pixels wide. Without `height` the camera's aspect ratio gives it (square without one).
 
     Raises one ValueError that lists everything that is not supported, before anything is loaded. With
     `ignore_unsupported` these become warnings, and the rest is loaded. Raises ValueError, with the place in the file,
-    for a missing or damaged file.
+    for a missing or damaged file. Raises ValueError for a camera that is not there.
     """
     path = Path(path)
     if not is_gltf(path):
@@ -58,15 +67,17 @@ def load_gltf(
         nodes = scene_nodes(document, places)
         _find_problems(document, nodes, problems)
     problems.check(ignore_unsupported)
-    shapes = Shapes(document, problems, places).read(nodes)
+    reader = Shapes(document, problems, places)
+    shapes = reader.read(nodes)
     if not shapes:
         raise ValueError(f"load_gltf: {path} has no triangles")
     lights = _lights(document, nodes, problems, taken=(*RESERVED, *shapes))
     with document.at("the camera"):
-        camera = read_camera(document, nodes, shapes, width, height)
+        view = read_camera(document, nodes, shapes, width, height, camera)
     problems.warn_notes()
     shines = lights or any(shape.emitter is not None for shape in shapes.values())
-    return Scene(shapes, camera, None if shines else ConstantEnvironment(1.0), lights)
+    scene = Scene(shapes, view, None if shines else ConstantEnvironment(1.0), lights)
+    return tie_shared(scene, reader.materials.made())
 
 
 def _lights(document: Document, nodes: list[Node], problems: Problems, taken: Iterable[str]) -> dict[str, DeltaLight]:

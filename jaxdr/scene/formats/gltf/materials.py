@@ -26,6 +26,7 @@ from jaxdr.scene.formats.gltf.transmission import (
     glass_of,
     unsupported_glass,
 )
+from jaxdr.scene.formats.ties import Made
 from jaxdr.scene.textures import Product, Texture, VertexColors
 
 STRENGTH = "KHR_materials_emissive_strength"
@@ -108,6 +109,17 @@ class Materials:
                 # The colours are kept in the cache, so that no other array gets their id.
                 self._made[key] = (*self._material(label, material, infos, colors, flip), colors)
         return self._made[key][:2]
+
+    def made(self) -> list[Made]:
+        """The BSDFs and emitters of the materials of the file that were made."""
+        found: dict[tuple[int, str], Made] = {}
+        for (index, *_), (*parts, _) in self._made.items():
+            if index is not None:
+                name = self.document.item("materials", index, "a primitive").get("name") or f"material_{index}"
+                for kind, part in zip((".bsdf", ".emitter"), parts, strict=True):
+                    if part is not None:
+                        found.setdefault((index, kind), Made(name, kind, [])).modules.append(part)
+        return list(found.values())
 
     def _material(self, label: str, material: dict, infos: dict, colors: np.ndarray | None, flip: bool):
         factors = material.get("pbrMetallicRoughness", {})

@@ -7,7 +7,7 @@ import numpy as np
 from jaxdr.scene.bsdf import BSDF, Blend, BumpMap, Diffuse, Mask, NormalMap, TwoSided
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.materials import MATERIALS
-from jaxdr.scene.formats.mitsuba.textures import any_texture, as_number, opacity, textured_color, textured_number
+from jaxdr.scene.formats.mitsuba.textures import heights, opacity, textured_color, textured_number
 from jaxdr.scene.formats.mitsuba.values import floats
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
 from jaxdr.scene.scene import unwrap
@@ -57,7 +57,7 @@ def _bump_map(element: Element) -> BSDF | TwoSided:
     _as_by_default(properties)
     scale = properties.value("scale", NUMBER, 1.0)
     inner, bsdf = _inner(properties)
-    height = as_number(any_texture(properties, "heights"))
+    height = heights(properties)
     return _mapped(element.type, inner, bsdf, lambda inside: BumpMap(height, inside, scale))
 
 

@@ -27,17 +27,18 @@ class Problems:
     """The mistakes in a scene file, and what is not supported. They are collected, so that one error lists them all."""
 
     found: list[tuple[str, int, str, Severity]] = dataclasses.field(default_factory=list)
+    told: set[tuple[str, int, str, Severity]] = dataclasses.field(default_factory=set)
 
     def add(self, element: "Element", message: str, severity: Severity = Severity.MISTAKE) -> None:
         """Note a problem, but only once: an element that others refer to may be read several times."""
         problem = (str(element.file), element.line, message, severity)
-        if problem not in self.found:
+        if problem not in self.found and problem not in self.told:
             self.found.append(problem)
 
     def check(self, path: Path, ignore_unsupported: bool) -> None:
         """Raise one `SceneFileError` that lists all errors so far. Give warnings for the other problems.
 
-        If there is no error, the list is empty afterwards.
+        If there is no error, the list is empty afterwards, and what was told is not noted again.
         """
         # A stable sort: by line within a file, the main file first.
         ordered = sorted(self.found, key=lambda problem: (problem[0] != str(path), *problem[:2]))
@@ -50,6 +51,7 @@ class Problems:
             raise SceneFileError(remaining[0])
         if remaining:
             raise SceneFileError("\n  ".join([f"{path} has {len(remaining)} problems:", *remaining]))
+        self.told.update(self.found)
         self.found.clear()
 
 
@@ -62,6 +64,7 @@ class Element:
     - `vertex_data`: attributes of the mesh of the shape around the element, by name. `vertex_…` has a row for each
       vertex (None if there is no single value for each), `face_…` one for each face. None outside of shapes.
     - `referred`: whether some `<ref>` refers to it.
+    - `made`: what plugins have made of it, by plugin. All references to an element share it.
     """
 
     tag: str
@@ -74,11 +77,17 @@ class Element:
     properties: Any = None
     vertex_data: dict[str, Any] | None = None
     referred: bool = False
+    made: dict[Any, list[Any]] = dataclasses.field(default_factory=dict)
 
     @property
     def type(self) -> str:
         """The plugin type. An element without one, such as the outermost, counts as `scene`."""
         return self.attributes.get("type", "scene")
+
+    @property
+    def needs_mesh(self) -> bool:
+        """Whether it is or contains a texture whose values are attributes of a mesh."""
+        return self.type == "mesh_attribute" or any(child.needs_mesh for child in self.children)
 
     def place(self, message: str) -> str:
         """The message after file, line and tag."""

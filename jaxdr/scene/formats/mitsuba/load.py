@@ -5,16 +5,20 @@ a plugin is read. A new plugin is one function and one line in its table.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from jaxdr.scene.formats.mitsuba.document import read_document
+import equinox as eqx
+
+from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import SHAPE_EMITTERS, read_emitters
 from jaxdr.scene.formats.mitsuba.scene_shapes import SceneShapes
-from jaxdr.scene.formats.mitsuba.sensors import read_film, read_filter, read_sampler, read_sensor
+from jaxdr.scene.formats.mitsuba.sensors import chosen_sensor, read_film, read_filter, read_sampler, read_sensor
+from jaxdr.scene.formats.mitsuba.shapes import Plan
 from jaxdr.scene.formats.mitsuba.textures import TEXTURES
 from jaxdr.scene.formats.mitsuba.xml import Properties, read_plugin
+from jaxdr.scene.formats.ties import Made, tie_shared
 from jaxdr.scene.scene import Scene
 
 INTEGRATOR_SETTINGS = (
@@ -23,12 +27,22 @@ INTEGRATOR_SETTINGS = (
 )
 
 
-def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False, **variables: object) -> Scene:
+def load_mitsuba(
+    path: str | os.PathLike,
+    /,
+    *,
+    sensor: str | int | None = None,
+    ignore_unsupported: bool = False,
+    **variables: object,
+) -> Scene:
     """The scene in a Mitsuba 3 XML file. Units and orientations are Mitsuba's.
 
-    - Keywords set the file's `$variables` and override its `<default>`s.
+    - Other keywords set the file's `$variables` and override its `<default>`s.
+    - The camera is the one `<sensor>`. If there are several, `sensor` is the id or the number, from 0, of the one.
     - Shapes are named by their XML ids. A shape without id is named by its type (`sphere`, `sphere_1`, …). An instance
       of several shapes gives each of them a name of three parts: the name of the instance, `_`, and that of the shape.
+    - A BSDF, texture or emitter that several shapes refer to by its id has parameters of its own, `<id>.reflectance`:
+      `Scene.replace` sets those of all shapes by it, and `Scene.parameters(tied=True)` lists it (`Scene.tie`).
     - Everything becomes meshes, and instances become copies of them. The module `shapes` says how fine they are, and
       where their normals come from. UVs have (0, 0) at an image's lower left, as in OBJ files.
     - Integrator and sampler are checked, but have no effect: `jaxdr.render` has arguments of its own for them.
@@ -50,8 +64,8 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     for tag, read in (("film", read_film), ("rfilter", read_filter), ("sampler", read_sampler)):
         for element in properties.objects(tag):
             _read_part(element, read)
-    sensor = properties.at_most_one("sensor")
-    camera = None if sensor is None else read_sensor(sensor)
+    seen_by = chosen_sensor(root, properties.objects("sensor"), sensor)
+    camera = None if seen_by is None else read_sensor(seen_by)
     plans = shapes.plans(properties.objects("shape"))
     emitters = properties.objects("emitter")
     for element in emitters:
@@ -60,18 +74,32 @@ def load_mitsuba(path: str | os.PathLike, /, *, ignore_unsupported: bool = False
     others = [element for element in emitters if element.type not in SHAPE_EMITTERS]
     environment, lights = read_emitters(others, plans)
     properties.finish()
-    if sensor is None:
+    if seen_by is None:
         root.problems.add(root, root.place("the scene has no <sensor>"))
     root.problems.check(Path(path), ignore_unsupported)
     if camera is None:
-        raise sensor.error("the scene has no other sensor that could take its place")
+        raise seen_by.error("the scene has no other sensor that could take its place")
     meshes = {name: shapes.shape(plan) for name, plan in plans.items()}
     root.problems.check(Path(path), ignore_unsupported)
     found = {name: shape for name, shape in meshes.items() if shape is not None}
     if not found:
         raise root.error("the scene has no <shape> that can be seen; it needs at least one")
     with root.located():
-        return Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+        scene = Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+        return tie_shared(scene, _made(root, plans.values()))
+
+
+def _made(root: Element, plans: Iterable[Plan]) -> list[Made]:
+    """What was made of all elements with ids, and of the BSDFs and emitters without ids of instances."""
+    named = [element for _, element in descendants(root) if "id" in element.attributes]
+    found = {id(element.made): (element.attributes["id"], "", element) for element in named if element.tag != "shape"}
+    for plan in plans:
+        owner = plan.element.attributes.get("id", plan.element.type)
+        for element in (plan.bsdf, plan.emitter) if plan.instance is not None else ():
+            if element is not None:
+                found.setdefault(id(element.made), (owner, f".{element.tag}", element))
+    made = [Made(name, kind, each) for name, kind, element in found.values() for each in element.made.values()]
+    return [each for each in made if each.modules and all(isinstance(m, eqx.Module) for m in each.modules)]
 
 
 def _read_part(element: Element, read: Callable[[Element], object]) -> None:

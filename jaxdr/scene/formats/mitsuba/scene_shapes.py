@@ -4,8 +4,6 @@ Groups are flattened: an instance is a copy of the group's meshes in another pla
 """
 
 import functools
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +11,8 @@ from jaxdr.geometry.mesh import EmptyMesh, Mesh, has_area
 from jaxdr.geometry.shapes import transformed_arrays
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
 from jaxdr.scene.emitters import AreaEmitter
-from jaxdr.scene.formats.mitsuba.attributes import Attributes
+from jaxdr.scene.formats.attributes import Attributes
 from jaxdr.scene.formats.mitsuba.bsdfs import read_bsdf
-from jaxdr.scene.formats.mitsuba.document import descendants
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import read_shape_emitter
 from jaxdr.scene.formats.mitsuba.names import object_names, parameter_name
@@ -25,13 +22,9 @@ from jaxdr.scene.scene import Shape
 
 
 class SceneShapes:
-    """Reads shapes, their BSDFs and their emitters. An element that several shapes refer to is read once.
-
-    Problems are added to those of the elements.
-    """
+    """Reads shapes, their BSDFs and their emitters. Problems are added to those of the elements."""
 
     def __init__(self) -> None:
-        self._read: dict[int, Any] = {}
         self._groups = {"shapegroup": self._group, "instance": self._instance}
 
     def plans(self, elements: list[Element]) -> dict[str, Plan]:
@@ -81,20 +74,11 @@ class SceneShapes:
         if element.type == "null":
             element.unsupported(f"unknown type 'null'; {REASONS['null']}", "shapes that have it are left out")
             return None
-        return self._once(element, read_bsdf)
+        return read_bsdf(element)
 
     def emitter(self, element: Element | None) -> AreaEmitter | None:
         """The emitter of an element, or None."""
-        return None if element is None else self._once(element, read_shape_emitter)
-
-    def _once(self, element: Element, read: Callable[[Element], Any]) -> Any:
-        if element.vertex_data is not None and _needs_mesh(element):
-            return read(element)
-        # All references to an element share its children.
-        key = id(element.children)
-        if key not in self._read:
-            self._read[key] = read(element)
-        return self._read[key]
+        return None if element is None else read_shape_emitter(element)
 
     def _plan(self, element: Element) -> Plan | None:
         """The plan of a `<shape>`, with its BSDF and emitter checked; None if it can't be read or can't be seen."""
@@ -118,10 +102,8 @@ class SceneShapes:
         group = properties.at_most_one("shape")
         if group is None or group.type != "shapegroup":
             raise ValueError("needs a shapegroup inside")
-        key = id(group.children)
-        if key not in self._read:
-            self._read[key] = read_plugin(group, self._groups, "it is left out") or []
-        return [(name, plan._replace(instance=to_world)) for name, plan in self._read[key]]
+        inside = read_plugin(group, self._groups, "it is left out") or []
+        return [(name, plan._replace(instance=to_world)) for name, plan in inside]
 
 
 def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
@@ -145,8 +127,3 @@ def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
             for name, values in attributes.items()
         }
     return mesh, attributes
-
-
-def _needs_mesh(element: Element) -> bool:
-    """Whether an element contains a texture whose values are attributes of a mesh."""
-    return any(child.type == "mesh_attribute" for _, child in descendants(element))

@@ -131,6 +131,29 @@ def read_sensor(element: Element) -> Camera | None:
     return read_plugin(element, SENSORS, "it is left out")
 
 
+def chosen_sensor(root: Element, sensors: list[Element], chosen: str | int | None) -> Element | None:
+    """The sensor of a scene with an id or a number, from 0. Without a choice it is the first; None if there is none.
+
+    Several sensors without a choice are noted as not supported. Raises ValueError for a choice that is none of them.
+    """
+    ids = [sensor.attributes.get("id") for sensor in sensors]
+    listed = ", ".join(f"{i}: " + ("without id" if name is None else repr(name)) for i, name in enumerate(ids))
+    if chosen is None:
+        for further in sensors[1:2]:
+            example = next((name for name in ids if name is not None), 0)
+            further.unsupported(
+                f"the scene has several sensors ({listed}); choose one by its id or its number: sensor={example!r} "
+                f"(--set sensor={example})",
+                "the first one counts",
+            )
+        return sensors[0] if sensors else None
+    if isinstance(chosen, int) and not isinstance(chosen, bool) and 0 <= chosen < len(sensors):
+        return sensors[chosen]
+    if chosen not in ids:
+        raise root.error(f"there is no sensor {chosen!r}; the scene has {listed or 'none'}")
+    return sensors[ids.index(str(chosen))]
+
+
 def read_sampler(element: Element) -> None:
     """Check a `<sampler>`. It has no effect; an unknown one gives a warning."""
     if element.type in SAMPLERS or "type" not in element.attributes:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.sensors import chosen_sensor
 
 DIRECT = ("direct", "direct_projective")  # two segments by definition
 
@@ -17,10 +18,13 @@ class RenderSettings(NamedTuple):
     spp: int | None
 
 
-def mitsuba_settings(path: str | os.PathLike, /, **variables: object) -> RenderSettings:
-    """The settings of the first integrator, and of the sampler of the first sensor; keywords as in `load_mitsuba`.
+def mitsuba_settings(
+    path: str | os.PathLike, /, *, sensor: str | int | None = None, **variables: object
+) -> RenderSettings:
+    """The settings of the first integrator, and of the sampler of the sensor; keywords as in `load_mitsuba`.
 
-    Raises ValueError for malformed XML, a variable without value, and a setting that is no whole number.
+    Raises ValueError for malformed XML, a variable without value, a sensor that is not there, and a setting that is no
+    whole number.
     """
     root = read_document(Path(path), variables)
     depth = spp = None
@@ -28,8 +32,8 @@ def mitsuba_settings(path: str | os.PathLike, /, **variables: object) -> RenderS
         if element.tag == "integrator" and element.type not in ("aov", "moment"):  # these have another one inside
             depth = 2 if element.type in DIRECT else _whole(element, "max_depth", -1)
             break
-    sensors = [child for child in root.children if child.tag == "sensor"]
-    for _, element in descendants(sensors[0]) if sensors else ():
+    seen_by = chosen_sensor(root, [child for child in root.children if child.tag == "sensor"], sensor)
+    for _, element in descendants(seen_by) if seen_by is not None else ():
         if element.tag == "sampler":
             spp = _whole(element, "sample_count", None)
     return RenderSettings(depth, spp)

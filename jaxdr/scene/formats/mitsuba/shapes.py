@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from jaxdr.geometry.load import Triangles, joined_arrays, normals_apart, read_parts
 from jaxdr.geometry.mesh import MeshArrays, weld
 from jaxdr.geometry.shapes import sphere
-from jaxdr.scene.formats.mitsuba.attributes import Attributes, mesh_attributes
+from jaxdr.scene.formats.attributes import Attributes, mesh_attributes
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.serialized import read_serialized
 from jaxdr.scene.formats.mitsuba.values import tangent

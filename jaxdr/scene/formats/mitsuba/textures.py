@@ -97,7 +97,7 @@ def _scale(element: Element) -> ArrayLike | Texture:
     """A texture times a number (Mitsuba 0.x)."""
     properties = Properties(element)
     factor = properties.value("scale", NUMBER, 1.0)
-    return any_texture(properties, "any kind").times(factor)
+    return any_texture(properties).times(factor)
 
 
 CONSTANTS: dict[str, Callable[[Element], ArrayLike]] = {"uniform": _uniform, "d65": _d65}
@@ -124,16 +124,20 @@ def color(properties: Properties, name: str, default: ArrayLike) -> ArrayLike:
 
 def textured_color(properties: Properties, name: str, default: ArrayLike | None) -> Any:
     """Take a colour that may be a texture."""
-    return _textured(properties, name, COLOR, default)
+    return _textured(properties, name, COLOR, default, _in_color)
 
 
 def textured_number(properties: Properties, name: str, default: ArrayLike | None) -> Any:
     """Take a number that may be a texture. A texture of colours gives their luminance."""
-    return as_number(_textured(properties, name, NUMBER, default))
+    return _textured(properties, name, NUMBER, default, _as_number)
 
 
-def as_number(value: Any) -> Any:
-    """The same value, but with luminance in place of the colours of a texture."""
+def _in_color(value: Texture) -> Texture:
+    return value.fitted(3, "a colour")
+
+
+def _as_number(value: Texture) -> Texture:
+    """The same texture, but with luminance in place of colours."""
     if isinstance(value, Bitmap) and value.pixels.shape[-1] == 3:
         return eqx.tree_at(lambda t: t.pixels, value, _grey(value.pixels))
     if isinstance(value, Checkerboard):
@@ -151,11 +155,13 @@ def _grey(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n 1"]:
 
 def textured_roughness(properties: Properties, name: str) -> Any:
     """Take the alpha of a microfacet distribution. Values of a texture that are too small become the least allowed."""
-    value = textured_number(properties, name, None)
-    if not isinstance(value, Texture):
-        return value
-    rough_enough = tuple(as_array(np.maximum(array, SMOOTHEST)) for array in value.data())
-    return eqx.tree_at(lambda t: t.data(), value, rough_enough)
+    return _textured(properties, name, NUMBER, None, _rough_enough)
+
+
+def _rough_enough(value: Texture) -> Texture:
+    number = _as_number(value)
+    raised = tuple(as_array(np.maximum(array, SMOOTHEST)) for array in number.data())
+    return eqx.tree_at(lambda t: t.data(), number, raised)
 
 
 def opacity(properties: Properties, name: str, default: float) -> Any:
@@ -169,19 +175,40 @@ def opacity(properties: Properties, name: str, default: float) -> Any:
     return float(given.mean())
 
 
-def any_texture(properties: Properties, what: str) -> Texture:
+def any_texture(properties: Properties) -> Texture:
     """Take the one texture inside, whatever its name. Raises ValueError if there is none."""
+    return _inside(properties, "any kind", lambda texture: texture)
+
+
+def heights(properties: Properties) -> Texture:
+    """Take the one texture inside, whatever its name, as numbers. Raises ValueError if there is none."""
+    return _inside(properties, "heights", _as_number)
+
+
+def _inside(properties: Properties, what: str, convert: Callable[[Texture], Texture]) -> Texture:
     element = properties.at_most_one("texture")
     if element is None:
         raise ValueError(f"needs a <texture> of {what} inside")
     value = read_plugin(element, TEXTURES, "there is none")
-    return value if isinstance(value, Texture) else Bitmap(np.zeros((1, 1)))
+    return _converted(element, value, convert) if isinstance(value, Texture) else Bitmap(np.zeros((1, 1)))
 
 
-def _textured(properties: Properties, name: str, tags: str, default):
+def _converted(element: Element, texture: Texture, convert: Callable[[Texture], Texture]) -> Texture:
+    """The texture of an element after a conversion, which is done once, as the element is read once."""
+    if element.needs_mesh:
+        return convert(texture)
+    made = element.made.setdefault(convert, [])
+    if not made:
+        made.append(convert(texture))
+    return made[0]
+
+
+def _textured(properties: Properties, name: str, tags: str, default, convert: Callable[[Texture], Texture]):
     element = properties.texture(name)
     if element is None:
         return properties.value(name, tags, default)
     instead = f"{name} is left at its default" if default is None else f"{name} is {np.asarray(default).tolist()}"
     value = read_plugin(element, TEXTURES, instead)
+    if isinstance(value, Texture):
+        return _converted(element, value, convert)
     return default if value is None else value

@@ -50,6 +50,9 @@ def read_plugin(element: Element, plugins: Mapping[str, Callable[[Element], T]],
     It is None if the type is unknown, a value is wrong, or the plugin raises ValueError. That is added to the element's
     problems, and so is everything that the plugin did not read. `instead` says what happens if an unknown type is
     ignored.
+
+    An element is read once, however many refer to it, so that they share the object. Only what depends on the
+    attributes of a mesh is made for each mesh.
     """
     try:
         if "type" not in element.attributes:
@@ -58,13 +61,18 @@ def read_plugin(element: Element, plugins: Mapping[str, Callable[[Element], T]],
             known = REASONS.get(element.type, f"known: {', '.join(plugins) or 'none'}")
             element.unsupported(f"unknown type {element.type!r}; {known}", instead)
             return None
+        plugin = plugins[element.type]
+        if element.made.get(plugin) and not element.needs_mesh:
+            return element.made[plugin][0]
         element.properties = None
         with element.located():
-            result = plugins[element.type](element)
+            result = plugin(element)
         (element.properties or Properties(element)).finish()
     except SceneFileError as error:
         element.problems.add(element, str(error))
         return None
+    if element.vertex_data is not None or not element.needs_mesh:  # outside of a mesh its attributes are stand-ins
+        element.made.setdefault(plugin, []).append(result)
     return result
 
 
