@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import attrgetter
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -219,7 +220,7 @@ def _models(scene: Scene) -> dict[str, eqx.Module]:
     return found | scene.lights
 
 
-def _owner(scene: Scene, name: str) -> tuple[eqx.Module, str]:
+def _owner(scene: Scene, name: str) -> tuple[Any, str]:
     """(mesh or model, path of fields) of a parameter."""
     head, _, path = name.partition(".")
     if head in RESERVED:
@@ -236,7 +237,7 @@ def _owner(scene: Scene, name: str) -> tuple[eqx.Module, str]:
 def _accessors(scene: Scene) -> dict:
     """Parameter name -> function that takes it from a scene."""
 
-    def get(of: Scene, name: str) -> Array:
+    def get(of, name):  # also of a scene whose leaves are no arrays
         owner, path = _owner(of, name)
         return attrgetter(path)(owner)
 
