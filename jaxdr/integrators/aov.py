@@ -5,7 +5,7 @@ rays, and jumps at silhouettes. Where it is continuous on surfaces, silhouettes 
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -71,8 +71,8 @@ class AovImage(eqx.Module):
 
     name: str = eqx.field(static=True)
     rays: str = eqx.field(static=True, default="auto")
-    max_depth: ClassVar[int] = 1
-    boundary: ClassVar[None] = None  # no light, so no boundary behind the first hit
+    max_depth: int = eqx.field(static=True, default=1)
+    boundary: None = eqx.field(static=True, default=None)  # no light, so no boundary behind the first hit
 
     def __check_init__(self):
         assert self.name in CONTINUOUS
@@ -130,7 +130,7 @@ class _Silhouettes:
         values = _three(aov_values(self.aov, context.packed, primary))
         return None, (held, Answers(values, jnp.zeros_like(values)))
 
-    def image(self, context: Context, state, chunk: Chunk, held, answers: None) -> Float[Array, "H W 3"]:
+    def image(self, context: Context, state, chunk: Chunk, held, answers: Answers | None) -> Float[Array, "H W 3"]:
         """Jumps x normal velocities."""
         del answers
         return self.edges.image(context, state, chunk, *held)

@@ -12,13 +12,12 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator, PathTracer
+from jaxdr.integrators.aov import AovImage
 from jaxdr.integrators.defaults import default_integrator
 from jaxdr.render import render
-from jaxdr.scene.bsdf import Diffuse
 from jaxdr.scene.camera import Perspective
-from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.film import Box, Film
-from jaxdr.scene.scene import Scene, Shape
+from jaxdr.scene.scene import Scene
 from jaxdr.views.record import View, over_black, scissors
 
 
@@ -62,9 +61,7 @@ def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integ
     """
     seen = Scene(scene.shapes, camera, scene.environment, scene.lights)
     full = render(seen, key, spp=spp, integrator=integrator)
-    glowing = {name: Shape(shape.mesh, Diffuse(0.0), AreaEmitter(1.0)) for name, shape in scene.shapes.items()}
-    alone: Any = dataclasses.replace(cast(Any, integrator), max_depth=1)
-    alpha = render(Scene(glowing, camera), key, spp=spp, integrator=alone)[..., 0]
+    alpha = render(seen, key, spp=spp, integrator=AovImage("alpha", cast(Any, integrator).rays))[..., 0]
     if scene.environment is None:
         return Layers(full, alpha, jnp.zeros_like(full))
     x0, y0, width, height = camera.film.window

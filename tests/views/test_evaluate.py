@@ -11,7 +11,7 @@ import jaxdr as jd
 from jaxdr.geometry import shapes
 from jaxdr.views.evaluate import score_pictures
 from jaxdr.views.pictures import Pixels
-from jaxdr.views.rendering import Layers
+from jaxdr.views.rendering import Layers, layers
 from tests.views.folders import SIZE, write_colmap, write_nerf
 
 pytest.importorskip("skimage")
@@ -50,6 +50,15 @@ def test_photographs_without_alpha_show_the_sky(views):
     (without, _) = jd.render_views(ball(bare, 0.7), views.held_out, spp=64, integrator=TRACER)
     np.testing.assert_allclose(picture[..., 3], without[..., 3])
     np.testing.assert_allclose(picture[..., :3], without[..., :3] + 0.7 * (1 - without[..., 3:]), atol=1e-4)
+
+
+def test_backs_cover_what_is_behind_them():
+    """One-sided sheets are black from behind, and cover the sky as their fronts do."""
+    camera = jd.Perspective(jd.look_at((0, 0, -4), (0, 0, 0), (0, 1, 0)), 20.0, jd.Film(4, 4, jd.Box()))
+    of = jd.Scene({"sheet": jd.Shape(shapes.rectangle(9.0, 9.0))}, camera, jd.ConstantEnvironment(0.7))
+    parts = layers(of, camera, jax.random.key(0), 4, TRACER)
+    np.testing.assert_allclose(parts.alpha, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(parts.over_black, 0.0, atol=1e-6)
 
 
 def test_the_object_over_black_has_the_derivative_of_the_parts():
