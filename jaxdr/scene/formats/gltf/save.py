@@ -58,7 +58,7 @@ def _scene(shapes: Mapping[str, Shape], surfaces: dict[str, Surface]) -> Any:
         surface = surfaces[name]
         cut, rows = cut_mesh(shape.mesh)
         if surface.images:
-            images = {key: Image.fromarray(pixels) for key, pixels in surface.images.items()}
+            images: dict[str, Any] = {key: Image.fromarray(pixels) for key, pixels in surface.images.items()}
             cut.visual = TextureVisuals(cut.visual.uv, PBRMaterial(**images))
         if surface.colors is not None:
             cut.vertex_attributes[COLORS] = surface.colors[rows].astype(np.float32) * np.ones(3, np.float32)
