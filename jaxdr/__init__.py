@@ -69,6 +69,7 @@ from jaxdr.scene.film import Film as Film
 from jaxdr.scene.film import Gaussian as Gaussian
 from jaxdr.scene.film import Tent as Tent
 from jaxdr.scene.formats.gltf.load import load_gltf as load_gltf
+from jaxdr.scene.formats.gltf.save import save_gltf as save_gltf
 from jaxdr.scene.formats.mesh_files import load_shape as load_shape
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba as load_mitsuba
 from jaxdr.scene.lights import DeltaLight as DeltaLight

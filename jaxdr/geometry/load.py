@@ -185,7 +185,7 @@ def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
         if extension == ".obj":
             temporary.write_text(_obj_text(mesh))
         else:
-            _trimesh(mesh).export(temporary, file_type=extension[1:])
+            cut_mesh(mesh)[0].export(temporary, file_type=extension[1:])
 
 
 def _check_extension(caller: str, path: Path) -> None:
@@ -332,22 +332,24 @@ def _split(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return triples, rows.reshape(-1, 3)
 
 
-def _trimesh(mesh: Mesh) -> Any:
-    """A trimesh.Trimesh with one index for all arrays, as GLB and PLY need it."""
+def cut_mesh(mesh: Mesh) -> tuple[Any, Int[np.ndarray, " n"]]:
+    """(a trimesh.Trimesh with one index for all arrays, as GLB and PLY need it; the vertex of each of its rows)."""
     import trimesh
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
     if mesh.uvs is None and mesh.normal_faces is None:  # nothing to split: keep the vertices in their order
-        return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+        whole = trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
+        return whole, np.arange(len(mesh.vertices))
     triples, faces = _split(mesh)
-    return trimesh.Trimesh(
+    cut = trimesh.Trimesh(
         np.asarray(mesh.vertices)[triples[:, 0]],
         faces,
         process=False,
         vertex_normals=None if mesh.normal_faces is None else np.asarray(mesh.vertex_normals())[triples[:, 2]],
         visual=None if mesh.uvs is None else TextureVisuals(np.asarray(mesh.uvs)[triples[:, 1]], PBRMaterial()),
     )
+    return cut, triples[:, 0]
 
 
 def _obj_text(mesh: Mesh) -> str:
