@@ -202,5 +202,10 @@ def test_a_warning_of_flipped_normals():
     assert "lacks a jump inside the faces of floor: its normal or bump map flips" in str(found.message)
     assert (found.filename, found.lineno) == (__file__, line_of_render())
     still = Moving((False, False, False), False)
+
+    def terms(scale):
+        at = of.replace({"floor.bsdf.scale": scale})
+        return jd.derivative_terms(at, jax.random.key(0), 1, jd.PathTracer(2, RIGHT), still)
+
     with pytest.warns(jd.EstimatorWarning, match="a jump inside the faces of floor"):
-        jax.eval_shape(lambda: jd.derivative_terms(of, jax.random.key(0), 1, jd.PathTracer(2, RIGHT), still))
+        jax.eval_shape(lambda x: jax.jvp(terms, (x,), (x,)), of.parameters()["floor.bsdf.scale"])
