@@ -16,7 +16,7 @@ from jaxdr.scene.bsdf.parameters import Color, Number, number, rgb
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import Environment
 from jaxdr.scene.ranges import FINITE, Parametric, Range, at_least, range_of, ranged, within
-from tests.borders.models import MODELS, made
+from tests.borders.registry import MODELS, made
 
 CAMERA = jd.Perspective(jd.look_at((0, -4, 0), (0, 0, 0), (0, 0, 1)), 30.0, jd.Film(4, 4))
 
