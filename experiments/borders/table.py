@@ -7,7 +7,7 @@ import json
 
 from experiments.common import ROOT
 from tests.borders.measure import BIAS, NEAR, STEPS, SURE
-from tests.borders.stages import INTEGRATORS, PROGRAMS
+from tests.borders.stages import PROGRAMS
 
 STUDY = "borders"
 DOCUMENT = ROOT / "docs" / "borders.md"
@@ -17,13 +17,14 @@ HEAD = """# Ends of ranges
 
 Optimisers start from black, clip at zero and overshoot. So parameters live at the ends of their ranges.
 
-- **Concrete values** out of range, NaN and infinity raise a `ValueError`, from constructors and from `Scene.replace` alike. It names the parameter,
-  the range and the value.
-- **Traced values** (under `jit`, `grad`, `vmap`) can't be checked. Where the image is linear in the parameter (reflectances, weights, radiances), it
-  goes on linearly beyond the range, and so does the derivative: an optimiser finds its way back.
-- Roughness, indices of refraction, exponents, angles of cones and of cameras, `anisotropic`, `clearcoat_gloss` and `specular` of `Principled` have no
-  continuation. Beyond the range they count as the nearest value that can be computed, and the derivative is zero. **Clip after each step of the
-  optimiser**: `jnp.clip(alpha, 1e-4, 1.0)`.
+- **Concrete values** out of range, NaN and infinity raise a `ValueError`, from constructors and from `Scene.replace`
+  alike. It names the parameter, the range and the value.
+- **Traced values** (under `jit`, `grad`, `vmap`) can't be checked. Where the image is linear in the parameter
+  (reflectances, weights, radiances), it goes on linearly beyond the range, and so does the derivative: an optimiser
+  finds its way back.
+- Roughness, indices of refraction, exponents, angles of cones and of cameras, `anisotropic`, `clearcoat_gloss` and
+  `specular` of `Principled` have no continuation. Beyond the range they count as the nearest value that can be
+  computed, and the derivative is zero. **Clip after each step of the optimiser**: `jnp.clip(alpha, 1e-4, 1.0)`.
 - At the ends themselves derivatives are those of inner values.
 
 ```sh
@@ -31,14 +32,14 @@ python -m experiments.borders.run
 python -m experiments.borders.table
 ```
 
-measures every parameter of every public model at both ends of its range, just inside and just outside (by {near:.0%} of the range), and writes this
-page. `pytest tests/borders` asserts a part of it, with `-m slow` all.
+measures every parameter of every public model at both ends of its range, just inside and just outside (by {near:.0%}
+of the range), and writes this page. `pytest tests/borders` asserts a part of it, with `-m slow` all.
 
 ## How it is measured
 
-Every parameter is traced. The truth is the slope, and the limit, of images at values well inside of the range: of a line where the image is linear,
-of a parabola elsewhere. What is compared is a weighted sum of pixels. A field without a range has a border at 0. Images have the border in one row of
-texels.
+Every parameter is traced. The truth is the slope, and the limit, of images at values well inside of the range: of a
+line where the image is linear, of a parabola elsewhere. What is compared is a weighted sum of pixels. A field without
+a range has a border at 0. Images have the border in one row of texels.
 
 - *right*: off by less than {bias:.0%}, and {sure:g} standard errors. Outside, zero is right too.
 - *noisy*: a bias of {bias:.0%} can't be told.
@@ -70,16 +71,15 @@ def page() -> str:
     for kind, title in (("surfaces", "Materials and textures"), ("lights", "Lights and skies")):
         lines += ["", f"## {title}", "", *_table(kind, cells)]
     wrong = [
-        f"* {name}, {program}: {cell['why']}"
-        + (f", {cell['slope']:.3g} for {cell['expected']:.3g}" if "slope" in cell else "")
+        f"* `{name}`, {program}: {cell['why']}"
+        + (f", {cell['slope']:.3g} for {cell['expected']:.3g} ± {cell['error']:.2g}" if "slope" in cell else "")
         for program, found in cells.items()
         for name, cell in found.items()
         if cell["verdict"] == "wrong"
     ]
     lines += ["", "## What is wrong", "", *(wrong or ["Nothing that was measured."])]
-    refused = sorted(
-        {cell["why"] for found in cells.values() for cell in found.values() if cell["verdict"] == "refused"}
-    )
+    every = [cell for found in cells.values() for cell in found.values()]
+    refused = sorted({cell["why"] for cell in every if cell["verdict"] == "refused"})
     lines += ["", "## What is refused", "", *([f'* "{why}"' for why in refused] or ["Nothing that was measured."])]
     return "\n".join(lines) + "\n"
 
@@ -110,5 +110,4 @@ def _verdicts(border: str, found: dict) -> str:
 
 if __name__ == "__main__":
     DOCUMENT.write_text(page())
-    assert INTEGRATORS
     print(DOCUMENT)

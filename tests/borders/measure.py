@@ -16,9 +16,14 @@ from tests.borders.stages import DEPTH, INTEGRATORS, Program, Stage
 NEAR, STEP = 0.01, 0.25
 STEPS = {"outside": -NEAR, "end": 0.0, "inside": NEAR}
 INNER = (STEP, 2 * STEP, 3 * STEP)
-CURVED = dict.fromkeys(
-    ("eta", "exponent", "roughness", "specular", "anisotropic", "clearcoat_gloss", "normal", "base_color"), 0.2
-) | {"alpha": 0.02, "alpha_v": 0.02, "k": 0.05, "BumpMap.scale": 0.2}
+CURVED = {
+    **dict.fromkeys(("eta", "exponent", "roughness", "specular", "anisotropic", "clearcoat_gloss", "normal"), 0.2),
+    **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 0.02),
+    **dict.fromkeys(("alpha = 1", "alpha_v = 1"), 0.4),
+    "base_color": 0.2,
+    "k": 0.01,
+    "BumpMap.scale": 0.2,
+}
 PARABOLA = np.array([-2.5, 4.0, -1.5]), np.array([3.0, -3.0, 1.0])  # slope times step, and value, at the end
 LINE = np.array([-0.5, 0.0, 0.5]), np.array([4.0, 1.0, -2.0]) / 3.0
 FLAT = 0.1  # a slope below this share of image over span counts as this
@@ -35,7 +40,8 @@ def places(border: Border) -> np.ndarray:
 
 def _curved(border: Border) -> float | None:
     """The share of the steps to take where the image is curved; None where it is linear in the field."""
-    return CURVED.get(f"{border.model}.{border.field}", CURVED.get(border.field))
+    end = border.name.partition(".")[2]
+    return next((CURVED[n] for n in (f"{border.model}.{border.field}", end, border.field) if n in CURVED), None)
 
 
 def measured(program: Program, keys: int, spp: int) -> dict[str, dict[str, Any]]:
@@ -44,10 +50,8 @@ def measured(program: Program, keys: int, spp: int) -> dict[str, dict[str, Any]]
     try:
         values, slopes = sampled(stage, stage.measure(INTEGRATORS[program.integrator](DEPTH), spp), keys)
     except ValueError as refusal:
-        message = str(refusal).splitlines()[0]
-        return {
-            f"{border.name}, {p}": {"verdict": "refused", "why": message} for border in stage.borders for p in STEPS
-        }
+        cell = {"verdict": "refused", "why": str(refusal).splitlines()[0]}
+        return {f"{border.name}, {place}": cell for border in stage.borders for place in STEPS}
     return cells(stage, values, slopes)
 
 
