@@ -12,7 +12,7 @@ from tests.borders.stages import PROGRAMS
 STUDY = "borders"
 DOCUMENT = ROOT / "docs" / "borders.md"
 RESULTS = ROOT / "experiments" / STUDY / "results"
-VERDICTS = ("right", "noisy", "refused", "wrong", "not measured")
+VERDICTS = ("right", "noisy", "refused", "infinite", "wrong", "not measured")
 HEAD = """# Ends of ranges
 
 Optimisers start from black, clip at zero and overshoot. So parameters live at the ends of their ranges.
@@ -44,6 +44,7 @@ a range has a border at 0. Images have the border in one row of texels.
 - *right*: off by less than {bias:.0%}, and {sure:g} standard errors. Outside, zero is right too.
 - *noisy*: a bias of {bias:.0%} can't be told.
 - *refused*: a `ValueError` says what is missing.
+- *infinite*: the exact slope is, and what is computed is finite (a root at 0; see `Principled`).
 - **wrong**: anything else, also NaN, and images that jump at the end.
 
 """
@@ -66,7 +67,7 @@ def page() -> str:
     lines.append(_row(*["---"] * len(VERDICTS)))
     for program in PROGRAMS:
         found = [cell["verdict"] for cell in cells.get(program.name, {}).values()]
-        counts = map(found.count, VERDICTS[:-1]) if found else ["not measured", "", "", ""]
+        counts = map(found.count, VERDICTS[:-1]) if found else ["not measured", *[""] * (len(VERDICTS) - 2)]
         lines.append(_row(program.name, *counts))
     for kind, title in (("surfaces", "Materials and textures"), ("lights", "Lights and skies")):
         lines += ["", f"## {title}", "", *_table(kind, cells)]

@@ -46,9 +46,9 @@ class Range(NamedTuple):
 FINITE = Range(-math.inf, math.inf)
 
 
-def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remedy: str = "") -> Any:
-    """A field of a model whose values are from `low` to `high`: `reflectance: Color = ranged(0.0, 1.0)`."""
-    return eqx.field(metadata={"range": Range(low, high, open, unit, remedy)})
+def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remedy: str = "") -> dict[str, Range]:
+    """Metadata of a field with values from `low` to `high`: `k: Number = eqx.field(metadata=ranged(0.0, 5.0))`."""
+    return {"range": Range(low, high, open, unit, remedy)}
 
 
 def range_of(model: type | eqx.Module, field: str) -> Range:

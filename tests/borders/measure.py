@@ -17,15 +17,18 @@ NEAR, STEP = 0.01, 0.25
 STEPS = {"outside": -NEAR, "end": 0.0, "inside": NEAR}
 INNER = (STEP, 2 * STEP, 3 * STEP)
 CURVED = {
-    **dict.fromkeys(("eta", "exponent", "roughness", "specular", "anisotropic", "clearcoat_gloss", "normal"), 0.2),
+    **dict.fromkeys(("eta", "exponent", "roughness", "specular", "clearcoat_gloss", "normal"), 0.2),
     **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 0.02),
     **dict.fromkeys(("alpha = 1", "alpha_v = 1"), 0.4),
     "base_color": 0.2,
-    "k": 0.01,
+    "k": 0.05,
+    "anisotropic": 0.05,
     "BumpMap.scale": 0.2,
 }
 PARABOLA = np.array([-2.5, 4.0, -1.5]), np.array([3.0, -3.0, 1.0])  # slope times step, and value, at the end
 LINE = np.array([-0.5, 0.0, 0.5]), np.array([4.0, 1.0, -2.0]) / 3.0
+# The exact slope is infinite here. The model's own documentation says what is taken instead; it has to be finite.
+INFINITE = ("Principled.base_color = 0", "Principled.specular = 0")
 FLAT = 0.1  # a slope below this share of image over span counts as this
 BIAS = 0.1
 SURE = 4.0  # standard errors
@@ -85,6 +88,9 @@ def cells(stage: Stage, values: np.ndarray, slopes: np.ndarray) -> dict[str, dic
         bend = 0.3 * abs(_mean(truth - (inner[:, 1] - inner[:, 0]) / step)[0]) if _curved(border) else 0.0
         size = abs(_mean(inner[:, 0])[0])
         for p, place in enumerate(STEPS):
+            if border.name in INFINITE and np.isfinite([values[:, p, i], slopes[:, p, i]]).all():
+                found[f"{border.name}, {place}"] = {"verdict": "infinite"}
+                continue
             found[f"{border.name}, {place}"] = _cell(
                 slopes[:, p, i], truth, values[:, p, i], limit, bend, size, border.span, place
             )

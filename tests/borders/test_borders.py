@@ -110,3 +110,12 @@ def test_the_page_has_the_numbers_that_are_kept():
 def test_every_model_derives_from_parametric():
     assert all(issubclass(kind, Parametric) for kind in KINDS)
     assert SURE >= 3 and of_kind(BSDF)
+
+
+def test_an_infinite_slope_is_named():
+    """What is computed there has to be finite all the same."""
+    border = Border("Principled", "specular", 0.0, 1, 1.0)
+    values = np.ones((4, len(places(border)), 1))
+    for slope, verdict in ((1e3, "infinite"), (np.nan, "wrong")):
+        found = cells(Stage(None, [border], [], [], True), values, np.full_like(values, slope))
+        assert {cell["verdict"] for cell in found.values()} == {verdict}

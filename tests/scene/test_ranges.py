@@ -134,7 +134,7 @@ def test_whole_numbers_become_floats_elsewhere():
 class Shiny(BSDF):
     """As a user writes it: a range at one field, a helper for another, nothing for the third."""
 
-    gain: Color = ranged(0.0, 2.0)
+    gain: Color = eqx.field(metadata=ranged(0.0, 2.0))
     share: Number
     tint: Color
     eval = pdf = sample = None
