@@ -29,7 +29,7 @@ class ThinLens(PinholeCamera):
     """
 
     aperture_radius: Float[Array, ""] = eqx.field(
-        metadata=ranged(0.0, math.inf, open=True, remedy="a pinhole is a Perspective camera")
+        metadata=ranged(0.0, math.inf, open=True, remedy="without an aperture take Perspective")
     )
     focus_distance: Float[Array, ""] = eqx.field(metadata=ranged(0.0, math.inf, open=True))
     aperture = True
