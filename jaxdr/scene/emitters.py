@@ -22,7 +22,7 @@ class AreaEmitter(Parametric):
     ValueError for another shape, and for radiance that is negative or not finite.
     """
 
-    radiance: Color = ranged(0.0, math.inf)
+    radiance: Color = eqx.field(metadata=ranged(0.0, math.inf))
 
     def __init__(self, radiance: Value):
         self.radiance = color(radiance, "AreaEmitter: radiance")

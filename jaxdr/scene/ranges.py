@@ -40,15 +40,15 @@ class Range(NamedTuple):
         if self.high == math.inf:
             ends = "at least {:g}" if not self.open else "a positive number" if self.low == 0 else "above {:g}"
         words = "finite" if self.low == -self.high == -math.inf else ends.format(self.low, self.high)
-        return words + (f" {self.unit}" if self.unit else "") + (f" ({self.remedy})" if self.remedy else "")
+        return words + (f" {self.unit}" if self.unit else "")
 
 
 FINITE = Range(-math.inf, math.inf)
 
 
-def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remedy: str = "") -> Any:
-    """A field of a model whose values are from `low` to `high`: `reflectance: Color = ranged(0.0, 1.0)`."""
-    return eqx.field(metadata={"range": Range(low, high, open, unit, remedy)})
+def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remedy: str = "") -> dict[str, Range]:
+    """Metadata of a field with values from `low` to `high`: `k: Number = eqx.field(metadata=ranged(0.0, 5.0))`."""
+    return {"range": Range(low, high, open, unit, remedy)}
 
 
 def range_of(model: type | eqx.Module, field: str) -> Range:
@@ -98,7 +98,8 @@ def check_range(value: Any, name: str, within: Range) -> None:
     if not np.issubdtype(values.dtype, np.floating) or (right := within.has(values)).all():
         return
     if values.size <= SHOWN:
-        raise ValueError(f"{name} must be {within}, got {values.tolist()}")
+        got = f"{values.tolist()}; {within.remedy}" if within.remedy else values.tolist()
+        raise ValueError(f"{name} must be {within}, got {got}")
     first = np.argwhere(~right)[0].tolist()
     wrong = f"{np.sum(~right)} of {values.size} values are not, the first {values[tuple(first)]:g} at {first}"
     raise ValueError(f"{name} must be {within}, and {wrong}")

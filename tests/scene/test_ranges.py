@@ -16,7 +16,7 @@ from jaxdr.scene.bsdf.parameters import Color, Number, number, rgb
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import Environment
 from jaxdr.scene.ranges import FINITE, Parametric, Range, at_least, range_of, ranged, within
-from tests.borders.models import MODELS, made
+from tests.borders.registry import MODELS, made
 
 CAMERA = jd.Perspective(jd.look_at((0, -4, 0), (0, 0, 0), (0, 0, 1)), 30.0, jd.Film(4, 4))
 
@@ -134,7 +134,7 @@ def test_whole_numbers_become_floats_elsewhere():
 class Shiny(BSDF):
     """As a user writes it: a range at one field, a helper for another, nothing for the third."""
 
-    gain: Color = ranged(0.0, 2.0)
+    gain: Color = eqx.field(metadata=ranged(0.0, 2.0))
     share: Number
     tint: Color
     eval = pdf = sample = None

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale
@@ -21,7 +22,7 @@ class Blend(Adapter):
     Raises ValueError for two-sided BSDFs inside, and for two mirrors or smooth glasses of which one has a normal map.
     """
 
-    weight: Number = ranged(0.0, 1.0)
+    weight: Number = eqx.field(metadata=ranged(0.0, 1.0))
     first: BSDF
     second: BSDF
 

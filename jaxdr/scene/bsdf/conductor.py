@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import z_of
@@ -20,9 +21,9 @@ class Conductor(DeltaBSDF):
     Raises ValueError for an unknown material, for `eta` without `k`, and for values out of range.
     """
 
-    eta: Color = ranged(0.0, math.inf)
-    k: Color = ranged(0.0, math.inf)
-    specular_reflectance: Color = ranged(0.0, 1.0)
+    eta: Color = eqx.field(metadata=ranged(0.0, math.inf))
+    k: Color = eqx.field(metadata=ranged(0.0, math.inf))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
 
     def __init__(
         self,

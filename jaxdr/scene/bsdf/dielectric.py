@@ -1,5 +1,6 @@
 """Smooth glass, which reflects as a mirror and refracts."""
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
@@ -18,9 +19,9 @@ class SmoothInterface(DeltaBSDF):
     `specular_transmittance` (RGB in [0, 1]) scale the two lobes.
     """
 
-    eta: Float[Array, "*n"] = ranged(*ETA)
-    specular_reflectance: Color = ranged(0.0, 1.0)
-    specular_transmittance: Color = ranged(0.0, 1.0)
+    eta: Float[Array, "*n"] = eqx.field(metadata=ranged(*ETA))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    specular_transmittance: Color = eqx.field(metadata=ranged(0.0, 1.0))
     transmissive = True
 
     def __init__(

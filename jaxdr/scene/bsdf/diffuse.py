@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale, z_of
@@ -18,7 +19,7 @@ class Diffuse(BSDF):
     for values that are negative or not finite.
     """
 
-    reflectance: Color = ranged(0.0, math.inf)
+    reflectance: Color = eqx.field(metadata=ranged(0.0, math.inf))
 
     def __init__(self, reflectance: Value = 0.5):
         self.reflectance = color(reflectance, "Diffuse: reflectance")

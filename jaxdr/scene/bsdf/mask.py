@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from jaxdr.geometry.vector import scale
@@ -22,7 +23,7 @@ class Mask(Adapter):
     Raises ValueError for a two-sided BSDF inside, and values out of range.
     """
 
-    opacity: Number = ranged(0.0, 1.0)
+    opacity: Number = eqx.field(metadata=ranged(0.0, 1.0))
     bsdf: BSDF
     delta: ClassVar[bool] = True
 

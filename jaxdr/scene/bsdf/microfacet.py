@@ -199,8 +199,8 @@ def mirrored_width(alpha: Alpha) -> Float[Array, "*n"]:
 
 def along_and_across(alpha: Float[Array, "*n"], alpha_v: Float[Array, "*n"] | None = None) -> Alpha:
     """Roughness along x and, where it differs, along y; at least `SMOOTHEST`, as in Mitsuba, also for traced values."""
-    along, across = (None if value is None else at_least(value, SMOOTHEST) for value in (alpha, alpha_v))
-    return along if across is None else (along, across)
+    along = at_least(alpha, SMOOTHEST)
+    return along if alpha_v is None else (along, at_least(alpha_v, SMOOTHEST))
 
 
 def narrowest(alpha: Alpha) -> Float[Array, "*n"]:

@@ -97,7 +97,7 @@ class NormalMap(TurnedNormal):
     Raises ValueError for a two-sided BSDF inside.
     """
 
-    normal: Color = ranged(0.0, 1.0)
+    normal: Color = eqx.field(metadata=ranged(0.0, 1.0))
     bsdf: BSDF
 
     def __init__(self, normal: Value, bsdf: BSDF | TwoSided):

@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -25,9 +26,9 @@ class Phong(BSDF):
     Raises ValueError where the sum of the reflectances may be above 1, or for a negative exponent.
     """
 
-    diffuse_reflectance: Color = ranged(0.0, 1.0)
-    specular_reflectance: Color = ranged(0.0, 1.0)
-    exponent: Number = ranged(0.0, math.inf)
+    diffuse_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    exponent: Number = eqx.field(metadata=ranged(0.0, math.inf))
 
     def __init__(self, diffuse_reflectance: Value = 0.5, specular_reflectance: Value = 0.2, exponent: Value = 30.0):
         self.diffuse_reflectance = color(diffuse_reflectance, "Phong: diffuse_reflectance")

@@ -27,9 +27,9 @@ class Plastic(BSDF):
     Raises ValueError for an unknown name, and values out of range.
     """
 
-    diffuse_reflectance: Color = ranged(0.0, 1.0)
-    eta: Float[Array, "*n"] = ranged(*ETA)
-    specular_reflectance: Color = ranged(0.0, 1.0)
+    diffuse_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    eta: Float[Array, "*n"] = eqx.field(metadata=ranged(*ETA))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
     nonlinear: bool = eqx.field(static=True)
 
     def __init__(

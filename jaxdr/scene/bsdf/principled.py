@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
@@ -62,18 +63,18 @@ class Principled(BSDF):
     Raises ValueError for values out of range, `sheen_tint` without `sheen`, and `clearcoat_gloss` without `clearcoat`.
     """
 
-    base_color: Color = ranged(0.0, 1.0)
-    metallic: Number = ranged(0.0, 1.0)
-    roughness: Number = ranged(0.0, 1.0)
-    specular: Number = ranged(0.0, 1.0)
-    anisotropic: Number | None = ranged(0.0, 1.0)
-    spec_tint: Number | None = ranged(0.0, 1.0)
-    sheen: Number | None = ranged(0.0, 1.0)
-    sheen_tint: Number | None = ranged(0.0, 1.0)
-    clearcoat: Number | None = ranged(0.0, 1.0)
-    clearcoat_gloss: Number | None = ranged(0.0, 1.0)
-    spec_trans: Number | None = ranged(0.0, 1.0)
-    flatness: Number | None = ranged(0.0, 1.0)
+    base_color: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    metallic: Number = eqx.field(metadata=ranged(0.0, 1.0))
+    roughness: Number = eqx.field(metadata=ranged(0.0, 1.0))
+    specular: Number = eqx.field(metadata=ranged(0.0, 1.0))
+    anisotropic: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    spec_tint: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    sheen: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    sheen_tint: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    clearcoat: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    clearcoat_gloss: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    spec_trans: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
+    flatness: Number | None = eqx.field(metadata=ranged(0.0, 1.0))
 
     def __init__(
         self,

@@ -36,11 +36,11 @@ class RoughConductor(BSDF):
     distribution.
     """
 
-    alpha: Number = ranged(*ALPHA)
-    eta: Color = ranged(0.0, math.inf)
-    k: Color = ranged(0.0, math.inf)
-    specular_reflectance: Color = ranged(0.0, 1.0)
-    alpha_v: Number | None = ranged(*ALPHA)
+    alpha: Number = eqx.field(metadata=ranged(*ALPHA))
+    eta: Color = eqx.field(metadata=ranged(0.0, math.inf))
+    k: Color = eqx.field(metadata=ranged(0.0, math.inf))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    alpha_v: Number | None = eqx.field(metadata=ranged(*ALPHA))
     distribution: str = eqx.field(static=True)
 
     def __init__(

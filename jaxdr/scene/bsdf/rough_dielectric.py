@@ -51,11 +51,11 @@ class RoughDielectric(BSDF):
     Raises ValueError as these two do, and for equal indices inside and outside.
     """
 
-    alpha: Number = ranged(*ALPHA)
-    eta: Float[Array, "*n"] = ranged(*ETA)
-    specular_reflectance: Color = ranged(0.0, 1.0)
-    specular_transmittance: Color = ranged(0.0, 1.0)
-    alpha_v: Number | None = ranged(*ALPHA)
+    alpha: Number = eqx.field(metadata=ranged(*ALPHA))
+    eta: Float[Array, "*n"] = eqx.field(metadata=ranged(*ETA))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    specular_transmittance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    alpha_v: Number | None = eqx.field(metadata=ranged(*ALPHA))
     distribution: str = eqx.field(static=True)
     transmissive = True
 

@@ -11,10 +11,10 @@ from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
-from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, along_and_across, mirrored_width, reflect, reflection
+from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, SMOOTHEST, mirrored_width, reflect, reflection
 from jaxdr.scene.bsdf.parameters import ALPHA, Color, Number, Value, color, distribution_name, number, relative_index
 from jaxdr.scene.bsdf.plastic import coat_probability, coated
-from jaxdr.scene.ranges import ranged, within
+from jaxdr.scene.ranges import at_least, ranged, within
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
@@ -28,10 +28,10 @@ class RoughPlastic(BSDF):
     Raises ValueError as `Plastic` does, and for an unknown distribution.
     """
 
-    diffuse_reflectance: Color = ranged(0.0, 1.0)
-    alpha: Number = ranged(*ALPHA)
-    eta: Float[Array, "*n"] = ranged(1.0, HIGHEST_ETA)
-    specular_reflectance: Color = ranged(0.0, 1.0)
+    diffuse_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
+    alpha: Number = eqx.field(metadata=ranged(*ALPHA))
+    eta: Float[Array, "*n"] = eqx.field(metadata=ranged(1.0, HIGHEST_ETA))
+    specular_reflectance: Color = eqx.field(metadata=ranged(0.0, 1.0))
     distribution: str = eqx.field(static=True)
     nonlinear: bool = eqx.field(static=True)
 
@@ -77,7 +77,7 @@ class RoughPlastic(BSDF):
         return jnp.broadcast_to(mirrored_width(self._facets()), wi.shape[:-1])
 
     def _facets(self) -> Float[Array, "*n"]:
-        return along_and_across(self.alpha)
+        return at_least(self.alpha, SMOOTHEST)
 
     def _index(self) -> Float[Array, "*n"]:
         """The index within the tables of the coat, also for traced values."""

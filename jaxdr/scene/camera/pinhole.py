@@ -21,7 +21,7 @@ class PinholeCamera(Camera):
     """A camera with central projection. Its parameters are those of `Perspective`."""
 
     to_world: Float[Array, "4 4"]
-    fov: Float[Array, ""] = ranged(*FOV, open=True, unit="degrees")
+    fov: Float[Array, ""] = eqx.field(metadata=ranged(*FOV, open=True, unit="degrees"))
     principal_point: Float[Array, "2"]
     film: Film
     fov_axis: str = eqx.field(static=True)

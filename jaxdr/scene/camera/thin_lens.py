@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -27,8 +28,10 @@ class ThinLens(PinholeCamera):
     Raises ValueError as `Perspective` does, and unless radius and distance are positive.
     """
 
-    aperture_radius: Float[Array, ""] = ranged(0.0, math.inf, open=True, remedy="a pinhole is a Perspective camera")
-    focus_distance: Float[Array, ""] = ranged(0.0, math.inf, open=True)
+    aperture_radius: Float[Array, ""] = eqx.field(
+        metadata=ranged(0.0, math.inf, open=True, remedy="without an aperture take Perspective")
+    )
+    focus_distance: Float[Array, ""] = eqx.field(metadata=ranged(0.0, math.inf, open=True))
     aperture = True
 
     def __init__(

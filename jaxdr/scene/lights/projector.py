@@ -35,7 +35,7 @@ class Projector(DeltaLight):
 
     irradiance: Float[Array, "H W 3"]
     to_world: Float[Array, "4 4"]
-    fov: Float[Array, ""] = ranged(*FOV, open=True, unit="degrees")
+    fov: Float[Array, ""] = eqx.field(metadata=ranged(*FOV, open=True, unit="degrees"))
     scale: Float[Array, ""]
     fov_axis: str = eqx.field(static=True)
     wrap: Literal["clamp", "repeat"] = eqx.field(static=True)

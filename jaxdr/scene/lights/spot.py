@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -26,8 +27,8 @@ class Cone(DeltaLight):
     position: Float[Array, "*n 3"]
     direction: Float[Array, "*n 3"]
     intensity: Float[Array, "*n 3"]
-    cutoff_angle: Float[Array, "*n"] = ranged(0.0, 180.0, unit="degrees")
-    beam_width: Float[Array, "*n"] = ranged(0.0, 180.0, unit="degrees")
+    cutoff_angle: Float[Array, "*n"] = eqx.field(metadata=ranged(0.0, 180.0, unit="degrees"))
+    beam_width: Float[Array, "*n"] = eqx.field(metadata=ranged(0.0, 180.0, unit="degrees"))
 
     def __init__(self, position, direction, intensity, cutoff_angle, beam_width):
         kind = type(self).__name__

@@ -1,14 +1,16 @@
 """Every public model that has parameters, and how it is built: a model that needs arguments has a row here."""
 
 import inspect
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 import jaxdr as jd
-from jaxdr.scene.ranges import Parametric
+from jaxdr.scene.bsdf.fresnel import ETA
+from jaxdr.scene.ranges import FINITE, Parametric, Range, range_of
 
 
 def _picture(height=3, width=4, low=0.2, high=0.9) -> np.ndarray:
@@ -31,7 +33,7 @@ ARGUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "Blend": lambda: {"weight": 0.4, "first": jd.Diffuse(0.6), "second": jd.RoughConductor(0.4)},
     "BumpMap": lambda: {"height": jd.Bitmap(_picture()[..., 0]), "bsdf": jd.Diffuse(0.6), "scale": 0.1},
     "Checkerboard": lambda: {"to_uv": np.array([[1.2, 0.1, 0.0], [0.0, 0.9, 0.05]])},
-    "Conductor": lambda: {"eta": (0.2, 0.9, 1.5), "k": (3.9, 2.4, 1.6), "specular_reflectance": 0.8},
+    "Conductor": lambda: {"eta": (1.1, 1.3, 1.5), "k": (3.9, 2.4, 1.6), "specular_reflectance": 0.8},
     "DirectionalLight": lambda: {"direction": DOWN},
     "EnvironmentMap": lambda: {"radiance": _picture(5, 8), "to_world": POSE},
     "FaceColors": lambda: {"colors": _picture(1, 2)[0]},
@@ -50,7 +52,7 @@ ARGUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "Product": lambda: {"first": jd.Bitmap(_picture()), "second": jd.Bitmap(_picture(4, 3))},
     "Projector": lambda: {"irradiance": _picture(), "to_world": POSE, "fov": 50.0},
-    "RoughConductor": lambda: {"eta": (0.2, 0.9, 1.5), "k": (3.9, 2.4, 1.6), "alpha": 0.4, "alpha_v": 0.5},
+    "RoughConductor": lambda: {"eta": (1.1, 1.3, 1.5), "k": (3.9, 2.4, 1.6), "alpha": 0.4, "alpha_v": 0.5},
     "RoughDielectric": lambda: {"alpha": 0.4, "alpha_v": 0.5},
     "RoughPlastic": lambda: {"alpha": 0.4},
     "SpotLight": lambda: {"position": ABOVE, "direction": DOWN, "intensity": 3.0, "cutoff_angle": 30.0},
@@ -67,14 +69,59 @@ ARGUMENTS: dict[str, Callable[[], dict[str, Any]]] = {
 }
 
 
+# Fields that are places or directions. They have no border. Every other field without a range has one at zero.
+PLACES = ("position", "direction", "up", "to_world", "to_uv", "principal_point")
+
+
 def _public_models() -> list[str]:
     kinds = {name: kind for name, kind in vars(jd).items() if inspect.isclass(kind) and issubclass(kind, Parametric)}
-    return sorted(name for name, kind in kinds.items() if not kind.__abstractmethods__ and name != "Texture")
+    return sorted(name for name, kind in kinds.items() if not inspect.isabstract(kind))
 
 
 MODELS = _public_models()
 
 
-def made(name: str, **changed) -> eqx.Module:
+def made(name: str, **changed) -> Any:
     """The model of this name, with some arguments changed."""
     return getattr(jd, name)(**(ARGUMENTS.get(name, dict)() | changed))
+
+
+def of_kind(kind: type) -> list[str]:
+    """Names of the public models of a kind."""
+    return [name for name in MODELS if issubclass(getattr(jd, name), kind)]
+
+
+class Border(NamedTuple):
+    """An end of the values of one field: `inwards` is 1 at a lower end, and -1 at an upper one.
+
+    `span` is the size of the range, or of the field's usual value where the range has no other end.
+    """
+
+    model: str
+    field: str
+    end: float
+    inwards: int
+    span: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.model}.{self.field} = {self.end:g}"
+
+
+def borders(name: str, within: Range = FINITE) -> list[Border]:
+    """The borders of a model's own fields; those of a field without a range are those of the field that it is in."""
+    model, found = made(name), []
+    for field in model.__dataclass_fields__:
+        value = getattr(model, field)
+        if not eqx.is_inexact_array(value) or field in PLACES:
+            continue
+        declared = range_of(model, field)
+        declared = within if declared == FINITE else declared
+        if declared.open:
+            continue  # the ends themselves are no values
+        low, high = (0.0 if declared.low == -math.inf else declared.low), declared.high
+        span = high - low if math.isfinite(high - low) else float(np.abs(np.asarray(value)).mean())
+        found.append(Border(name, field, low, 1, low if (low, high) == ETA else span))
+        if math.isfinite(high):
+            found.append(Border(name, field, high, -1, span))
+    return found
