@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
@@ -132,7 +133,7 @@ class Mesh(eqx.Module):
         Raises `ValueError` if the number of vertices changes, and for concrete positions that are not finite.
         """
         vertices = as_array(vertices, self.vertices.dtype)
-        if not isinstance(vertices, jax.core.Tracer) and not (finite := np.isfinite(np.asarray(vertices))).all():
+        if not isinstance(vertices, Tracer) and not (finite := np.isfinite(np.asarray(vertices))).all():
             first = np.argwhere(~finite)[0].tolist()
             raise ValueError(
                 f"Mesh.with_vertices: vertices must be finite, and {np.sum(~finite)} of {finite.size} values are not, "

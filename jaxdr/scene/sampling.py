@@ -84,7 +84,7 @@ def lobe_probability(first: Float[Array, "*#n"] | float, second: Float[Array, "*
     """
     first, second = jnp.abs(first), jnp.abs(second)
     total = first + second
-    return LEAST + (1.0 - 2.0 * LEAST) * safe_divide(first, total, total > 0, 0.5)
+    return jnp.clip(safe_divide(first, total, total > 0, 0.5), LEAST, 1.0 - LEAST)
 
 
 def choose(

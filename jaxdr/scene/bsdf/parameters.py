@@ -41,7 +41,8 @@ def number(value, name: str, low: float = -np.inf, high: float = np.inf) -> Numb
     array = as_array(value)
     if array.shape != ():
         raise ValueError(f"{name} must be a number, got shape {array.shape}")
-    check_range(array, name, Range(low, high))
+    if (low, high) != (-np.inf, np.inf):
+        check_range(array, name, Range(low, high))
     return array
 
 

@@ -62,7 +62,7 @@ MODELS = {
     "phong": jd.Phong(COLOUR, 0.2, 12.0),
     "blended plastic": jd.Blend(0.6, jd.Plastic(COLOUR), jd.RoughDielectric(0.4)),
     "bump map": with_slope(
-        (0.4, -0.2), jd.BumpMap(jd.Bitmap(np.ones((2, 2))), jd.RoughConductor(0.4, alpha_v=0.15), 1.5)
+        (0.4, -0.2), jd.BumpMap(jd.Bitmap(np.ones((2, 2))), jd.RoughConductor(0.4, "Au", alpha_v=0.15), 1.5)
     ),
 }
 SLOW = ("beckmann two", "principled lobes")  # other models meet the same lines
@@ -293,7 +293,8 @@ def test_principled_diffuse():
     f_d90 = 0.5 + 2 * roughness * np.dot(half, wi[0]) ** 2
     first, second = 1 + (f_d90 - 1) * (1 - cosines) ** 5
     expected = np.multiply(COLOUR, first * second * cosines[1] / np.pi)
-    np.testing.assert_allclose(call(jd.Principled(COLOUR, 0, roughness, 0), "eval", wi, wo)[0], expected, rtol=1e-4)
+    found = call(jd.Principled(COLOUR, 0, roughness, 0), "eval", wi, wo)[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=5e-6)  # a specular of zero counts as 0.001
 
 
 def energy(bsdf, wi, eta):

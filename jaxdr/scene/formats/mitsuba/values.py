@@ -118,7 +118,7 @@ def _lookat(element: Element) -> Float[np.ndarray, "4 4"]:
     distance = np.linalg.norm(target - origin)
     if not up.any() and distance > 0:
         up = tangent((target - origin) / distance)
-    return look_at(origin, target, up)
+    return np.asarray(look_at(origin, target, up))
 
 
 TRANSFORMS: dict[str, Callable[[Element], Float[np.ndarray, "4 4"]]] = {
