@@ -1,5 +1,6 @@
 """How well renderings agree with photographs: PSNR, SSIM, and overlap of masks."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +20,8 @@ class Score(NamedTuple):
     """Agreement of one rendering with its photograph: `psnr` in dB, `ssim`, and `iou` of the masks or None.
 
     PSNR and SSIM are of 8-bit sRGB, over black where the photograph has a mask or alpha. Pixels at the border of a mask
-    show what is behind the object, too, in the photograph and in the rendering.
+    show what is behind the object, too, in the photograph and in the rendering. Both are NaN if a pixel that counts is
+    NaN.
     """
 
     name: str
@@ -106,8 +108,8 @@ def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
         photograph = over_black(image, alpha).astype(float)
         mask = np.ones(image.shape[:2]) if alpha is None else alpha
         inside = (photograph.max(-1, keepdims=True) < 0.99) & (mask > 0.5)[..., None]
-        above += (inside * picture[..., :3] * photograph).sum((0, 1))
-        below += (inside * picture[..., :3] ** 2).sum((0, 1))
+        above += np.where(inside, picture[..., :3] * photograph, 0.0).sum((0, 1))
+        below += np.where(inside, picture[..., :3] ** 2, 0.0).sum((0, 1))
     return np.where(below > 0, above / np.where(below > 0, below, 1.0), 1.0)
 
 
@@ -117,6 +119,8 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
     _check_shape(picture, view)
     image, alpha = view.cut_out()
     both = picture[..., :3] * scale, over_black(image, alpha)
+    if any(np.isnan(x).any() for x in both):  # 8 bits have no NaN: it would count as black
+        return Score(view.name, math.nan, math.nan, _overlap(picture, alpha))
     rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
     error = float(((rendered - photograph) ** 2).mean())
     psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB, which equal pictures have
@@ -131,11 +135,14 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
         sigma=1.5,
         use_sample_covariance=False,
     )
-    iou = None
-    if alpha is not None:
-        one, other = picture[..., 3] > 0.5, alpha > 0.5
-        iou = float((one & other).sum() / max((one | other).sum(), 1))
-    return Score(view.name, float(psnr), float(ssim), iou)
+    return Score(view.name, float(psnr), float(ssim), _overlap(picture, alpha))
+
+
+def _overlap(picture, alpha) -> float | None:
+    if alpha is None:
+        return None
+    one, other = picture[..., 3] > 0.5, alpha > 0.5
+    return float((one & other).sum() / max((one | other).sum(), 1))
 
 
 def require_skimage():

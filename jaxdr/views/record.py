@@ -121,8 +121,8 @@ class Views:
 
 
 def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:
-    """Colours multiplied by alpha, if there is one."""
-    return image if alpha is None else image * alpha[..., None]
+    """Colours multiplied by alpha, if there is one. Where alpha is zero they are zero, even if the picture is NaN."""
+    return image if alpha is None else np.where(alpha[..., None] == 0, image.dtype.type(0), image) * alpha[..., None]
 
 
 def scissors(alpha: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:

@@ -18,7 +18,7 @@ from jaxdr.render import render
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
 from jaxdr.scene.scene import Scene
-from jaxdr.views.record import View, over_black, scissors
+from jaxdr.views.record import View, scissors
 
 
 class Pinhole(NamedTuple):
@@ -109,7 +109,7 @@ def _like(view: View, parts: Layers) -> Float[np.ndarray, "H W 4"]:
         color = np.asarray(parts.full)
     elif view.backdrop:
         alpha = scissors(alpha)
-        color = over_black(np.asarray(parts.full), alpha)
+        color = np.asarray(parts.full) * alpha[..., None]  # not `over_black`: a NaN of the renderer has to show
     else:
         color = np.where(alpha[..., None] > 0, np.maximum(np.asarray(parts.over_black), 0.0), 0.0)
     return np.concatenate([color, alpha[..., None]], -1)

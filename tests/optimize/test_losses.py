@@ -25,6 +25,41 @@ def test_masks_weigh_pixels(trailing):
     np.testing.assert_allclose(losses.l2(A, T, mask[..., None] if trailing else mask), expected, rtol=1e-6)
 
 
+LOSSES = {
+    "l1": lambda image, target, mask: losses.l1(image, target, mask),
+    "l2": lambda image, target, mask: losses.l2(image, target, mask),
+    "two_key_l2": lambda image, target, mask: losses.two_key_l2(image, 0.5 * image, target, mask),
+}
+
+
+@pytest.mark.parametrize("what", [jnp.nan, jnp.inf, -jnp.inf, 1e30])
+@pytest.mark.parametrize("trailing", [False, True])
+@pytest.mark.parametrize("name", LOSSES)
+def test_masked_pixels_do_not_count_whatever_is_in_them(name, trailing, what):
+    mask = jnp.ones((4, 5)).at[1, 2].set(0.0)
+    mask = mask[..., None] if trailing else mask
+    loss = jax.value_and_grad(LOSSES[name], argnums=(0, 1, 2))
+    value, (by_image, by_target, by_mask) = loss(A, T, mask)
+    bad = T.at[1, 2, 0].set(what)
+    for arguments in ((A, bad, mask), (bad, A, mask)):
+        found, gradients = loss(*arguments)
+        assert all(jnp.isfinite(x).all() for x in (found, *gradients[:2]))
+        assert (gradients[0][1, 2] == 0).all() and (gradients[1][1, 2] == 0).all()
+        if arguments[1] is bad:
+            np.testing.assert_allclose(found, value, rtol=1e-6)
+            np.testing.assert_allclose(gradients[0], by_image, rtol=1e-6)
+            np.testing.assert_allclose(gradients[1], by_target, rtol=1e-6)
+    assert by_mask[1, 2] != 0  # the derivative by a mask that is zero
+
+
+@pytest.mark.parametrize("mask", [None, jnp.full((4, 5), 0.5), jnp.full((4, 5), jnp.nan)])
+@pytest.mark.parametrize("name", LOSSES)
+def test_what_is_not_finite_shows_elsewhere(name, mask):
+    for image, target in ((A, T.at[1, 2, 0].set(jnp.nan)), (A.at[1, 2, 0].set(jnp.nan), T)):
+        value, gradient = jax.value_and_grad(LOSSES[name])(image, target, mask)
+        assert not jnp.isfinite(value) and (name == "l1" or not jnp.isfinite(gradient[1, 2, 0]))
+
+
 def test_two_keys_remove_the_bias_of_noise():
     # Noise of variance 1 around the target itself: l2 sees the variance, the product does not.
     noise = jax.random.normal(jax.random.key(0), (2, 100, 100, 3))

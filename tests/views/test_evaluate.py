@@ -120,6 +120,32 @@ def test_psnr_ssim_and_overlap_of_known_pictures(views):
     np.testing.assert_allclose(score.iou, (one & other).sum() / (one | other).sum())
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("what", [np.nan, np.inf])
+def test_masked_pixels_do_not_count_whatever_is_in_them(views, what):
+    view = views.held_out[0]
+    rng = np.random.default_rng(0)
+    picture = rng.random((SIZE, SIZE, 4)).astype(np.float32)
+    image, alpha = view.image.copy(), view.alpha
+    expected = score_pictures([picture], [view.with_picture(image, alpha)], match_channels=True)
+    masked, seen = np.argwhere(alpha == 0)[0], np.argwhere(alpha > 0.9)[0]
+    image[tuple(masked)] = what
+    assert score_pictures([picture], [view.with_picture(image, alpha)], match_channels=True) == expected
+    assert np.isfinite(view.with_picture(image, alpha).over_black).all()
+    image[tuple(seen)] = np.nan
+    (score,) = score_pictures([picture], [view.with_picture(image, alpha)], match_channels=True).scores
+    assert np.isnan(score.psnr) and np.isnan(score.ssim) and score.iou == expected.scores[0].iou
+
+
+def test_a_rendering_that_is_not_a_number_shows(views):
+    """Eight bits have no NaN: it counted as black."""
+    view = views.held_out[0]
+    picture = np.zeros((SIZE, SIZE, 4), np.float32)
+    picture[3, 4, 0] = np.nan
+    (score,) = score_pictures([picture], [view]).scores
+    assert np.isnan(score.psnr) and np.isnan(score.ssim)
+
+
 def test_wrong_pictures_are_refused(views):
     with pytest.raises(ValueError, match="give one each"):
         score_pictures([], views.held_out)

@@ -39,6 +39,7 @@ from jaxdr.geometry.queries.records import (
     SectorQuery,
     StripQuery,
 )
+from jaxdr.process_end import wait_at_exit
 
 IMPLEMENTATIONS = ("embree", "warp", "jax")
 CHOICES = ("auto", *IMPLEMENTATIONS)
@@ -50,6 +51,7 @@ def _module(implementation: str) -> Any:
         implementation = "embree" if embree_scene.available() else "warp"
     if implementation == "jax":
         return jax_queries
+    wait_at_exit()
     if implementation == "warp":
         # Imported here, because it fails on GPUs that Warp does not support; they use `jax`.
         from jaxdr.geometry.queries.warp import queries as warp_queries

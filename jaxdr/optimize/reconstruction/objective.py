@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.integrators import Integrator
 from jaxdr.optimize.devices import ALONE, Division
+from jaxdr.optimize.losses import without
 from jaxdr.optimize.reconstruction.cameras import corrected
 from jaxdr.optimize.reconstruction.config import Priors, Samples
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, scene_of
@@ -58,9 +59,10 @@ def picture_loss(
     Where the photograph is clipped a rendering may be brighter.
     """
     shown = parts.full if photograph.alpha is None else parts.over_black
-    error = jnp.exp(exposure) * shown - photograph.color
-    clipped = photograph.color >= WHITE
-    error = jnp.where(clipped, jnp.minimum(error, 0.0), error) * tone_weight(photograph.color)
+    shown, color = without(photograph.trust == 0, shown, photograph.color)
+    error = jnp.exp(exposure) * shown - color
+    clipped = color >= WHITE
+    error = jnp.where(clipped, jnp.minimum(error, 0.0), error) * tone_weight(color)
     loss = (huber(error, OUTLIER) * photograph.trust[..., None]).mean()
     if photograph.alpha is None:
         return loss
@@ -126,8 +128,9 @@ def prior_loss(unknowns: Unknowns, expected: Expected, weights: Priors) -> Float
     grey = luminance(radiance)[..., None]
     mean = (grey * expected.solid_angles[..., None]).sum()
     white = (huber(radiance / mean - grey / mean, TINT).mean(-1) * expected.solid_angles).sum()
-    error = radiance - expected.radiance
-    error = jnp.where(expected.clipped[..., None] > 0, jnp.minimum(error, 0.0), error) * tone_weight(expected.radiance)
+    (seen,) = without(expected.weight == 0, expected.radiance)
+    error = radiance - seen
+    error = jnp.where(expected.clipped[..., None] > 0, jnp.minimum(error, 0.0), error) * tone_weight(seen)
     known = (huber(error, OUTLIER).mean(-1) * expected.weight * expected.solid_angles).sum()
     # The mean exposure is the light's.
     level = (unknowns.exposure.mean(0) ** 2).sum()

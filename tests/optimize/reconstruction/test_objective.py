@@ -56,6 +56,23 @@ def test_coverage_counts_by_its_weight():
     np.testing.assert_allclose(loss, 0.0, atol=1e-10)
 
 
+def test_colours_that_nobody_knows_do_not_count_even_if_they_are_not_numbers():
+    known = photograph(0.2)
+    trust = known.trust.at[1, 2].set(0.0)
+    bad = known.color.at[1, 2].set(jnp.nan)
+
+    def loss(color, full):
+        return picture_loss(layers(0.5, 1.0)._replace(full=full), STILL, known._replace(color=color, trust=trust), 1.0)
+
+    full = layers(0.5, 1.0).full
+    expected = loss(known.color, full)
+    for arguments in ((bad, full), (known.color, full.at[1, 2].set(jnp.nan))):
+        value, gradients = jax.value_and_grad(loss, argnums=(0, 1))(*arguments)
+        np.testing.assert_allclose(value, expected, rtol=1e-6)
+        assert all(jnp.isfinite(gradient).all() for gradient in gradients)
+    assert jnp.isnan(loss(known.color.at[0, 0].set(jnp.nan), full)) and jnp.isnan(loss(known.color, full * jnp.nan))
+
+
 def test_colours_that_nobody_knows_do_not_count():
     assert picture_loss(layers(0.5, 1.0), STILL, photograph(0.2, trust=0.0), 1.0) == 0
 

@@ -3,20 +3,17 @@
 Every kernel works on the slice that starts at its argument `start`, so that a CPU launch can be split over threads.
 """
 
-import os
 import threading
 import warnings
-from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 import warp as wp
 
-# The cores of this process, which may be fewer than the machine has.
-THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+from jaxdr.geometry.queries.warp.threads import run_all
+
 # Rays in a slice. The number is fixed, so that results have the same order with any number of threads.
 SLICE = 8192
 
-_pool = ThreadPoolExecutor(THREADS, thread_name_prefix="jaxdr-query")
 _loading = threading.Lock()
 
 
@@ -44,10 +41,7 @@ def launch(kernel, count: int, leading: list, rest: list, device, each: int = SL
         size = min(each, count - start)
         wp.launch(kernel, dim=size, inputs=[*leading, start, *rest], device=device, record_tape=False)
 
-    jobs = [_pool.submit(run, start) for start in range(0, count, each)]
-    wait(jobs)
-    for job in jobs:
-        job.result()
+    run_all(run, range(0, count, each))
 
 
 SILHOUETTES = (
@@ -102,7 +96,7 @@ def _run(kernel, leading, rest, total, probability, lists, counts, device) -> np
         return [a.numpy()[:kept] for a in out], found.numpy()
 
     # Each slice fills its own lists, which are joined in order. So the result does not depend on timing.
-    parts = list(_pool.map(run, range(0, total, SLICE)))
+    parts = run_all(run, range(0, total, SLICE))
     for index, target in enumerate(lists):
         joined = np.concatenate([part[0][index] for part in parts])[:capacity] if parts else np.zeros(0)
         target.numpy()[: len(joined)] = joined
