@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.borders.registry import Border
-from tests.borders.stages import DEPTH, INTEGRATORS, Program, Stage
+from tests.borders.stages import DEPTHS, INTEGRATORS, Program, Stage
 
 # Steps from an end, inwards, as shares of the span: just outside, the end, just inside, and those that the truth is
 # taken from. The image is linear in most fields; where it is curved, the truth is a parabola through closer values.
@@ -51,7 +51,8 @@ def measured(program: Program, keys: int, spp: int) -> dict[str, dict[str, Any]]
     """Verdicts of all cells of one program. Where it is refused, the message stands for all of them."""
     stage = program.stage()
     try:
-        values, slopes = sampled(stage, stage.measure(INTEGRATORS[program.integrator](DEPTH), spp), keys)
+        integrator = INTEGRATORS[program.integrator](DEPTHS[program.integrator])
+        values, slopes = sampled(stage, stage.measure(integrator, spp), keys)
     except ValueError as refusal:
         cell = {"verdict": "refused", "why": str(refusal).splitlines()[0]}
         return {f"{border.name}, {place}": cell for border in stage.borders for place in STEPS}

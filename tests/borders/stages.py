@@ -22,7 +22,7 @@ from tests.borders.registry import Border, borders, made, of_kind
 
 SIDE = 2  # pixels of a panel, along a side
 TILT = 0.3  # radians
-DEPTH = 3
+DEPTHS = {"default": 3, "emitter": 3, "bidirectional": 2}  # light of one bounce has all of its ways to join paths
 CORE = ("Diffuse", "Mask", "Phong", "Plastic", "RoughConductor", "ThinDielectric")  # of the default run of the tests
 POINT = {"point": jd.PointLight((0.5, 1.0, 3.0), 40.0), "rear": jd.PointLight((-1.0, 0.5, -2.5), 40.0)}
 LIGHTS = {
@@ -125,7 +125,8 @@ def surfaces(light: str, models: tuple[str, ...] = ()) -> Stage:
             pose = jd.look_at((2.0, 1.5, height), (0, 0, 0), (0, 1, 0))
             mesh = jd.shapes.transformed(jd.shapes.rectangle(1.5, 1.5), pose)
             shapes[name] = jd.Shape(mesh, jd.Diffuse(0.0), jd.AreaEmitter((6.0, 5.0, 4.0)))
-    view = jd.Orthographic(jd.look_at((0, 0, 2.0), (0, 0, 0), (0, 1, 0)), jd.Film(SIDE * side, SIDE * side, jd.Box()))
+    pose, film = jd.look_at((0, 0, 2.0), (0, 0, 0), (0, 1, 0)), jd.Film(SIDE * side, SIDE * side, jd.Box())
+    view = jd.Orthographic(pose, film, far_clip=4.0)  # else it sees the back wall, which other panels light
     scene = jd.Scene(shapes, view, **more)
     masks = [_mask(border, scene.parameters()[path]) for border, path in zip(found, paths, strict=True)]
     return Stage(scene, found, paths, masks, True)
