@@ -49,7 +49,7 @@ def test_what_is_there():
     assert found.lobes == {"RoughPlastic": 1, "Diffuse": 2}
     assert found.lights == {"PointLight": 1, "AreaEmitter": 1, "ConstantEnvironment": 1}
     assert (found.faces, found.traits.emitter_faces, found.textures) == (16, 2, ())
-    assert found.moving == jd.Moving((True, False, False), False, (False,), False)
+    assert found.moving == jd.Moving((True, False, False), False, (False,), False, scattering=False)
 
 
 @pytest.mark.parametrize(
