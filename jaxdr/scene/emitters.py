@@ -15,7 +15,7 @@ from jaxdr.scene.ranges import Parametric, ranged
 from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
-class AreaEmitter(Parametric):
+class AreaEmitter(Parametric, eqx.Module):
     """Emits RGB `radiance` (W / m^2 sr) from the side of the surface that its normal points to.
 
     `radiance` is a number, three numbers, or a texture. A texture varies over the surface and moves with it. Raises
@@ -59,7 +59,7 @@ class DirectionSampler(eqx.Module):
         """Approximate mean magnitude of the radiance over the sphere; detached."""
 
 
-class Environment(Parametric):
+class Environment(Parametric, eqx.Module):
     """Light from infinitely far away. A new kind is a file with a look-up by direction, a sampler and a turn.
 
     `uniform`: whether radiance and density are the same in all directions.

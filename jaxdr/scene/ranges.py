@@ -6,7 +6,7 @@ such as a roughness, it computes with `within`.
 
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -51,16 +51,18 @@ def ranged(low: float, high: float, *, open: bool = False, unit: str = "", remed
     return {"range": Range(low, high, open, unit, remedy)}
 
 
-def range_of(model: type | eqx.Module, field: str) -> Range:
+def range_of(model: Any, field: str) -> Range:
     """The range that a field of a model, or of its class, declares; all finite numbers if it declares none."""
     return model.__dataclass_fields__[field].metadata.get("range", FINITE)
 
 
-class Parametric(eqx.Module):
+class Parametric:
     """A model with parameters: its concrete values are in the ranges that its fields declare, and finite.
 
-    Raises ValueError, with the names of model and field, for other values.
+    A base beside `eqx.Module`. Raises ValueError, with the names of model and field, for other values.
     """
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def __check_init__(self):
         self.check(self.__dataclass_fields__)

@@ -40,7 +40,7 @@ class Rim(NamedTuple):
     least: Float[Array, "*n"]
 
 
-class BSDF(Parametric):
+class BSDF(Parametric, eqx.Module):
     """Bidirectional scattering distribution function of one surface.
 
     - `transmissive`: it tells the inside (wi.z < 0) from the outside, and may scatter light through the surface. Any

@@ -12,7 +12,7 @@ from jaxdr.scene.film import Film
 from jaxdr.scene.ranges import Parametric
 
 
-class Camera(Parametric):
+class Camera(Parametric, eqx.Module):
     """A camera maps film points (pixels) to rays, and world points back to film points.
 
     Its float fields are parameters of the scene, such as `camera.to_world` [4, 4] (camera to world). It sees what lies

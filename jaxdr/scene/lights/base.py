@@ -4,6 +4,7 @@ import abc
 import math
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from jaxdr.scene.ranges import Parametric
 from jaxdr.scene.sampling import uniform_sphere
 
 
-class DeltaLight(Parametric):
+class DeltaLight(Parametric, eqx.Module):
     """A light without area: no ray meets it, and its shadows are hard. The base class of such lights.
 
     A light is `infinite` if it shines from infinitely far away, in one direction. When its methods are called, its

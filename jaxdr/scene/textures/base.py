@@ -38,7 +38,7 @@ class TexturePoint(NamedTuple):
     axes: Float[Array, "N 3"] | None = None
 
 
-class Texture(Parametric):
+class Texture(Parametric, eqx.Module):
     """Values over a surface, one number or RGB at each point. The base class of textures.
 
     - `uses_uv`: whether it needs texture coordinates. If not, it has one row of data for every vertex or, with
