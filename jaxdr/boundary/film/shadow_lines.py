@@ -108,7 +108,7 @@ def shadow_distribution(
         wi = normalize(packed.camera.to_world[:3, 3] - points.point.position)
         seen = on_film(packed, points)
         value = jnp.where(moves & points.point.valid, magnitude(points.scattered(packed, wi)), 0.0)
-        for_film = jnp.where(seen.inside, jnp.abs(value) * norm(seen.across), 0.0)
+        for_film = jnp.where(seen.inside, value * norm(seen.across), 0.0)
         received = magnitude(points.arriving) * jnp.abs(dot(points.point.normal, points.towards))
         received = jnp.where(moves & points.point.valid, received * norm(points.tangent), 0.0)
         offset = jnp.where(infinite[light], packed.size, norm(ends_of(lines) - places[light]))

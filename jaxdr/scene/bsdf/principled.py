@@ -46,8 +46,8 @@ class Principled(BSDF):
 
     All parameters are in [0, 1], and all but `base_color` (RGB) are numbers. The part that is not metal has the exact
     Fresnel term. The facets are GGX with alpha = `roughness`^2, at least 0.001. At normal incidence 0.08 x `specular`
-    is reflected: the default 0.5 gives glTF's 4 %. `specular` counts as at least 0.001, and
-    the base colour of refracted light as at least 0.000001: the root of zero has an infinite derivative.
+    is reflected: the default 0.5 gives glTF's 4 %. `specular` counts as at least 0.001, and the
+    base colour of refracted light as at least 0.000001: the root of zero has an infinite derivative.
 
     The model has the other lobes only if their parameter is given, even as 0:
 
