@@ -83,6 +83,7 @@ BUILT = {
     "load_image": lambda of: jd.load_image(of.folder / "picture.png"),
     "load_mesh": lambda of: [jd.load_mesh(of.folder / name, shading="smooth") for name in ("m.obj", "m.glb")],
     "load_mitsuba": lambda of: jd.load_mitsuba(of.folder / "scene.xml"),
+    "load_shape": lambda of: jd.load_shape(of.folder / "m.obj"),
     "load_views": lambda of: jd.load_views(of.folder / "photographs").views[0].image,
     "look_at": lambda of: jd.look_at((0, -4, 1), np.zeros(3), (0, 0, 1)),
     "remesh": lambda of: jd.remesh(jd.shapes.sphere(1), 0.5, iterations=1),
@@ -111,8 +112,8 @@ NOT_BUILT = """
     AllSilhouettes Answers BidirectionalPathTracer Box Chunk Context DeltaLight EstimatorChoice EstimatorWarning Film
     Gaussian GuidedEdges KernelDensity LineSampling MarkovChains Moving PathTracer Plan QuadricSampling RednerWAS
     Requests ReusedGuides Tent Term Texture View Views WalkOnCaps WarpedArea adam_uniform build_guides chamfer
-    derivative_terms evaluate_views guide_report jit losses plan refit_guides render render_aovs render_views save_mesh
-    write_image
+    derivative_terms evaluate_views guide_report jit losses plan refit_guides render render_aovs render_views save_gltf
+    save_mesh write_image
 """
 
 

@@ -70,11 +70,23 @@ def spatial_order(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
             extent = upper - lower
         axis = np.where(np.isfinite(extent), extent, -1.0).argmax(0)[:, None]
         along = np.where(axis == 0, cells[0], np.where(axis == 1, cells[1], cells[2]))
-        halves = np.argpartition(along, size // 2, axis=1)
-        halves += size * np.arange(len(halves))[:, None]
-        order, table = order[halves.reshape(-1)], np.stack([row[halves.reshape(-1)] for row in table])
+        halves = _halved(along)
+        order, table = order[halves], np.stack([row[halves] for row in table])
         size //= 2
     return order[order < count]
+
+
+def _halved(values: Float[np.ndarray, "n size"]) -> Int[np.ndarray, " slots"]:
+    """Flat indices in which the smaller half of each row comes first; what is equal and in either half keeps its order.
+
+    `argpartition` would do, but its order differs between processors, and so would the edges that a key draws.
+    """
+    half = values.shape[1] // 2
+    middle = np.partition(values, half - 1, axis=1)[:, half - 1 : half]
+    lower, equal = values < middle, values == middle
+    lower |= equal & (np.cumsum(equal, 1) <= half - lower.sum(1, keepdims=True))
+    halves = (np.flatnonzero(part).reshape(-1, half) for part in (lower, ~lower))
+    return np.concatenate(list(halves), axis=1).reshape(-1)
 
 
 def _along_rows(extreme: np.ufunc, cells: Float[np.ndarray, "n size"]) -> Float[np.ndarray, " n"]:

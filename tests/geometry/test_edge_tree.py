@@ -23,6 +23,15 @@ def test_nodes_are_compact():
     assert left[:, 0].max() <= right[:, 0].min()
 
 
+def test_ties_keep_their_order():
+    """On any processor: which of equally far edges goes into which half, and the order within a leaf."""
+    grid = np.indices((16, 8, 2)).reshape(3, -1).T
+    points = np.random.default_rng(0).permutation(grid).astype(float)
+    leaves = spatial_order(points).reshape(-1, LEAF)
+    assert np.array_equal(np.sort(leaves, 1), leaves)
+    assert np.array_equal(spatial_order(np.zeros((100, 3))), np.arange(100))
+
+
 def test_every_mesh_has_a_node_of_its_own():
     counts = (5, 300, 12)
     slots = leaf_edges(counts)
