@@ -6,13 +6,14 @@ python -m experiments.borders.table
 import json
 
 from experiments.common import ROOT
+from jaxdr.scene.bsdf.principled import LEAST_COLOR, LEAST_SPECULAR
 from tests.borders.measure import BIAS, NEAR, STEPS, SURE
 from tests.borders.stages import PROGRAMS
 
 STUDY = "borders"
 DOCUMENT = ROOT / "docs" / "borders.md"
 RESULTS = ROOT / "experiments" / STUDY / "results"
-VERDICTS = ("right", "noisy", "refused", "infinite", "wrong", "not measured")
+VERDICTS = ("right", "noisy", "refused", "wrong", "not measured")
 HEAD = """# Ends of ranges
 
 Optimisers start from black, clip at zero and overshoot. So parameters live at the ends of their ranges.
@@ -41,10 +42,12 @@ Every parameter is traced. The truth is the slope, and the limit, of images at v
 line where the image is linear, of a parabola elsewhere. What is compared is a weighted sum of pixels. A field without
 a range has a border at 0. Images have the border in one row of texels.
 
+`Principled` counts a `specular` below {specular:g}, and a `base_color` of refracted light below {color:g}, as these. It
+takes their roots, whose exact slopes are infinite at 0. So the truth of these two is taken there.
+
 - *right*: off by less than {bias:.0%}, and {sure:g} standard errors. Outside, zero is right too.
 - *noisy*: a bias of {bias:.0%} can't be told.
 - *refused*: a `ValueError` says what is missing.
-- *infinite*: the exact slope is, and what is computed is finite (a root at 0; see `Principled`).
 - **wrong**: anything else, also NaN, and images that jump at the end.
 
 """
@@ -63,7 +66,7 @@ def kept() -> dict[str, dict]:
 def page() -> str:
     """The text of the page."""
     cells = kept()
-    lines = [HEAD.format(near=NEAR, bias=BIAS, sure=SURE) + "## Verdicts", "", _row("program", *VERDICTS[:-1])]
+    lines = [_head() + "## Verdicts", "", _row("program", *VERDICTS[:-1])]
     lines.append(_row(*["---"] * len(VERDICTS)))
     for program in PROGRAMS:
         found = [cell["verdict"] for cell in cells.get(program.name, {}).values()]
@@ -83,6 +86,10 @@ def page() -> str:
     refused = sorted({cell["why"] for cell in every if cell["verdict"] == "refused"})
     lines += ["", "## What is refused", "", *([f'* "{why}"' for why in refused] or ["Nothing that was measured."])]
     return "\n".join(lines) + "\n"
+
+
+def _head() -> str:
+    return HEAD.format(near=NEAR, bias=BIAS, sure=SURE, specular=LEAST_SPECULAR, color=LEAST_COLOR)
 
 
 def _row(*texts) -> str:

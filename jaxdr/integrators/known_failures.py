@@ -123,6 +123,15 @@ def _turned_normals(bsdf: BSDF) -> Iterator[TurnedNormal]:
         yield from _turned_normals(inside)
 
 
+def warn_of_cuts() -> None:
+    """Warn with an `EstimatorWarning` at the caller's line that warped camera rays know no clipping planes."""
+    warn(
+        'jaxdr: with primary="warp" the derivative lacks the motion of lines at which near_clip or far_clip cuts a '
+        'surface. It is right where they cut none; else take primary="fixed_ray"',
+        EstimatorWarning,
+    )
+
+
 def warn_of_turning_away(active: Scene, moving: Moving, max_depth: int) -> None:
     """Warn with an `EstimatorWarning` at the caller's line where `turning_away` finds a shape."""
     name = turning_away(active, moving, max_depth)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.boundary.film.cut_segments import cutting_planes
 from jaxdr.boundary.film.film_chains import FilmChains
 from jaxdr.boundary.film.film_edges import FilmEdges
 from jaxdr.boundary.film.hard_shadows import HardShadows
@@ -26,6 +27,7 @@ from jaxdr.integrators.base import (
     prepare_terms,
     term_images,
 )
+from jaxdr.integrators.known_failures import warn_of_cuts
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import only_delta
 from jaxdr.scene.packed import PackedScene
@@ -168,6 +170,8 @@ class PathTracer(eqx.Module):
             return None
         refuse(self.refusals, Asked(packed, self.settings, scene, moving, self.primary))
         _warn_of_caustics(packed, self.max_depth)
+        if self.primary == "warp" and cutting_planes(packed.camera):
+            warn_of_cuts()
         return prepare_terms(self._context(packed, moving), self._terms(moving, apart), key)
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxdr.scene.bsdf.principled import LEAST_COLOR, LEAST_SPECULAR
 from tests.borders.registry import Border
 from tests.borders.stages import DEPTHS, INTEGRATORS, Program, Stage
 
@@ -16,6 +17,7 @@ from tests.borders.stages import DEPTHS, INTEGRATORS, Program, Stage
 NEAR, STEP = 0.01, 0.25
 STEPS = {"outside": -NEAR, "end": 0.0, "inside": NEAR}
 INNER = (STEP, 2 * STEP, 3 * STEP)
+ROOT_STEP = 0.05  # of a value that stands in for a smaller one
 CURVED = {
     **dict.fromkeys(("eta", "exponent", "roughness", "specular", "clearcoat_gloss", "normal"), 0.2),
     **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 0.02),
@@ -27,8 +29,8 @@ CURVED = {
 }
 PARABOLA = np.array([-2.5, 4.0, -1.5]), np.array([3.0, -3.0, 1.0])  # slope times step, and value, at the end
 LINE = np.array([-0.5, 0.0, 0.5]), np.array([4.0, 1.0, -2.0]) / 3.0
-# The exact slope is infinite here. The model's own documentation says what is taken instead; it has to be finite.
-INFINITE = ("Principled.base_color = 0", "Principled.specular = 0")
+# The exact slope at the end is infinite: there is a root. So the model counts these as at least this value.
+RAISED = {"Principled.base_color = 0": LEAST_COLOR, "Principled.specular = 0": LEAST_SPECULAR}
 FLAT = 0.1  # a slope below this share of image over span counts as this
 BIAS = 0.1
 SURE = 4.0  # standard errors
@@ -37,12 +39,17 @@ UNTOLD = 0.5  # of the bias that has to be told: a larger standard error tells n
 
 def places(border: Border) -> np.ndarray:
     """Values of the field, in the order of `STEPS` and then of `INNER`."""
+    least = RAISED.get(border.name)
+    if least is not None:
+        return least * np.array([-NEAR, 0.0, 1.0 + NEAR, *(1.0 + np.arange(1, 4) * ROOT_STEP)])
     steps = np.array([*STEPS.values(), *INNER]) * (_curved(border) or 1.0)
     return border.end + border.inwards * border.span * steps
 
 
 def _curved(border: Border) -> float | None:
     """The share of the steps to take where the image is curved; None where it is linear in the field."""
+    if border.name in RAISED:
+        return ROOT_STEP
     end = border.name.partition(".")[2]
     return next((CURVED[n] for n in (f"{border.model}.{border.field}", end, border.field) if n in CURVED), None)
 
@@ -81,7 +88,7 @@ def cells(stage: Stage, values: np.ndarray, slopes: np.ndarray) -> dict[str, dic
     """Verdicts by border and place; `values` and `slopes` are those of `sampled`."""
     found = {}
     for i, border in enumerate(stage.borders):
-        step = border.inwards * border.span * STEP * (_curved(border) or 1.0)
+        step = places(border)[-1] - places(border)[-2]
         inner = values[:, len(STEPS) :, i]
         slope, value = PARABOLA if _curved(border) else LINE
         truth, limit = inner @ slope / step, inner @ value
@@ -89,9 +96,6 @@ def cells(stage: Stage, values: np.ndarray, slopes: np.ndarray) -> dict[str, dic
         bend = 0.3 * abs(_mean(truth - (inner[:, 1] - inner[:, 0]) / step)[0]) if _curved(border) else 0.0
         size = abs(_mean(inner[:, 0])[0])
         for p, place in enumerate(STEPS):
-            if border.name in INFINITE and np.isfinite([values[:, p, i], slopes[:, p, i]]).all():
-                found[f"{border.name}, {place}"] = {"verdict": "infinite"}
-                continue
             found[f"{border.name}, {place}"] = _cell(
                 slopes[:, p, i], truth, values[:, p, i], limit, bend, size, border.span, place
             )

@@ -21,7 +21,7 @@ from jaxdr.scene.ranges import Range
 from tests.borders.registry import Border, borders, made, of_kind
 
 SIDE = 2  # pixels of a panel, along a side
-TILT = 0.3  # radians
+TILT = 0.3  # radians between the view and the panels' normal
 DEPTHS = {"default": 3, "emitter": 3, "bidirectional": 2}  # light of one bounce has all of its ways to join paths
 CORE = ("Diffuse", "Mask", "Phong", "Plastic", "RoughConductor", "ThinDielectric")  # of the default run of the tests
 POINT = {"point": jd.PointLight((0.5, 1.0, 3.0), 40.0), "rear": jd.PointLight((-1.0, 0.5, -2.5), 40.0)}
@@ -104,15 +104,13 @@ def surfaces(light: str, models: tuple[str, ...] = ()) -> Stage:
     """A panel for every border of these materials and textures, or of all, under one kind of light."""
     found = [border for border in surface_borders() if not models or border.model in models]
     side = math.ceil(math.sqrt(len(found)))
-    turn = np.eye(4)
-    turn[1:3, 1:3] = [[math.cos(TILT), -math.sin(TILT)], [math.sin(TILT), math.cos(TILT)]]
     shapes, paths, masks = {}, [], []
     for i, border in enumerate(found):
         row, column = divmod(i, side)
         place = np.eye(4)
-        # The camera looks along -z with y up, so that its left is -x of the world.
-        place[:2, 3] = (2 * column + 1) / side - 1, 1 - (2 * row + 1) / side
-        mesh = jd.shapes.transformed(jd.shapes.rectangle(1.6 / side, 1.6 / side), place @ turn)
+        # The camera looks down with y up, so that its left is -x of the world. It sees heights shortened.
+        place[:2, 3] = (2 * column + 1) / side - 1, (1 - (2 * row + 1) / side) / math.cos(TILT)
+        mesh = jd.shapes.transformed(jd.shapes.rectangle(1.6 / side, 1.6 / side / math.cos(TILT)), place)
         shapes[f"p{i}"] = jd.Shape(mesh, _material(border.model))
         inside = "reflectance." if isinstance(made(border.model), jd.Texture) else ""
         paths.append(f"p{i}.bsdf.{inside}{border.field}")
@@ -125,7 +123,8 @@ def surfaces(light: str, models: tuple[str, ...] = ()) -> Stage:
             pose = jd.look_at((2.0, 1.5, height), (0, 0, 0), (0, 1, 0))
             mesh = jd.shapes.transformed(jd.shapes.rectangle(1.5, 1.5), pose)
             shapes[name] = jd.Shape(mesh, jd.Diffuse(0.0), jd.AreaEmitter((6.0, 5.0, 4.0)))
-    pose, film = jd.look_at((0, 0, 2.0), (0, 0, 0), (0, 1, 0)), jd.Film(SIDE * side, SIDE * side, jd.Box())
+    eye = (0, -2.0 * math.sin(TILT), 2.0 * math.cos(TILT))
+    pose, film = jd.look_at(eye, (0, 0, 0), (0, 1, 0)), jd.Film(SIDE * side, SIDE * side, jd.Box())
     view = jd.Orthographic(pose, film, far_clip=4.0)  # else it sees the back wall, which other panels light
     scene = jd.Scene(shapes, view, **more)
     masks = [_mask(border, scene.parameters()[path]) for border, path in zip(found, paths, strict=True)]

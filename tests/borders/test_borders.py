@@ -13,6 +13,7 @@ import pytest
 import jaxdr as jd
 from experiments.borders import table
 from jaxdr.scene.bsdf import BSDF
+from jaxdr.scene.bsdf.principled import LEAST_SPECULAR
 from jaxdr.scene.emitters import AreaEmitter, Environment
 from jaxdr.scene.ranges import FINITE, Parametric, range_of
 from tests.borders.measure import STEPS, SURE, cells, measured, places, sampled
@@ -112,10 +113,12 @@ def test_every_model_derives_from_parametric():
     assert SURE >= 3 and of_kind(BSDF)
 
 
-def test_an_infinite_slope_is_named():
-    """What is computed there has to be finite all the same."""
+def test_a_root_is_judged_by_the_value_that_stands_in():
+    """The image stays as it is below that value; the slope is that at it, not zero."""
     border = Border("Principled", "specular", 0.0, 1, 1.0)
-    values = np.ones((4, len(places(border)), 1))
-    for slope, verdict in ((1e3, "infinite"), (np.nan, "wrong")):
-        found = cells(Stage(None, [border], [], [], True), values, np.full_like(values, slope))
-        assert {cell["verdict"] for cell in found.values()} == {verdict}
+    x = np.maximum(places(border), LEAST_SPECULAR)
+    values, slopes = (np.tile(y[:, None], (4, 1, 1)) for y in (np.sqrt(x), 0.5 / np.sqrt(x)))
+    for wrong_at, verdict in ((None, "right"), (1, "wrong")):
+        if wrong_at is not None:
+            slopes[:, wrong_at] = 0.0
+        assert cells(Stage(None, [border], [], [], True), values, slopes)[f"{border.name}, end"]["verdict"] == verdict

@@ -1,7 +1,8 @@
 """The distribution of points on edges in the image: projected length times an estimate of the jump of radiance.
 
 Where two surfaces pass through each other, what they share is a crease, too. It is no edge of a mesh. Its segments are
-found anew for every scene, and are further rows of the distribution.
+found anew for every scene, and are further rows of the distribution. So are those where a clipping plane of the camera
+cuts faces. The image jumps there as at a silhouette.
 """
 
 import math
@@ -10,8 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.boundary.film.cut_segments import cut_segments, cutting_planes
 from jaxdr.boundary.shared.folds import SMOOTH
 from jaxdr.boundary.shared.texture_jumps import glow_jumps, seam_jumps
 from jaxdr.geometry import queries
@@ -36,16 +38,17 @@ from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import lattice, sample_cdf, seed_of, uniform
 
 ROOM = 16  # pairs of faces that pass through each other, for each row of faces in a square of all faces
+INTERSECTION, CUT = -1, -2  # in place of the number of an edge
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
 
 
 class EdgeDistribution(NamedTuple):
-    """The distribution of edge points; detached. Rows are edges of the moving shapes, then segments of intersections.
+    """The distribution of edge points; detached. Rows are edges of the moving shapes, then intersections, then cuts.
 
-    - `edge`: the number of the edge, -1 where faces intersect.
+    - `edge`: the number of the edge; `INTERSECTION` where faces intersect, `CUT` where a clipping plane cuts one.
     - `ends`: the ends of the edge.
     - `faces`, `opposite`: the faces at the edge, and the vertices of these faces that are not on it; padded with -1.
-      Where faces intersect there are no `opposite` vertices.
+      Where faces intersect or are cut there are no `opposite` vertices.
     - `share`: which share of a jump counts.
     - `start`, `end`: film points of the visible part of the edge.
     - `clip`: fractions of the 3D edge at the ends of the part between near and far plane.
@@ -73,17 +76,13 @@ class EdgeDistribution(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Edges of the moving shapes, then segments that faces share which pass through each other; see `EdgeDistribution`.
-
-    `intersection` tells which are of the second kind.
-    """
+    """Edges of the moving shapes, then intersections, then cuts; see `EdgeDistribution`."""
 
     edge: Int[Array, " E"]
     ends: Float[Array, "E 2 3"]
     faces: Int[Array, "E K"]
     opposite: Int[Array, "E K"]
     share: Float[Array, " E"]
-    intersection: Bool[Array, " E"]
 
 
 def _rows(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, settings: PathSettings) -> _Rows:
@@ -97,14 +96,18 @@ def _rows(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, sett
     valid = found.first >= 0
     weight = jnp.where(valid, found.weight, 0.0)
     rows = (
-        (number, jnp.full(room, -1, jnp.int32)),
+        (number, jnp.full(room, INTERSECTION, jnp.int32)),
         (ends, jnp.where(valid[:, None, None], found.ends, ends[:1])),
         (edges.faces[number], none.at[:, :2].set(jnp.stack([found.first, found.second], -1))),
         (edges.opposite[number], none),
         (edges.shared(number, one), weight),
-        (jnp.zeros(number.shape, bool), jnp.ones(room, bool)),
     )
-    return _Rows(*(jnp.concatenate(pair) for pair in rows))
+    for k, plane in enumerate(cutting_planes(packed.camera)):
+        cut = cut_segments(packed, moves, plane, jax.random.fold_in(key, k))
+        none = jnp.full((cut.face.shape[0], edges.faces.shape[1]), -1, jnp.int32)
+        of_cut = jnp.full(cut.face.shape, CUT, jnp.int32), cut.ends, none.at[:, :2].set(cut.face[:, None]), none
+        rows = [(*row, more) for row, more in zip(rows, (*of_cut, cut.weight), strict=True)]
+    return _Rows(*(jnp.concatenate(parts) for parts in rows))
 
 
 def edge_distribution(
@@ -112,8 +115,8 @@ def edge_distribution(
 ) -> EdgeDistribution:
     """Distributions over silhouettes and creases of the `moving` shapes.
 
-    A query finds where surfaces pass through each other. If there are too many places, `key` chooses some. With
-    `material` these are the only creases.
+    A query finds where surfaces pass through each other. If there are too many places, there or at clipping planes,
+    `key` chooses some. With `material` intersections are the only creases.
     """
     packed = jax.tree.map(stop_gradient, packed)
     camera, rows = packed.camera, _rows(packed, moving, key, settings)
@@ -124,7 +127,10 @@ def edge_distribution(
         _clip(sign * (limit - z0), sign * (limit - z1))
         for sign, limit in ((1.0, camera.near_clip), (-1.0, camera.far_clip))
     )
-    t0, t1 = jnp.maximum(near0, far0), jnp.minimum(near1, far1)
+    # The ends of a cut lie on a plane, up to rounding.
+    cut = rows.edge == CUT
+    t0 = jnp.where(cut, 0.0, jnp.maximum(near0, far0))
+    t1 = jnp.where(cut, 1.0, jnp.minimum(near1, far1))
     in_front = t1 > t0
     q0, q1 = between(p0, p1, t0), between(p0, p1, t1)
     behind = ~in_front[:, None]
@@ -139,7 +145,7 @@ def edge_distribution(
     length = jnp.where(in_front & (rows.share > 0), extent * jnp.maximum(s1 - s0, 0.0), 0.0)
     silhouette, importance = _importance(packed, moving, rows, fixed_key(0))
     mass = length * importance
-    crease = rows.intersection if material else ~silhouette
+    crease = (rows.edge == INTERSECTION) if material else ~silhouette
     return EdgeDistribution(
         edge=rows.edge,
         ends=rows.ends,
@@ -187,6 +193,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
     jump at a silhouette is the light that the brighter face receives, and a typical value for the background; so is it
     where surfaces pass through each other, which may have different materials. These estimates change the noise only.
     """
+    intersection, cut = rows.edge == INTERSECTION, rows.edge == CUT
     faces, row_of = packed.faces_of(moving)
     own, edges = faces.shape[0], packed.edges_of(moving).shape[0]
     number, sharing = rows.edge[:edges], jnp.maximum(rows.faces[edges:, :2], 0)
@@ -210,10 +217,10 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
     face0, face1 = jnp.concatenate([face0, added]), jnp.concatenate([face1, added + sharing.shape[0]])
     interior = jnp.concatenate([interior, jnp.ones(added.shape, bool)])
     # Edges of one face or of more than two count as silhouettes. Both sides are estimated, so either kind is right.
-    silhouette = ~interior | ((front[face0] != front[face1]) & ~rows.intersection)
+    silhouette = ~interior | cut | ((front[face0] != front[face1]) & ~intersection)
     if packed.camera.aperture:  # add the edges that are silhouettes from a part of the aperture
         turns = packed.camera.turns(corner, normal)
-        silhouette = silhouette | ((turns[face0] | turns[face1]) & ~rows.intersection)
+        silhouette = silhouette | ((turns[face0] | turns[face1]) & ~intersection)
     fold = norm(normal[face0] - normal[face1])
     jump = jnp.abs(received[face0] - received[face1])
     mean = received[:own].mean()
@@ -225,7 +232,7 @@ def _importance(packed: PackedScene, moving: tuple[bool, ...], rows: _Rows, key)
     if packed.glow:  # radiance x pi: the irradiance with which a white surface would look as bright
         crease = crease + jnp.pi * jnp.pad(glow_jumps(packed, number), (0, sharing.shape[0]))
     bright = jnp.maximum(received[face0], received[face1])
-    return silhouette, jnp.where(silhouette | rows.intersection, 0.5 * (typical + bright), crease)
+    return silhouette, jnp.where(silhouette | intersection, 0.5 * (typical + bright), crease)
 
 
 def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array, " F"]:

@@ -1,4 +1,4 @@
-"""Discontinuities in the image plane: silhouettes, creases and intersections of surfaces that the camera sees directly.
+"""Discontinuities in the image plane: silhouettes, creases, intersections and cuts that the camera sees directly.
 
 With the camera ray fixed, the image is an integral over the film whose integrand jumps across projected edges. Its
 derivative is the line integral of (L on one side - L on the other) times the normal velocity of the edge. The two sides
@@ -10,13 +10,26 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxdr.boundary.film.edge_distribution import EdgeDistribution, edge_distribution, sample_edges
+from jaxdr.boundary.film.cut_segments import cutting_planes
+from jaxdr.boundary.film.edge_distribution import CUT, INTERSECTION, EdgeDistribution, edge_distribution, sample_edges
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.boundary.shared.term import Chunk, Context, named_key, streams
 from jaxdr.geometry.gather import rows_of
-from jaxdr.geometry.vector import between, components, corners, cross, dot, from_components, norm, normalize, scale
+from jaxdr.geometry.vector import (
+    between,
+    components,
+    corners,
+    cross,
+    dot,
+    from_components,
+    norm,
+    normalize,
+    scale,
+    z_of,
+)
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera import View
 from jaxdr.scene.packed import PackedScene
@@ -37,7 +50,7 @@ PARALLEL = 1e-6  # sine² of the angle between two faces; of smaller angles they
 class FilmEdgePoints(NamedTuple):
     """n points on visible edges, and the camera rays on their two sides (leading axis 2); detached.
 
-    - `along`: the point's fraction of its `edge`; the edge is -1 where faces intersect.
+    - `along`: the point's fraction of its `edge`; the edge is `INTERSECTION` or `CUT` where it is none of a mesh.
     - `point`: its position.
     - `lens`: the point of the aperture that it is seen through; None without an aperture.
     - `film_point`, `normal`: its film position, and the line's unit normal on the film, towards the first side.
@@ -74,7 +87,7 @@ class FilmEdges:
 
     Where first hits are material points, creases do not count. Light in material form has a boundary at a silhouette
     only on the surface behind it. There the edge's velocity counts relative to that surface. Where surfaces intersect
-    it has a boundary on both.
+    or are cut it has a boundary on both sides.
     """
 
     def __init__(self, *kinds: str):
@@ -123,7 +136,7 @@ class FilmEdges:
         emission = jnp.tile(seen, 2).astype(wi.dtype)
         asked = request(first, wi, u, settings.max_depth - 1, stream, emission)._replace(seen=size, given=given)
         behind = points.distance.argmax(0) == jnp.arange(2)[:, None]
-        return asked, _Held(points, seen, jnp.where(crease, points.edge < 0, behind))
+        return asked, _Held(points, seen, behind & ~crease | (points.edge < 0))
 
     def image(
         self, context: Context, state, chunk: Chunk, held: _Held, answers: Answers | None
@@ -135,8 +148,10 @@ class FilmEdges:
         view, first = _view(packed, points), points.first
         ends = corners(packed.ends_of(jnp.maximum(points.edge, 0)))
         material = on_face(packed, first.face.reshape(-1), first.barycentric.reshape(-1, 3)).reshape(2, -1, 3)
-        intersects = (points.edge < 0)[:, None]
-        position = jnp.where(intersects, _intersection(points, material), between(*ends, points.along))
+        position = between(*ends, points.along)
+        position = jnp.where((points.edge == INTERSECTION)[:, None], _intersection(points, material), position)
+        if cutting_planes(packed.camera):
+            position = jnp.where((points.edge == CUT)[:, None], _cut(points, material, view), position)
         film_point = view.project(position)
         value = 0.0
         if form != Form.MATERIAL:
@@ -158,7 +173,7 @@ class FilmEdges:
 def _moved(points: FilmEdgePoints, position: Float[Array, "n 2"]) -> Float[Array, " n"]:
     """Displacement of a film point along the edge's normal: zero in value, right in derivative."""
     along = dot(points.normal, position)
-    return along - jax.lax.stop_gradient(along)
+    return along - stop_gradient(along)
 
 
 def _intersection(points: FilmEdgePoints, material: Float[Array, "2 n 3"]) -> Float[Array, "n 3"]:
@@ -167,12 +182,28 @@ def _intersection(points: FilmEdgePoints, material: Float[Array, "2 n 3"]) -> Fl
     Each plane goes with the material point that is seen beside the line: n . dx = n . d(material) for both normals n.
     The motion along the line is left out: it does not change what is seen.
     """
-    normal = jax.lax.stop_gradient(points.first.normal)
-    moved = dot(normal, material - jax.lax.stop_gradient(material))
+    normal = stop_gradient(points.first.normal)
+    return points.point + _common_motion(normal, dot(normal, material - stop_gradient(material)))
+
+
+def _cut(points: FilmEdgePoints, material: Float[Array, "2 n 3"], view: View) -> Float[Array, "n 3"]:
+    """Points on the lines where a clipping plane cuts a face: they move along the normals of the plane and the face."""
+    first = points.at_edge[0][:, None]
+    of_face, seen = (jnp.where(first, x[0], x[1]) for x in (points.first.normal, material))
+    depth, gradient = z_of(view.local(points.point)), stop_gradient(view.inverse[2])
+    slope = norm(gradient)
+    of_plane = jnp.broadcast_to(gradient / slope, of_face.shape)
+    normal = stop_gradient(jnp.stack([of_face, of_plane]))
+    moved = jnp.stack([dot(normal[0], seen - stop_gradient(seen)), (stop_gradient(depth) - depth) / slope])
+    return points.point + _common_motion(normal, moved)
+
+
+def _common_motion(normal: Float[Array, "2 n 3"], moved: Float[Array, "2 n"]) -> Float[Array, "n 3"]:
+    """Shortest motion of the line that two planes share, which move by this much along their unit normals."""
     cosine = dot(normal[0], normal[1])
     sine2 = 1.0 - cosine**2
     one, two = (safe_divide(moved[k] - cosine * moved[1 - k], sine2, sine2 > PARALLEL) for k in (0, 1))
-    return points.point + scale(normal[0], one) + scale(normal[1], two)
+    return scale(normal[0], one) + scale(normal[1], two)
 
 
 def _view(packed: PackedScene, points: FilmEdgePoints) -> View:
@@ -263,6 +294,9 @@ def _edge_points(
     clear = distance >= edge_distance - tolerance
     outline = jnp.where(on_first, surface[0] & clear[1], surface[1] & clear[0])
     outline = jnp.where(on_first == on_second, at_edge.all(0), outline)
+    if cutting_planes(camera):
+        # The face ends on one side. Nothing has to be on the other.
+        outline = jnp.where(edge == CUT, (at_edge & clear[::-1]).any(0), outline)
     return FilmEdgePoints(
         edge, along, point, lens, film_point, normal, weight, direction, first, distance, at_edge, outline
     )

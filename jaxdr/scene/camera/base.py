@@ -11,6 +11,8 @@ from jaxdr.scene.camera.view import View
 from jaxdr.scene.film import Film
 from jaxdr.scene.ranges import Parametric
 
+NEAR_CLIP, FAR_CLIP = 1e-2, 1e4  # depths, as in Mitsuba; nothing is expected to be cut there
+
 
 class Camera(Parametric, eqx.Module):
     """A camera maps film points (pixels) to rays, and world points back to film points.

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.scene.camera.base import Camera, checked_clip, checked_pose
+from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP, Camera, checked_clip, checked_pose
 from jaxdr.scene.camera.view import ParallelView
 from jaxdr.scene.film import Film
 
@@ -15,8 +15,8 @@ class Orthographic(Camera):
     The film covers x from -1 to 1 in the frame, and y in proportion to its height. `to_world` [4, 4] (camera to world)
     may scale each axis by its own factor. The scale says how much of the world the film shows.
 
-    Nothing is seen that is nearer than `near_clip` or farther than `far_clip` along the axis (units of the frame). Keep
-    moving surfaces away from those planes: the motion of the cut has no derivative.
+    Nothing is seen that is nearer than `near_clip` or farther than `far_clip` along the axis (units of the frame).
+    Where planes of your own cut surfaces, the cut is an edge of the image. Default planes should cut none.
 
     Raises ValueError for a matrix that can't be inverted, and unless 0 < near_clip < far_clip.
     """
@@ -27,7 +27,7 @@ class Orthographic(Camera):
     far_clip: float = eqx.field(static=True)
     aperture = False
 
-    def __init__(self, to_world, film: Film, near_clip: float = 1e-2, far_clip: float = 1e4):
+    def __init__(self, to_world, film: Film, near_clip: float = NEAR_CLIP, far_clip: float = FAR_CLIP):
         self.to_world = checked_pose("Orthographic", to_world, scales=True)
         self.film = film
         self.near_clip, self.far_clip = checked_clip("Orthographic", near_clip, far_clip)

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import dot, norm, z_of
+from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.camera.view import PinholeView
 from jaxdr.scene.film import Film
@@ -42,8 +43,8 @@ class ThinLens(PinholeCamera):
         aperture_radius,
         focus_distance,
         fov_axis: str = "x",
-        near_clip: float = 1e-2,
-        far_clip: float = 1e4,
+        near_clip: float = NEAR_CLIP,
+        far_clip: float = FAR_CLIP,
         principal_point=(0.0, 0.0),
     ):
         super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)

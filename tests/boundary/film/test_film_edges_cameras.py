@@ -5,6 +5,7 @@ over the lens of what its points see. A lit box adds creases; sums over its visi
 """
 
 from functools import cache
+from itertools import product
 
 import jax
 import jax.numpy as jnp
@@ -48,9 +49,11 @@ def lens_points(radii, angles):
     return points.reshape(-1, 2), np.repeat(weight / angles, angles)
 
 
-def outline(corners, numbers, lens):
-    """Film points of corners, from a lens point of the unit disk."""
-    local = np.linalg.solve(numbers["to_world"], np.c_[corners, np.ones(4)].T)[:3].T
+def outline(corners, numbers, lens, planes):
+    """Film points of what is between the clipping planes, from a lens point of the unit disk."""
+    local = np.linalg.solve(numbers["to_world"], np.c_[corners, np.ones(len(corners))].T)[:3].T
+    for sign, depth in zip((1.0, -1.0), planes, strict=True):
+        local = clip(local, np.array([0.0, 0.0, sign]), sign * depth)
     if "fov" not in numbers:
         return SIZE / 2 - SIZE / 2 * local[:, :2]
     focal = 0.5 * SIZE / np.tan(np.deg2rad(numbers["fov"]) / 2)
@@ -60,20 +63,20 @@ def outline(corners, numbers, lens):
     return SIZE * (0.5 - numbers["principal_point"]) - focal * on_focus[:, :2] / focus
 
 
-def area(corners, numbers, window):
+def area(corners, numbers, window, planes=(0.0, 1e4)):
     """Area that the quadrangle covers in a window of the film, the mean over the lens."""
     points, weights = lens_points(6, 24) if "aperture_radius" in numbers else (np.zeros((1, 2)), np.ones(1))
     x0, y0, width, height = window
     total = 0.0
-    for lens, weight in zip(points, weights, strict=True):
-        polygon = outline(corners, numbers, lens)
+    for face, (lens, weight) in product(QUAD, zip(points, weights, strict=True)):
+        polygon = outline(corners[face], numbers, lens, planes)
         for normal, offset in (([1, 0], x0), ([-1, 0], -x0 - width), ([0, 1], y0), ([0, -1], -y0 - height)):
             polygon = clip(polygon, np.array(normal, float), offset)
         total += weight * abs(signed_area(polygon))
     return total
 
 
-def exact(kind, corners, window):
+def exact(kind, corners, window, planes=(0.0, 1e4)):
     """Derivatives of the area by name, central differences."""
     numbers = {"vertices": corners} | {k: np.asarray(v, float) for k, v in NUMBERS[kind].items()}
     found = {}
@@ -86,7 +89,7 @@ def exact(kind, corners, window):
             for step in (1e-5, -1e-5):
                 moved = {k: v.copy() for k, v in numbers.items()}
                 moved[name][index] += step
-                ends.append(area(moved.pop("vertices"), moved, window))
+                ends.append(area(moved.pop("vertices"), moved, window, planes))
             found[name][index] = (ends[0] - ends[1]) / 2e-5
     return found
 
@@ -122,8 +125,72 @@ def test_black_quadrangle_before_a_white_sky(kind, window):
     """Vertices, all numbers of the pose, field of view, principal point, aperture and focus."""
     crop = WINDOWS[window]
     whole = crop or (0, 0, SIZE, SIZE)
-    found, truth = estimate(scene(kind, CORNERS, crop)), exact(kind, CORNERS, whole)
-    covered = area(CORNERS, NUMBERS[kind], whole)
+    compare(kind, crop, whole)
+
+
+SLOW = pytest.mark.slow
+PLANES = {"near": {"near_clip": 1.6}, "far": {"far_clip": 2.2}, "both": {"near_clip": 1.5, "far_clip": 2.5}}
+
+
+@pytest.mark.parametrize("planes", [pytest.param("near", marks=SLOW), pytest.param("far", marks=SLOW), "both"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_clipping_planes_cut_the_quadrangle(kind, planes):
+    """The line of the cut moves with the vertices and with the camera."""
+    compare(kind, None, (0, 0, SIZE, SIZE), PLANES[planes])
+
+
+BOARD = np.array([[-0.5, -0.3, 1.1], [0.7, -0.3, 2.1], [0.7, 0.6, 2.5], [-0.5, 0.6, 1.5]])
+FORMS = {
+    "fixed ray": jd.PathTracer(2),
+    "near": jd.PathTracer(3),
+    "material": jd.PathTracer(2, primary="material"),
+    "bidirectional": jd.BidirectionalPathTracer(2, boundary=jd.KernelDensity()),
+}
+
+
+@pytest.mark.parametrize("form", [pytest.param(name, marks=() if name == "material" else SLOW) for name in FORMS])
+def test_a_lit_board_is_cut(form):
+    """In every form of first hits. Under an even sky its radiance is half that of the sky, wherever it is."""
+    numbers, clipping = NUMBERS["perspective"], PLANES["far"]
+    camera = jd.Perspective(film=jd.Film(SIZE, SIZE), **numbers, **clipping)
+    board = jd.Shape(jd.Mesh(BOARD, QUAD), jd.TwoSided(jd.Diffuse(0.5)))
+    of = jd.Scene({"board": board}, camera, jd.ConstantEnvironment(1.0))
+
+    @jax.jit
+    @jax.grad
+    def slope(shift, key):
+        moved = of.replace({"board.vertices": BOARD + shift})
+        return jd.render(moved, key, 64, FORMS[form]).mean(-1).sum()
+
+    slopes = np.stack([slope(jnp.zeros(3), key) for key in jax.random.split(jax.random.key(1), 32)])
+
+    def seen(shift):
+        return area(BOARD + shift, numbers, (0, 0, SIZE, SIZE), (0.0, clipping["far_clip"]))
+
+    truth = -0.5 * np.array([seen(1e-5 * axis) - seen(-1e-5 * axis) for axis in np.eye(3)]) / 2e-5
+    error, scale = slopes.std(0, ddof=1) / np.sqrt(len(slopes)), np.abs(truth).max()
+    assert np.all(error < 0.03 * scale)
+    assert np.all(np.abs(slopes.mean(0) - truth) < 4.5 * error + 3e-3 * scale), (slopes.mean(0), error, truth)
+
+
+def test_warped_camera_rays_know_no_cuts():
+    camera = jd.Perspective(film=jd.Film(SIZE, SIZE), **NUMBERS["perspective"], near_clip=1.6)
+    of = jd.Scene({"quad": jd.Shape(jd.Mesh(CORNERS, QUAD))}, camera, jd.ConstantEnvironment(1.0))
+    warped = jd.PathTracer(2, jd.WarpedArea(), primary="warp")
+
+    def total(vertices):
+        return jd.render(of.replace({"quad.vertices": vertices}), jax.random.key(0), 4, warped).sum()
+
+    with pytest.warns(jd.EstimatorWarning, match="near_clip or far_clip"):
+        jax.eval_shape(jax.grad(total), jnp.asarray(CORNERS))
+
+
+def compare(kind, crop, whole, clipping=None):
+    """Derivatives by all vertices and all numbers of the camera, against differences of areas."""
+    clipping = clipping or {}
+    planes = clipping.get("near_clip", 0.0), clipping.get("far_clip", 1e4)
+    found, truth = estimate(scene(kind, CORNERS, crop, **clipping)), exact(kind, CORNERS, whole, planes)
+    covered = area(CORNERS, NUMBERS[kind], whole, planes)
     assert 0.1 < covered / (whole[2] * whole[3]) < 0.8
     mean, error = found.pop("sum")
     assert abs(whole[2] * whole[3] - covered - mean) < 4.5 * error

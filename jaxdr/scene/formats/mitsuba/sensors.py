@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxdr.scene.camera import Camera, Orthographic, Perspective, ThinLens
+from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP
 from jaxdr.scene.film import Box, Film, Gaussian, ReconstructionFilter, Tent
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.values import floats
@@ -51,7 +52,7 @@ def _common(properties: Properties, scales: bool) -> dict[str, Any]:
     to_world = properties.value("to_world", "transform", np.eye(4))
     if not scales and not np.allclose(to_world[:3, :3].T @ to_world[:3, :3], np.eye(3), atol=1e-3):
         raise ValueError("to_world must not scale or shear")
-    near, far = properties.value("near_clip", NUMBER, 1e-2), properties.value("far_clip", NUMBER, 1e4)
+    near, far = properties.value("near_clip", NUMBER, NEAR_CLIP), properties.value("far_clip", NUMBER, FAR_CLIP)
     sampler, film = properties.at_most_one("sampler"), properties.at_most_one("film")
     if sampler is not None:
         read_sampler(sampler)
