@@ -51,6 +51,7 @@ def check(case: Case, estimator: str, found: dict) -> None:
     assert found["verdict"] == "right", found
 
 
+@pytest.mark.slow
 def test_values_of_one_program():
     """Light, size, place and shape differ; the program does not."""
     assert len({kept.structure(CASES[name]) for name in SHARED}) == 1

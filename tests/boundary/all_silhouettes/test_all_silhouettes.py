@@ -74,6 +74,7 @@ def derivatives(boundary, spp, keys):
     return np.stack([derivative(key) for key in jax.random.split(jax.random.key(spp), keys)]).astype(float)
 
 
+@pytest.mark.slow
 def test_errors_fall_faster_than_those_of_random_points():
     """16 times the samples, more than 7 times less noise in a rough mirror; independent points have 4."""
     few, many = (derivatives(jd.AllSilhouettes(100), spp, 12) for spp in (2, 32))
@@ -85,6 +86,7 @@ def test_errors_fall_faster_than_those_of_random_points():
     assert np.mean((np.abs(other.mean(0) - many.mean(0)) / error) ** 2) < 1.6
 
 
+@pytest.mark.slow
 def test_without_room_silhouettes_are_thinned():
     """A warning says so, and the mean is the same."""
     with pytest.warns(UserWarning, match="silhouettes of .* exceed the capacity"):

@@ -56,6 +56,7 @@ def walked(of, infinite, key):
     return whole, start, end, arrived, back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("infinite", [False, True])
 @pytest.mark.parametrize("mesh", [sphere(1), sphere(2), BOW_TIE], ids=["coarse", "fine", "bow tie"])
 def test_walks_are_symmetric(mesh, infinite):
@@ -127,6 +128,7 @@ def broken(monkeypatch, wrong):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("large", "depth", "wrong"),
     [(0.0, 2, None), (0.3, 2, None), (0.3, 3, None), (0.0, 2, "walk"), (0.0, 2, "spread")],
@@ -155,9 +157,9 @@ def test_chains_keep_their_density(monkeypatch, large, depth, wrong):
     ("boundary", "wrong"),
     [
         (jd.MarkovChains(), False),
-        (jd.MarkovChains(length=1), False),
-        (jd.MarkovChains(length=8, large=0.0), False),
-        (jd.MarkovChains(2.0, length=64, seeds=0.4), False),
+        pytest.param(jd.MarkovChains(length=1), False, marks=pytest.mark.slow),
+        pytest.param(jd.MarkovChains(length=8, large=0.0), False, marks=pytest.mark.slow),
+        pytest.param(jd.MarkovChains(2.0, length=64, seeds=0.4), False, marks=pytest.mark.slow),
         (jd.MarkovChains(length=16), True),
     ],
     ids=["default", "one step", "no large step", "few seeds", "wrong density"],
@@ -181,12 +183,14 @@ def test_derivatives_are_the_closed_form(monkeypatch, boundary, wrong):
     assert np.all(off < 4.5 * error + 1e-6) != wrong, (off, error)
 
 
-@pytest.mark.parametrize("depth", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [2, 3])
 def test_a_soft_shadow_moves_as_differences_say(depth):
     """By quarters of the film, and as a whole; at depth 3 also what the lit box sends to the floor."""
     check_shadow(jd.MarkovChains(4.0), depth)
 
 
+@pytest.mark.slow
 def test_keys_in_a_batch():
     """`vmap` over keys gives what single keys give."""
     tracer = jd.PathTracer(2, jd.MarkovChains(length=4))

@@ -84,6 +84,7 @@ def drawn_from(of, position, u):
     return drawn, jnp.stack(heights, -1), packed.edges.interior, ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("position", [(0.2, 0.5, 0.3), (0.6, 0.1, 0.3)])
 def test_probabilities_of_edges(position):
     """Every silhouette above the horizon is drawn, as often as its probability says; no other interior edge is."""
@@ -111,6 +112,7 @@ def test_derivatives_are_the_closed_form():
     check_derivatives(BOX, jd.QuadricSampling(2), tolerance=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [None, "probability", "angle"])
 def test_open_blockers_and_broken_densities(monkeypatch, wrong):
     """Right for the four open edges of a quadrangle; wrong, and seen to be, where a density is off by a tenth."""
@@ -139,7 +141,8 @@ def test_open_blockers_and_broken_densities(monkeypatch, wrong):
     assert np.all(off < 4.5 * error) == (wrong is None), (off, error)
 
 
-@pytest.mark.parametrize("depth", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("depth", [2, 3])
 def test_a_soft_shadow_moves_as_differences_say(depth):
     """By quarters of the film, and as a whole; at depth 3 also what the lit box sends to the floor."""
     check_shadow(jd.QuadricSampling(4), depth)

@@ -174,6 +174,7 @@ def test_every_derivative_is_the_closed_form(monkeypatch, blocker, boundary, wro
     assert check(rows, exact(blocker)[1]) != wrong
 
 
+@pytest.mark.slow
 def test_cube_shaped_light():
     """All its outlines are edges between two faces, and its other edges are none."""
     truth = cube_derivatives()
@@ -183,6 +184,7 @@ def test_cube_shaped_light():
     assert np.all(np.abs(mean - truth) < 4.5 * error), (mean, error, truth)
 
 
+@pytest.mark.slow
 def test_a_soft_shadow_moves_as_differences_say():
     """By quarters of the film, and as a whole."""
     check_shadow(jd.WalkOnCaps(), 2)
