@@ -20,12 +20,13 @@ INNER = (STEP, 2 * STEP, 3 * STEP)
 ROOT_STEP = 0.05  # of a value that stands in for a smaller one
 CURVED = {
     **dict.fromkeys(("eta", "exponent", "roughness", "specular", "clearcoat_gloss", "normal"), 0.2),
-    **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 0.02),
+    **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 8e-5),  # steps of a fifth of it
     **dict.fromkeys(("alpha = 1", "alpha_v = 1"), 0.4),
     "base_color": 0.2,
     "k": 0.05,
     "anisotropic": 0.05,
     "BumpMap.scale": 0.2,
+    "RoughPlastic.eta": 0.02,  # its table of transmittances is linear in pieces
 }
 PARABOLA = np.array([-2.5, 4.0, -1.5]), np.array([3.0, -3.0, 1.0])  # slope times step, and value, at the end
 LINE = np.array([-0.5, 0.0, 0.5]), np.array([4.0, 1.0, -2.0]) / 3.0
