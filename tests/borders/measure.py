@@ -22,6 +22,8 @@ CURVED = {
     **dict.fromkeys(("eta", "exponent", "roughness", "specular", "clearcoat_gloss", "normal"), 0.2),
     **dict.fromkeys(("alpha = 0.0001", "alpha_v = 0.0001"), 8e-5),  # steps of a fifth of it
     **dict.fromkeys(("alpha = 1", "alpha_v = 1"), 0.4),
+    "roughness = 0": 0.04,  # the model's least alpha, to .03
+    "clearcoat_gloss = 1": 0.008,  # steps of a fifth of the least alpha
     "base_color": 0.2,
     "k": 0.05,
     "anisotropic": 0.05,
