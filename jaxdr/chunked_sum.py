@@ -182,15 +182,20 @@ def _transpose(cotangent, *operands, how: _Sum):
     none = [None] * len(fixed)
     if isinstance(cotangent, ad.Zero):
         return [*none, *(ad.Zero(o.aval) for o in operands[-how.count :])]
-    return [*none, *_backward(*_without_derivative(fixed), cotangent, how=how)]
+    return [*none, *_backward(*first_only(fixed), cotangent, how=how)]
 
 
 @jax.custom_jvp
-def _without_derivative(operands):
+def first_only(operands: Any) -> Any:
+    """The same arrays. Raises NotImplementedError for derivatives by them.
+
+    A rule for first derivatives takes it for whatever the derivative depends on. Then no second derivative is short of
+    a part without a word, also where the first is by one parameter and the second by another.
+    """
     return operands
 
 
-@_without_derivative.defjvp
+@first_only.defjvp
 def _(primals, tangents):
     raise NotImplementedError(_FIRST_ONLY)
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr import loops
 from jaxdr.boundary.shared.refusals import refuse
 from jaxdr.boundary.shared.texture_jumps import MOVED_MAPS
-from jaxdr.chunked_sum import chunked_derivative, dependent
+from jaxdr.chunked_sum import chunked_derivative, dependent, first_only
 from jaxdr.compilation import unfolded
 from jaxdr.integrators import Integrator
 from jaxdr.integrators.base import Batch
@@ -171,6 +171,7 @@ def _watched_jvp(static, primals, tangents):
     _check_derivative(program.integrator, flags, found)
     if program.integrator.boundary is not None:
         _check_still(scene, found, moving)
+    floats = jax.tree.map(first_only, floats)
     return unfolded(floats), tangents[0]  # the barrier's own rule would make zeros of what is not differentiated
 
 
@@ -197,8 +198,8 @@ def _render(program: Program, floats, others, arrays, key):
 @partial(_render.defjvp, symbolic_zeros=True)
 def _render_jvp(program, primals, tangents):
     floats, others, arrays, key = primals
-    image_key, derivative_key = jax.random.split(key)
-    image = _image(program, floats, others, arrays, image_key)
+    derivative_key = jax.random.split(key)[1]
+    image = _render(program, floats, others, arrays, key)
     active = tuple(not isinstance(t, SymbolicZero) for t in tangents[0])
     if not any(active):
         return image, jnp.zeros_like(image)
@@ -208,6 +209,7 @@ def _render_jvp(program, primals, tangents):
 
 def _derivative(program: Program, active: tuple[bool, ...], moved, floats, others, arrays, key):
     """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
+    floats = tuple(map(first_only, floats))
     flags = _flags(program, active)
     moving = moving_in(_join(program, floats, others), flags)
     if program.by_default:
@@ -217,7 +219,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
         _say_default(scene, static, moving)
     integrator = eqx.combine(program.integrator, arrays)
     _check_derivative(integrator, flags, moving)
-    still, others, arrays = unfolded(jax.lax.stop_gradient((floats, others, arrays)))
+    still, others, arrays = unfolded((floats, *jax.lax.stop_gradient((others, arrays))))
 
     def packed_at(at):
         """The packed scene as a function of the active floats."""
