@@ -13,14 +13,13 @@ TRACER = jd.PathTracer(1, boundary=None)
 
 @pytest.fixture(scope="module")
 def brightness():
-    """Sum of an image as a function of a lamp's height and radiance."""
+    """Image as a function of a board's height and the radiance of the sky."""
     camera = jd.Perspective(jd.look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)), 40.0, jd.Film(2, 2))
-    lamp = jd.Shape(jd.shapes.rectangle(9.0, 9.0), jd.Diffuse(0.0), jd.AreaEmitter(2.0))
-    scene = jd.Scene({"lamp": lamp}, camera)
+    scene = jd.Scene({"board": jd.Shape(jd.shapes.rectangle())}, camera, jd.ConstantEnvironment(2.0))
 
     def of(height, radiance, renders=jd.render):
-        moved = scene.parameters()["lamp.vertices"] + jnp.stack([0.0, 0.0, height])
-        changed = scene.replace({"lamp.vertices": moved, "lamp.emitter.radiance": radiance * jnp.ones(3)})
+        moved = scene.parameters()["board.vertices"] + jnp.stack([0.0, 0.0, height])
+        changed = scene.replace({"board.vertices": moved, "environment.radiance": radiance * jnp.ones(3)})
         return renders(changed, KEY, 1, TRACER)
 
     return of
