@@ -16,6 +16,7 @@ from jaxdr.integrators.aov import CONTINUOUS, FLOATS, AovImage, aov_values
 from jaxdr.render import render
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
+from jaxdr.sizes import check_spp
 from jaxdr.transport.interaction import intersect
 from jaxdr.transport.keys import inner_key
 from jaxdr.transport.primary import Form, primary_samples
@@ -62,12 +63,13 @@ def render_aovs(
     `rays` names the implementation of the ray queries, as in `PathTracer`. Raises ValueError for unknown names, for
     spp < 1, and when another float is differentiated. Then take `jax.lax.stop_gradient` of the scene.
     """
-    names = tuple(names)
+    names = (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NAMES:
             raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
-    if int(spp) != spp or spp < 1:
-        raise ValueError(f"render_aovs: spp must be a positive whole number of samples per pixel, got {spp}")
+    if not isinstance(scene, Scene):
+        raise ValueError(f"render_aovs: expected a jaxdr.Scene, got {type(scene).__name__}")
+    check_spp("render_aovs", spp)
     found = _images(_Settings(names, int(spp), rays), scene, inner_key(key))
     return {name: found[name] for name in names}
 
@@ -80,7 +82,7 @@ def _images(settings: _Settings, scene: Scene, key) -> dict[str, Array]:
 @partial(_images.defjvp, symbolic_zeros=True)
 def _images_jvp(settings: _Settings, primals, tangents):
     scene, key = primals
-    images = _render(settings, scene, key)
+    images = _images(settings, scene, key)
     leaves, structure = jax.tree.flatten(scene)
     moved = jax.tree.leaves(tangents[0], is_leaf=_is_zero)
     active = [not _is_zero(t) for t in moved]

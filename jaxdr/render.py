@@ -26,6 +26,7 @@ from jaxdr.integrators.known_failures import warn_of_known_failure, warn_of_turn
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
+from jaxdr.sizes import check_spp
 from jaxdr.transport.keys import inner_key
 
 
@@ -103,8 +104,7 @@ def _check(caller: str, scene, spp, integrator) -> None:
         raise ValueError(
             f"{caller}: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}"
         )
-    if int(spp) != spp or spp < 1:
-        raise ValueError(f"{caller}: spp must be a positive whole number of samples per pixel, got {spp}")
+    check_spp(caller, spp)
     (default_integrator(scene) if integrator is None else integrator).check(scene)
 
 

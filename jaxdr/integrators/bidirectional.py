@@ -15,6 +15,7 @@ from jaxdr.integrators.base import (
     ROUGH_GLASS,
     Batch,
     ConnectedEstimator,
+    check_depth,
     edge_points_per_sample,
     prepare_terms,
     term_images,
@@ -132,8 +133,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     def __check_init__(self):
         name = "BidirectionalPathTracer"
-        if self.max_depth < 1:
-            raise ValueError(f"{name}: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
+        check_depth(name, self.max_depth)
         for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES)):
             if getattr(self, field) not in known:
                 raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")

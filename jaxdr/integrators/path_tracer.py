@@ -23,6 +23,7 @@ from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     ROUGH_GLASS,
     Batch,
+    check_depth,
     edge_points_per_sample,
     prepare_terms,
     term_images,
@@ -120,8 +121,7 @@ class PathTracer(eqx.Module):
     )
 
     def __check_init__(self):
-        if self.max_depth < 1:
-            raise ValueError(f"PathTracer: max_depth must be at least 1 (emitters seen directly), got {self.max_depth}")
+        check_depth("PathTracer", self.max_depth)
         for name, known in (
             ("primary", ("fixed_ray", "material", "warp")),
             ("sampling", ("mis", "emitter")),

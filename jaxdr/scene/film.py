@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
+from jaxdr.sizes import whole
+
 
 @runtime_checkable
 class ReconstructionFilter(Protocol):
@@ -159,8 +161,14 @@ class Film(eqx.Module):
     crop: tuple[int, int, int, int] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"Film: width and height must be at least 1 pixel, got {self.width} x {self.height}")
+        if not (whole(self.width) and whole(self.height)):
+            raise ValueError(
+                f"Film: width and height must be whole numbers of pixels, got {self.width!r} x {self.height!r}"
+            )
+        if isinstance(self.filter, type) or not isinstance(self.filter, ReconstructionFilter):
+            raise ValueError(f"Film: filter must be a pixel filter such as jaxdr.Box(), got {self.filter!r}")
+        if self.crop is not None and not (len(self.crop) == 4 and all(int(n) == n for n in self.crop)):
+            raise ValueError(f"Film: crop must be four whole numbers (x0, y0, width, height), got {self.crop}")
         x0, y0, width, height = self.window
         if width < 1 or height < 1 or x0 < 0 or y0 < 0 or x0 + width > self.width or y0 + height > self.height:
             raise ValueError(f"Film: crop {self.crop} does not lie inside {self.width} x {self.height} pixels")

@@ -74,6 +74,15 @@ class Scene(eqx.Module):
     def __check_init__(self):
         if not self.shapes:
             raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
+        if not isinstance(self.camera, Camera):
+            raise ValueError(
+                f"Scene: camera is a {type(self.camera).__name__}, expected a camera such as jaxdr.Perspective"
+            )
+        if not isinstance(self.environment, Environment | None):
+            raise ValueError(
+                f"Scene: environment is a {type(self.environment).__name__}, expected one such as "
+                "jaxdr.ConstantEnvironment, or None"
+            )
         for kind, members, expected in (("shape", self.shapes, Shape), ("light", self.lights, DeltaLight)):
             for name, member in members.items():
                 if not name or "." in name or name in RESERVED:

@@ -114,3 +114,23 @@ def test_a_roughness_below_the_least_is_the_least():
     alpha, slope = jax.jvp(along_and_across, (jnp.asarray([-1.0, SMOOTHEST, 0.5]),), (jnp.ones(3),))
     np.testing.assert_allclose(alpha, [SMOOTHEST, SMOOTHEST, 0.5])
     np.testing.assert_array_equal(slope, [0, 1, 1])
+
+
+def test_glass_between_equal_media():
+    """Traced, its index counts as the closest that refracts; half vectors of closer ones would be rounding."""
+    glass = made("RoughDielectric")
+
+    @jax.jit
+    def eval_at(eta):
+        moved = eqx.tree_at(lambda m: m.eta, glass, eta)
+        moved = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (COUNT, *leaf.shape)), moved)
+        return moved.eval(WI, WO)
+
+    def value_and_slope(eta):
+        return jax.jvp(eval_at, (jnp.float32(eta),), (jnp.float32(1.0),))
+
+    for eta, counts_as in ((1.0, 1.001), (1.0004, 1.001), (0.9996, 0.999)):
+        value, slope = value_and_slope(eta)
+        np.testing.assert_allclose(value, eval_at(jnp.float32(counts_as)), rtol=1e-5)
+        assert not slope.any()
+    assert value_and_slope(1.01)[1].any()

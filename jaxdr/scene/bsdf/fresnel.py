@@ -90,7 +90,7 @@ def diffuse_reflectance(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
     `eta` is the index on the far side over that on the side of the light. For eta > 1 it is the fit of d'Eon and Irving
     2011, within 0.2 % up to eta = 10. For eta < 1 it follows from that by reciprocity.
     """
-    dense = eta >= 1
+    dense = eta > 1  # at 1 the side of 1 / eta, for coats, whose index is at least 1
     n = jnp.where(dense, eta, 1.0 / eta)
     v = 1.0 / n
     outside = 0.919317 + v * (-3.4793 + v * (6.75335 + v * (-7.80989 + v * (4.98554 - v * 1.36881))))

@@ -37,6 +37,7 @@ from jaxdr.scene.bsdf.parameters import (
 from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
+CLOSEST = 1e-3  # of an index to 1: half vectors of closer ones are rounding
 # Uniform numbers of a few facets, whose reflectance decides how often reflection is chosen. By symmetry half the range
 # of the second number is enough.
 PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
@@ -46,7 +47,8 @@ class RoughDielectric(BSDF):
     """Frosted glass: microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
 
     `alpha`, `alpha_v` and `distribution` are those of `RoughConductor`, the other parameters those of `Dielectric`.
-    Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices.
+    Light is scattered on both sides. Refracted radiance is scaled by the squared ratio of indices. A ratio within 0.001
+    of 1 counts as 0.999 or 1.001, with derivative zero.
 
     Raises ValueError as these two do, and for equal indices inside and outside.
     """
@@ -113,20 +115,26 @@ class RoughDielectric(BSDF):
 
     def lobe_width(self, wi):
         """The width of the narrower lobe. Turning a facet turns refracted light by |1 - eta_i / eta_t| as much."""
-        eta = index(self.eta)
+        eta = self._index()
         relative = jnp.where(z_of(wi) > 0, 1.0 / eta, eta)
         alpha = self._facets()
         return jnp.minimum(mirrored_width(alpha), narrowest(alpha) * jnp.abs(1.0 - relative))
 
     def rims(self, wi):
-        return refraction_rims(wi, index(self.eta))
+        return refraction_rims(wi, self._index())
+
+    def _index(self) -> Float[Array, "*n"]:
+        """The relative index. No facet refracts between equal media, so one that is closer to 1 is the closest one."""
+        eta = index(self.eta)
+        closest = jnp.where(eta < 1, 1.0 - CLOSEST, 1.0 + CLOSEST).astype(eta.dtype)
+        return jnp.where(jnp.abs(eta - 1.0) < CLOSEST, closest, eta)
 
     def _facets(self) -> Alpha:
         return along_and_across(self.alpha, self.alpha_v)
 
     def _seen_from_above(self, wi, wo):
         """(wi, wo, index beyond the surface over that on wi's side); both directions are negated where wi is below."""
-        below, eta = z_of(wi) < 0, index(self.eta)
+        below, eta = z_of(wi) < 0, self._index()
         side = jnp.where(below, -1.0, 1.0).astype(wi.dtype)
         return scale(wi, side), scale(wo, side), jnp.where(below, 1.0 / eta, eta)
 

@@ -6,10 +6,11 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.arrays import as_array
+from jaxdr.arrays import as_array, traced
 from jaxdr.scene.ranges import Parametric
 from jaxdr.scene.sampling import uniform_sphere
 
@@ -58,6 +59,12 @@ class DeltaLight(Parametric, eqx.Module):
 
         None for a light that fades out, or that shines in all directions.
         """
+
+
+def check_direction(direction: Array, name: str) -> None:
+    """Raises ValueError for a concrete direction that can't be normalised: lengths are squared, in float32."""
+    if not traced(direction) and not 1e-18 < np.linalg.norm(np.asarray(direction, float)) < 1e18:
+        raise ValueError(f"{name} must not be zero, nor of an extreme length (1e-18 to 1e18), got {direction}")
 
 
 def vector(value: ArrayLike, name: str) -> Float[Array, "3"]:

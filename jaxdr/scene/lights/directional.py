@@ -1,13 +1,11 @@
 """Light from infinitely far away, in one direction."""
 
-import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import normalize
 from jaxdr.scene.color import as_rgb, magnitude
-from jaxdr.scene.lights.base import DeltaLight, vector
+from jaxdr.scene.lights.base import DeltaLight, check_direction, vector
 
 
 class DirectionalLight(DeltaLight):
@@ -26,8 +24,7 @@ class DirectionalLight(DeltaLight):
         self.irradiance = as_rgb(irradiance, "DirectionalLight: irradiance")
 
     def check_together(self):
-        if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
-            raise ValueError("DirectionalLight: direction must not be zero")
+        check_direction(self.direction, "DirectionalLight: direction")
 
     def place(self):
         return -normalize(self.direction)

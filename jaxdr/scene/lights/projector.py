@@ -5,6 +5,7 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import components, scale, transform, z_of
 from jaxdr.scene.camera import Perspective
+from jaxdr.scene.camera.base import checked_pose, concrete
 from jaxdr.scene.camera.pinhole import FOV, FOV_AXES
 from jaxdr.scene.color import magnitude
 from jaxdr.scene.film import Film
@@ -30,7 +32,8 @@ class Projector(DeltaLight):
     beyond the outer centres: "clamp", or "repeat" (Mitsuba's default, which mixes opposite borders within half a
     texel).
 
-    Raises ValueError for an image that is not RGB, an unknown `wrap` or axis, or another shape of a parameter.
+    Raises ValueError for an image that is not RGB or is empty, an unknown `wrap` or axis, another shape of a parameter,
+    and for a `to_world` that scales, shears, or can't be inverted.
     """
 
     irradiance: Float[Array, "H W 3"]
@@ -53,10 +56,8 @@ class Projector(DeltaLight):
         self.irradiance = as_array(floats(irradiance, "Projector: irradiance"))
         self.to_world, self.fov, self.scale = (as_array(value) for value in (to_world, fov, scale))
         self.fov_axis, self.wrap = fov_axis, wrap
-        if self.irradiance.ndim != 3 or self.irradiance.shape[2] != 3:
+        if self.irradiance.ndim != 3 or self.irradiance.shape[2] != 3 or not self.irradiance.size:
             raise ValueError(f"Projector: irradiance must be an RGB image [H, W, 3], got {self.irradiance.shape}")
-        if self.to_world.shape != (4, 4):
-            raise ValueError(f"Projector: to_world must be a 4 x 4 matrix, got shape {self.to_world.shape}")
         if self.fov.shape != () or self.scale.shape != ():
             raise ValueError("Projector: fov and scale must be numbers")
         if fov_axis not in FOV_AXES or wrap not in WRAPS:
@@ -64,6 +65,11 @@ class Projector(DeltaLight):
                 f"Projector: fov_axis must be one of {', '.join(FOV_AXES)}, wrap one of {', '.join(WRAPS)}; "
                 f"got {fov_axis!r} and {wrap!r}"
             )
+
+    def check_together(self):
+        pose = concrete(checked_pose("Projector", self.to_world, scales=False))
+        if pose is not None and not np.allclose(np.linalg.det(pose[:3, :3]), 1.0, atol=1e-3):
+            raise ValueError(f"Projector: to_world must not scale, got\n{pose}")
 
     @property
     def camera(self) -> Perspective:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from jaxdr.arrays import as_array, on_host
 from jaxdr.geometry.vector import Frame, components, cross, dot, from_components, normalize, orthonormal_basis, scale
 from jaxdr.scene.color import as_rgb, magnitude
-from jaxdr.scene.lights.base import DeltaLight, vector
+from jaxdr.scene.lights.base import DeltaLight, check_direction, vector
 from jaxdr.scene.lights.projector import bilinear
 from jaxdr.scene.ranges import floats, ranged, within
 
@@ -43,8 +43,7 @@ class Cone(DeltaLight):
 
     def check_together(self):
         kind = type(self).__name__
-        if not isinstance(self.direction, Tracer) and not np.any(np.asarray(self.direction)):
-            raise ValueError(f"{kind}: direction must not be zero")
+        check_direction(self.direction, f"{kind}: direction")
         if not any(isinstance(angle, Tracer) for angle in (self.cutoff_angle, self.beam_width)):
             beam, cutoff = float(self.beam_width), float(self.cutoff_angle)
             if not 0 <= beam < cutoff <= 180:
@@ -153,7 +152,7 @@ class TexturedSpotLight(Cone):
         super().__init__(position, direction, intensity, cutoff_angle, beam_width)
         self.texture = as_array(floats(texture, "TexturedSpotLight: texture"))
         self.up = vector(up, "TexturedSpotLight: up")
-        if self.texture.ndim != 3 or self.texture.shape[2] != 3:
+        if self.texture.ndim != 3 or self.texture.shape[2] != 3 or not self.texture.size:
             raise ValueError(f"TexturedSpotLight: texture must be an RGB image [H, W, 3], got {self.texture.shape}")
 
     def check_together(self):

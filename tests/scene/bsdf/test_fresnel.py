@@ -136,3 +136,11 @@ def test_gradients_are_finite_at_the_edges():
     for k in (0.0, 1.0):
         gradients = conductor(jnp.abs(cosines), jnp.asarray([0.0, 1.0, 1.5]), jnp.full(3, k))
         assert all(np.all(np.isfinite(g)) for g in gradients)
+
+
+def test_coats_of_index_one():
+    """A coat asks for the light that comes from inside. At index 1 its slope is that of indices just above."""
+    inside = jax.jit(jax.value_and_grad(lambda eta: fresnel.diffuse_reflectance(1.0 / eta)))
+    (at, slope), (above, slope_above) = inside(1.0), inside(1.0001)
+    np.testing.assert_allclose(slope, slope_above, rtol=0.01)
+    np.testing.assert_allclose((above - at) / 1e-4, slope, rtol=0.05)

@@ -1,0 +1,50 @@
+"""Arguments of the wrong kind get one clear error. In a process of its own: the tests' type checker would be first."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = """
+import jax, numpy as np, jaxdr as jd
+pose, key = np.eye(4), jax.random.key(0)
+shapes, camera = {"box": jd.Shape(jd.shapes.box())}, jd.Perspective(pose, 40.0, jd.Film(4, 4))
+scene = jd.Scene(shapes, camera)
+for case in CASES:
+    try:
+        eval(case)
+    except ValueError as error:
+        print(f"{case} -> {error}".splitlines()[0])
+"""
+CASES = {
+    "jd.Film(4.5, 4)": "Film: width and height must be whole numbers of pixels, got 4.5 x 4",
+    "jd.Film(float('nan'), 4)": "Film: width and height must be whole numbers of pixels, got nan x 4",
+    "jd.Film('4', 4)": "Film: width and height must be whole numbers of pixels, got '4' x 4",
+    "jd.Film(4, 4, jd.Box)": "Film: filter must be a pixel filter such as jaxdr.Box(), got <class",
+    "jd.Film(4, 4, 'box')": "Film: filter must be a pixel filter such as jaxdr.Box(), got 'box'",
+    "jd.Film(4, 4, crop=(0, 0, 1))": "Film: crop must be four whole numbers (x0, y0, width, height), got (0, 0, 1)",
+    "jd.Film(4, 4, crop=(0.5, 0, 1, 1))": "Film: crop must be four whole numbers",
+    "jd.Scene(shapes, None)": "Scene: camera is a NoneType, expected a camera such as jaxdr.Perspective",
+    "jd.Scene(shapes, pose)": "Scene: camera is a ndarray, expected",
+    "jd.Scene(shapes, camera, 1.0)": "Scene: environment is a float, expected one such as jaxdr.ConstantEnvironment",
+    "jd.PathTracer(2.5)": "PathTracer: max_depth must be at least 1 (emitters seen directly), and a whole number",
+    "jd.PathTracer('3')": "and a whole number, got '3'",
+    "jd.BidirectionalPathTracer(None)": "and a whole number, got None",
+    "jd.render(scene, key, float('nan'))": "render: spp must be a positive whole number of samples per pixel, got nan",
+    "jd.render(scene, key, None)": "render: spp must be a positive whole number of samples per pixel, got None",
+    "jd.render(scene, key, '4')": "render: spp must be a positive whole number of samples per pixel, got '4'",
+    "jax.jit(lambda n: jd.render(scene, key, n))(4)": "render: spp must be a positive whole number",
+    "jd.render_aovs(scene, key, float('inf'))": "render_aovs: spp must be a positive whole number",
+    "jd.render_aovs(None, key)": "render_aovs: expected a jaxdr.Scene, got NoneType",
+    "jd.render_aovs(scene, key, 1, 'height')": "render_aovs: unknown name 'height'; known: ",
+}
+
+
+def test_messages():
+    program = f"CASES = {list(CASES)}\n{PROGRAM}"
+    run = [sys.executable, "-c", program]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=Path(__file__).parents[1], timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = dict(line.split(" -> ", 1) for line in done.stdout.splitlines() if " -> " in line)
+    assert set(found) == set(CASES)
+    for case, message in CASES.items():
+        assert message in found[case], case
