@@ -16,9 +16,9 @@ for case in CASES:
         print(f"{case} -> {error}".splitlines()[0])
 """
 CASES = {
-    "jd.Film(4.5, 4)": "Film: width and height must be whole numbers of pixels, got 4.5 x 4",
-    "jd.Film(float('nan'), 4)": "Film: width and height must be whole numbers of pixels, got nan x 4",
-    "jd.Film('4', 4)": "Film: width and height must be whole numbers of pixels, got '4' x 4",
+    "jd.Film(4.5, 4)": "Film: width and height must be whole numbers of at least 1 pixel, got 4.5 x 4",
+    "jd.Film(float('nan'), 4)": "Film: width and height must be whole numbers of at least 1 pixel, got nan x 4",
+    "jd.Film('4', 4)": "Film: width and height must be whole numbers of at least 1 pixel, got '4' x 4",
     "jd.Film(4, 4, jd.Box)": "Film: filter must be a pixel filter such as jaxdr.Box(), got <class",
     "jd.Film(4, 4, 'box')": "Film: filter must be a pixel filter such as jaxdr.Box(), got 'box'",
     "jd.Film(4, 4, crop=(0, 0, 1))": "Film: crop must be four whole numbers (x0, y0, width, height), got (0, 0, 1)",

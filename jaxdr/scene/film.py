@@ -162,9 +162,8 @@ class Film(eqx.Module):
 
     def __check_init__(self):
         if not (whole(self.width) and whole(self.height)):
-            raise ValueError(
-                f"Film: width and height must be whole numbers of pixels, got {self.width!r} x {self.height!r}"
-            )
+            size = f"{self.width!r} x {self.height!r}"
+            raise ValueError(f"Film: width and height must be whole numbers of at least 1 pixel, got {size}")
         if isinstance(self.filter, type) or not isinstance(self.filter, ReconstructionFilter):
             raise ValueError(f"Film: filter must be a pixel filter such as jaxdr.Box(), got {self.filter!r}")
         if self.crop is not None and not (len(self.crop) == 4 and all(int(n) == n for n in self.crop)):
