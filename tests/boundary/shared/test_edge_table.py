@@ -67,7 +67,8 @@ def test_all_candidates_and_each_as_often_as_it_should(rays, platform, monkeypat
     used = np.unique(rows[some])
     share = expected[used] / expected[used].sum(1, keepdims=True)
     deviation = np.sqrt(COPIES * share * (1 - share))
-    z = (counts[used] - COPIES * share)[deviation > 1] / deviation[deviation > 1]
+    many = deviation > 2  # counts of rarer edges are far from normally distributed
+    z = (counts[used] - COPIES * share)[many] / deviation[many]
     assert len(z) > 50 and np.abs(z).max() < 5 and abs(z.std() - 1) < 0.25
 
 
