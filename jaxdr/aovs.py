@@ -16,10 +16,10 @@ from jaxdr.integrators.aov import CONTINUOUS, FLOATS, AovImage, aov_values
 from jaxdr.render import render
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
-from jaxdr.sizes import check_spp
 from jaxdr.transport.interaction import intersect
 from jaxdr.transport.keys import inner_key
 from jaxdr.transport.primary import Form, primary_samples
+from jaxdr.whole_numbers import check_spp
 
 CHUNK = 1 << 18  # camera rays at once
 

@@ -26,8 +26,8 @@ from jaxdr.integrators.known_failures import warn_of_known_failure, warn_of_turn
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
-from jaxdr.sizes import check_spp
 from jaxdr.transport.keys import inner_key
+from jaxdr.whole_numbers import check_spp
 
 
 class Program(NamedTuple):

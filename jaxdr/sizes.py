@@ -1,4 +1,4 @@
-"""How many samples are asked for, and how many rows programs work on at once, by the kind of machine.
+"""How many rows programs work on at once, by the kind of machine.
 
 A CPU works fastest on data that fits into its caches, and a few thousand rows keep its threads busy. A GPU is fast only
 if all its threads have work. An H100 has 132 multiprocessors x 2,048 threads, about 270,000. It needs about twice as
@@ -9,20 +9,6 @@ The size of chunks was measured on an H200 (experiments/gpu). The other sizes fo
 """
 
 import jax
-
-
-def whole(value) -> bool:
-    """Whether a value is a concrete whole number of at least 1."""
-    try:
-        return not isinstance(value, str) and int(value) == value and int(value) >= 1
-    except (TypeError, ValueError, OverflowError):  # None, NaN, infinity, a traced number, an array
-        return False
-
-
-def check_spp(caller: str, spp) -> None:
-    """Raises ValueError for a number of samples that is no concrete positive whole number."""
-    if not whole(spp):
-        raise ValueError(f"{caller}: spp must be a positive whole number of samples per pixel, got {spp!r}")
 
 
 def at_once(cpu: int, gpu: int) -> int:

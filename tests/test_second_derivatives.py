@@ -63,8 +63,8 @@ def test_an_unrolled_step_raises(brightness):
         jax.grad(after)(2.0)
 
 
-def test_values_beside_gradients_have_derivatives(brightness):
-    """The value of `value_and_grad` is the image, and has its derivative; so has a gradient that is not followed."""
+def test_detached_gradients_have_none(brightness):
+    """What a gradient depends on has to be detached before it is taken; detached afterwards it raises as well."""
 
     def value(radiance):
         found, slope = jax.value_and_grad(lambda height: brightness(height, radiance).sum())(0.0)

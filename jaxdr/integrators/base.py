@@ -14,8 +14,8 @@ from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
-from jaxdr.sizes import whole
 from jaxdr.transport.radiance import joined, radiance, split
+from jaxdr.whole_numbers import whole
 
 
 class Batch(NamedTuple):

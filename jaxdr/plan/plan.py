@@ -17,6 +17,7 @@ from jaxdr.plan.report import Plan
 from jaxdr.plan.static_look import StaticLook, static_look
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene
+from jaxdr.whole_numbers import whole
 
 PIXELS = 48 * 48  # most pixels of the pilots' film
 DEPTH_TOLERANCE = 0.02
@@ -125,7 +126,7 @@ def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
     if not budget > 0:
         raise ValueError(f"plan: budget must be positive (seconds of a derivative image), got {budget}")
     for name, value in (("max_depth", max_depth), ("spp", spp)):
-        if value is not None and (int(value) != value or value < 1):
+        if value is not None and not whole(value):
             raise ValueError(f"plan: {name} must be a positive whole number, got {value}")
     if integrator is not None and not isinstance(integrator, Integrator):
         raise ValueError(

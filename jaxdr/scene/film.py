@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
-from jaxdr.sizes import whole
+from jaxdr.whole_numbers import whole
 
 
 @runtime_checkable

@@ -19,6 +19,7 @@ from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
 from jaxdr.scene.scene import Scene
 from jaxdr.views.record import View, scissors
+from jaxdr.whole_numbers import check_spp
 
 
 class Pinhole(NamedTuple):
@@ -92,8 +93,7 @@ def each_rendered(
     scene: Scene, views: Iterable[View], spp: int, seed: int, integrator: Integrator | None
 ) -> Iterator[Float[np.ndarray, "H W 4"]]:
     """The pictures of `render_views` one by one, so that they need not all be in memory."""
-    if int(spp) != spp or spp < 1:
-        raise ValueError(f"render_views: spp must be a positive whole number of samples per pixel, got {spp}")
+    check_spp("render_views", spp)
     integrator = integrator or _without_boundary(default_integrator(scene))
     key = jax.random.key(seed)
     for i, view in enumerate(views):

@@ -3,18 +3,16 @@
 The image jumps there: on one side the face is seen, on the other what lies behind it. The planes go with the camera.
 """
 
-import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.geometry.vector import between, components, corners, z_of
+from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP, Camera
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.sampler import uniform
-
-ROOM = 16  # segments of each plane, for each row of faces in a square of all faces
 
 
 class CutSegments(NamedTuple):
@@ -31,11 +29,12 @@ def cutting_planes(camera: Camera) -> tuple[float, ...]:
     return tuple(plane for plane, default in chosen if plane != default)
 
 
-def cut_segments(packed: PackedScene, moves: Bool[Array, " F"], plane: float, key: PRNGKeyArray) -> CutSegments:
-    """Where a plane at this depth cuts faces that `moves` marks. If there is no room for all, `key` chooses some."""
-    room = ROOM * (4 + math.isqrt(packed.faces.shape[0]))
-    beyond = z_of(packed.camera.view().local(packed.vertices)) > plane
-    beyond = beyond[packed.faces]
+def cut_segments(
+    packed: PackedScene, moves: Bool[Array, " F"], plane: float, room: int, key: PRNGKeyArray
+) -> CutSegments:
+    """Where a plane at this depth cuts faces that `moves` marks. If there is no `room` for all, `key` chooses some."""
+    depth = z_of(packed.camera.view().local(packed.vertices)) - plane
+    beyond = depth[packed.faces] > 0
     cut = moves & (beyond.any(1) != beyond.all(1))
     rank = jnp.cumsum(cut)
     count = rank[-1]
@@ -49,11 +48,10 @@ def cut_segments(packed: PackedScene, moves: Bool[Array, " F"], plane: float, ke
     first, second, third = components(beyond[face])
     alone = jnp.where(second == third, 0, jnp.where(first == third, 1, 2))
     number = (alone[:, None] + jnp.arange(3)) % 3
-    triangle = packed.vertices[jnp.take_along_axis(packed.faces[face], number, 1)]
-    depth = z_of(packed.camera.view().local(triangle)) - plane
-    apex, *others = corners(triangle)
-    ends = []
-    for k, other in enumerate(others, 1):
-        change = depth[:, 0] - depth[:, k]
-        ends.append(between(apex, other, jnp.where(used, depth[:, 0] / jnp.where(used, change, 1.0), 0.0)))
+    vertices = jnp.take_along_axis(packed.faces[face], number, 1)
+    (apex, *others), (height, *heights) = corners(packed.vertices[vertices]), components(depth[vertices])
+    ends = [
+        between(apex, other, safe_divide(height, height - h, used, 0.0))
+        for other, h in zip(others, heights, strict=True)
+    ]
     return CutSegments(jnp.stack(ends, 1), jnp.where(used, face, -1), jnp.where(used, spacing, 0.0))

@@ -37,7 +37,7 @@ from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.sampler import lattice, sample_cdf, seed_of, uniform
 
-ROOM = 16  # pairs of faces that pass through each other, for each row of faces in a square of all faces
+ROOM = 16  # intersections, or cuts by one plane, for each row of faces in a square of all faces
 INTERSECTION, CUT = -1, -2  # in place of the number of an edge
 PILOTS = 4  # emitter samples that estimate how much the radiance jumps at an edge
 
@@ -103,9 +103,8 @@ def _rows(packed: PackedScene, moving: tuple[bool, ...], key: PRNGKeyArray, sett
         (edges.shared(number, one), weight),
     )
     for k, plane in enumerate(cutting_planes(packed.camera)):
-        cut = cut_segments(packed, moves, plane, jax.random.fold_in(key, k))
-        none = jnp.full((cut.face.shape[0], edges.faces.shape[1]), -1, jnp.int32)
-        of_cut = jnp.full(cut.face.shape, CUT, jnp.int32), cut.ends, none.at[:, :2].set(cut.face[:, None]), none
+        cut = cut_segments(packed, moves, plane, room, jax.random.fold_in(key, k))
+        of_cut = jnp.full(room, CUT, jnp.int32), cut.ends, none.at[:, :2].set(cut.face[:, None]), none
         rows = [(*row, more) for row, more in zip(rows, (*of_cut, cut.weight), strict=True)]
     return _Rows(*(jnp.concatenate(parts) for parts in rows))
 

@@ -31,6 +31,7 @@ from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint
+from jaxdr.whole_numbers import whole
 
 # f / pdf of the paths through N segments (RGB), as a function of where the targets are.
 Measure = Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
@@ -60,7 +61,7 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
             raise ValueError(f"{name}: {option} must be positive, got {getattr(estimator, option)}")
     for option in counts:
         value = getattr(estimator, option)
-        if int(value) != value or value < 1:
+        if not whole(value):
             raise ValueError(f"{name}: {option} must be a whole number of at least 1, got {value}")
 
 

@@ -105,7 +105,7 @@ def test_a_box_in_the_floor(primary, depth, filter_, motion):
 
     derivative = jax.jit(jax.grad(lambda t, key: total(t, key, 64, tracer)))
     image = jax.jit(lambda t, key: total(t, key, 1024, jd.PathTracer(max_depth=depth)))
-    count, step = 12 if depth == 2 else 48, 0.03
+    count, step = 12 if depth == 2 else 96, 0.03  # indirect light has rare, large values
     keys = jax.random.split(jax.random.key(0), count)
     exact = [float(image(step, key) - image(-step, key)) / (2 * step) for key in keys[:12]]
     found = [float(derivative(step * shift, key)) for shift, key in zip(np.linspace(-1, 1, count), keys, strict=True)]

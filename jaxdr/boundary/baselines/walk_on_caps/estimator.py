@@ -15,6 +15,7 @@ from jaxdr.boundary.shared.refusals import Asked, edge_refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.warped_area.divergence import WarpedTerm
 from jaxdr.geometry import queries
+from jaxdr.whole_numbers import whole
 
 
 class WalkOnCaps(WarpedTerm):
@@ -56,7 +57,7 @@ class WalkOnCaps(WarpedTerm):
     def __check_init__(self):
         for option in ("steps", "walks"):
             value = getattr(self, option)
-            if int(value) != value or value < 1:
+            if not whole(value):
                 raise ValueError(f"WalkOnCaps: {option} must be a whole number of at least 1, got {value}")
         for option, most in (("share", 1.0), ("reach", math.pi)):
             value = getattr(self, option)
