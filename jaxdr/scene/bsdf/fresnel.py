@@ -84,17 +84,18 @@ def _ratio(a, b):
     return jnp.where(positive, a / jnp.where(positive, b, 1.0), 1.0)
 
 
-def diffuse_reflectance(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """∫ F cos dω / π: share of diffuse light that a smooth interface reflects.
+def diffuse_transmittance(eta: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """1 - ∫ F cos dω / π: share of diffuse light that a smooth interface lets through.
 
     `eta` is the index on the far side over that on the side of the light. For eta > 1 it is the fit of d'Eon and Irving
-    2011, within 0.2 % up to eta = 10. For eta < 1 it follows from that by reciprocity.
+    2011, within 0.2 % of the reflectance up to eta = 10. For eta < 1 it follows from that by reciprocity: the share is
+    as small as eta^2, which is why this is not one minus the reflectance.
     """
     dense = eta > 1  # at 1 the side of 1 / eta, for coats, whose index is at least 1
     n = jnp.where(dense, eta, 1.0 / eta)
     v = 1.0 / n
-    outside = 0.919317 + v * (-3.4793 + v * (6.75335 + v * (-7.80989 + v * (4.98554 - v * 1.36881))))
-    return jnp.where(dense, outside, 1.0 - (1.0 - outside) * v * v)
+    into_dense = 1.0 - (0.919317 + v * (-3.4793 + v * (6.75335 + v * (-7.80989 + v * (4.98554 - v * 1.36881)))))
+    return jnp.where(dense, into_dense, into_dense * v * v)
 
 
 def schlick_weight(cosine: Float[Array, "*n"]) -> Float[Array, "*n"]:

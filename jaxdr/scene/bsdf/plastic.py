@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
-from jaxdr.scene.bsdf.fresnel import diffuse_reflectance, fresnel_dielectric, index
+from jaxdr.scene.bsdf.fresnel import diffuse_transmittance, fresnel_dielectric, index
 from jaxdr.scene.bsdf.parameters import ETA, Color, Value, color, relative_index
 from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
@@ -50,8 +50,7 @@ class Plastic(BSDF):
         above = both_above(wi, wo)
         entering, leaving = (1.0 - fresnel_dielectric(jnp.abs(z_of(w)), self.eta).reflectance for w in (wi, wo))
         eta = index(self.eta)
-        internal = diffuse_reflectance(1.0 / eta)
-        base = coated(self.diffuse_reflectance, internal, self.nonlinear)
+        base = coated(self.diffuse_reflectance, diffuse_transmittance(1.0 / eta), self.nonlinear)
         share = entering * leaving * z_of(wo) / (math.pi * eta * eta)
         return scale(base, jnp.where(above, share, 0.0))
 
@@ -74,9 +73,9 @@ class Plastic(BSDF):
         return coat_probability(reflectance, self.specular_reflectance, self.diffuse_reflectance)
 
 
-def coated(base: Float[Array, "*#n 3"], internal: Float[Array, "*#n"], nonlinear: bool) -> Float[Array, "*n 3"]:
-    """Reflectance of a diffuse base with all bounces between it and a coat, which reflects the share `internal`."""
-    return base / (1.0 - scale(base, internal)) if nonlinear else scale(base, 1.0 / (1.0 - internal))
+def coated(base: Float[Array, "*#n 3"], leaving: Float[Array, "*#n"], nonlinear: bool) -> Float[Array, "*n 3"]:
+    """Reflectance of a diffuse base with all bounces between it and a coat, which the share `leaving` gets through."""
+    return base / (1.0 - base + scale(base, leaving)) if nonlinear else scale(base, 1.0 / leaving)
 
 
 def coat_probability(

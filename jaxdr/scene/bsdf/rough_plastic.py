@@ -57,8 +57,8 @@ class RoughPlastic(BSDF):
         above = both_above(wi, wo)
         facets = reflection(self.distribution, self._facets(), wi, wo, above)
         coat = fresnel_dielectric(facets.cosine, self._index()).reflectance * facets.value
-        internal = internal_reflectance(self.distribution, self._facets(), self._index())
-        base = coated(self.diffuse_reflectance, internal, self.nonlinear)
+        leaving = 1.0 - internal_reflectance(self.distribution, self._facets(), self._index())
+        base = coated(self.diffuse_reflectance, leaving, self.nonlinear)
         share = self._transmittance(wi) * self._transmittance(wo) * z_of(wo) / (math.pi * self._index() * self._index())
         return scale(self.specular_reflectance, coat) + scale(base, jnp.where(above, share, 0.0))
 

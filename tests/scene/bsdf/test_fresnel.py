@@ -1,7 +1,9 @@
 """Fresnel equations against known values, limits and finite differences."""
 
 import functools
+import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,10 +11,11 @@ import pytest
 
 from jaxdr.scene.bsdf import fresnel, microfacet
 from jaxdr.scene.bsdf.materials import METALS
+from jaxdr.scene.bsdf.plastic import Plastic
 from tests.scene.bsdf.checks import random_directions
 
 fresnel_dielectric, fresnel_conductor = jax.jit(fresnel.fresnel_dielectric), jax.jit(fresnel.fresnel_conductor)
-diffuse_reflectance, refract = jax.jit(fresnel.diffuse_reflectance), jax.jit(microfacet.refract)
+diffuse_transmittance, refract = jax.jit(fresnel.diffuse_transmittance), jax.jit(microfacet.refract)
 COSINES = jnp.linspace(0.0, 1.0, 101)
 
 
@@ -75,12 +78,12 @@ def test_conductor_against_complex_amplitudes():
 
 
 @pytest.mark.parametrize("eta", [1.05, 1.33, 1.5, 2.4])
-def test_diffuse_reflectance_is_the_integral(eta):
+def test_diffuse_transmittance_is_the_integral(eta):
     """2 ∫ F(μ) μ dμ from outside; from inside, too, where most of it is total reflection."""
     mu = (np.arange(20_000) + 0.5) / 20_000
     for index in (eta, 1 / eta):
         expected = 2 * np.mean(mu * np.asarray(fresnel_dielectric(jnp.asarray(mu), jnp.asarray(index)).reflectance))
-        np.testing.assert_allclose(diffuse_reflectance(jnp.asarray(index)), expected, atol=6e-4)
+        np.testing.assert_allclose(diffuse_transmittance(jnp.asarray(index)), 1 - expected, atol=6e-4)
 
 
 def test_refraction_obeys_snell():
@@ -140,7 +143,24 @@ def test_gradients_are_finite_at_the_edges():
 
 def test_coats_of_index_one():
     """A coat asks for the light that comes from inside. At index 1 its slope is that of indices just above."""
-    inside = jax.jit(jax.value_and_grad(lambda eta: fresnel.diffuse_reflectance(1.0 / eta)))
+    inside = jax.jit(jax.value_and_grad(lambda eta: fresnel.diffuse_transmittance(1.0 / eta)))
     (at, slope), (above, slope_above) = inside(1.0), inside(1.0001)
     np.testing.assert_allclose(slope, slope_above, rtol=0.01)
     np.testing.assert_allclose((above - at) / 1e-4, slope, rtol=0.05)
+
+
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("eta", [1.0, 1.5, 10.0, 100.0, 990.0, 1000.0])
+def test_coats_keep_their_digits(eta, nonlinear):
+    """Of light inside a dense coat the share 1 / eta^2 leaves. As one minus the rest it would be lost in rounding."""
+    w = jnp.asarray([[0.3, 0.1, math.sqrt(0.9)]])
+    coat = Plastic(0.5, "water", nonlinear=nonlinear)
+
+    def value(eta, dtype):
+        traced = eqx.tree_at(lambda coat: coat.eta, coat, jnp.asarray(eta, dtype))
+        return jax.tree.map(lambda x: x.astype(dtype), traced).eval(w.astype(dtype), w.astype(dtype)).sum()
+
+    found = jax.value_and_grad(value)(jnp.float32(eta), jnp.float32)
+    with jax.enable_x64(True):
+        expected = jax.value_and_grad(value)(jnp.float64(eta), jnp.float64)
+    np.testing.assert_allclose(found, expected, rtol=2e-3)
