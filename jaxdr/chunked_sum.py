@@ -16,6 +16,7 @@ from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
 from jaxdr import loops
+from jaxdr.kernels import computed
 
 
 class _Sum(NamedTuple):
@@ -31,6 +32,7 @@ class _Sum(NamedTuple):
     structure: Any
     shape: tuple[int, ...]
     dtype: Any
+    compute: str
     axes: tuple[tuple[int | None, ...], ...] = ()
 
 
@@ -41,15 +43,16 @@ def chunked_derivative(
     moved: list[Array],
     fixed: Any,
     out: jax.ShapeDtypeStruct,
+    compute: str = "xla",
 ) -> Array:
     """Derivative of the sum of `term(at, fixed, i)`, i = 0, ... `chunks` - 1, by `at` along `moved`; like `out`.
 
     `term` is hashable, equal to other terms that compute the same, and closes over no arrays. The result is linear in
     `moved`: it can be differentiated by `moved`, and works under jit and vmap. Raises NotImplementedError for
-    derivatives by `at` or `fixed`, which are second derivatives of the sum.
+    derivatives by `at` or `fixed`, which are second derivatives of the sum. `compute` is as in `kernels.computed`.
     """
     leaves, structure = jax.tree.flatten(fixed)
-    how = _Sum(term, chunks, len(at), structure, tuple(out.shape), jnp.dtype(out.dtype))
+    how = _Sum(term, chunks, len(at), structure, tuple(out.shape), jnp.dtype(out.dtype), compute)
     return _derivative.bind(*loops.varying((*at, *leaves, *moved)), how=how)
 
 
@@ -96,7 +99,7 @@ def _forward(*operands, how: _Sum) -> Array:
     function = partial(_sum_forward, how)
     for axes in how.axes:
         function = jax.vmap(function, in_axes=axes)
-    return function(*operands)
+    return computed(function, how.compute)(*operands)
 
 
 @partial(jax.jit, static_argnames="how")
@@ -104,7 +107,7 @@ def _backward(*operands, how: _Sum) -> list[Array]:
     function, count = partial(_sum_backward, how), how.count
     for axes in how.axes:
         function = _batched_backward(function, axes[:-count], axes[-count:])
-    return function(*operands)
+    return computed(function, how.compute)(*operands)
 
 
 def _batched_backward(function, axes, moved_axes):

@@ -23,6 +23,7 @@ from jaxdr.integrators import Integrator
 from jaxdr.integrators.base import Batch
 from jaxdr.integrators.defaults import default_integrator, say_default
 from jaxdr.integrators.known_failures import warn_of_known_failure, warn_of_turning_away
+from jaxdr.kernels import computed
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
@@ -38,6 +39,7 @@ class Program(NamedTuple):
     spp: int
     integrator: Integrator
     by_default: bool  # whether the user gave no integrator
+    compute: str  # see `PathTracer`
 
 
 def render(
@@ -152,7 +154,8 @@ def _program(scene: Scene, spp: int, integrator: Integrator, by_default: bool):
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
     arrays, static = eqx.partition(integrator, eqx.is_array)
-    return Program(structure, is_float, int(spp), static, by_default), floats, others, arrays
+    compute = getattr(integrator, "compute", "xla")  # foreign integrators may have no choice
+    return Program(structure, is_float, int(spp), static, by_default, compute), floats, others, arrays
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -240,7 +243,8 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     term = _Chunk(program, moving, structure, moves)
     _, _, width, height = packed.camera.film.window
     out = jax.ShapeDtypeStruct((height, width, 3), packed.vertices.dtype)
-    return chunked_derivative(term, _chunks(packed, integrator, program.spp, True)[0], primal, tangent, fixed, out)
+    chunks, _ = _chunks(packed, integrator, program.spp, True)
+    return chunked_derivative(term, chunks, primal, tangent, fixed, out, program.compute)
 
 
 class _Chunk(NamedTuple):
@@ -264,9 +268,12 @@ class _Chunk(NamedTuple):
 
 @partial(jax.jit, static_argnums=0)
 def _image(program: Program, floats, others, arrays, key):
+    def image(floats, others, arrays, key):
+        integrator = eqx.combine(program.integrator, arrays)
+        return _estimate(_join(program, floats, others), key, program.spp, integrator, None)["interior"]
+
     floats, others, arrays = unfolded((floats, others, arrays))
-    integrator = eqx.combine(program.integrator, arrays)
-    return _estimate(_join(program, floats, others), key, program.spp, integrator, None)["interior"]
+    return computed(image, program.compute)(floats, others, arrays, key)
 
 
 def _prepare(scene: Scene, packed: PackedScene, integrator: Integrator, moving: Moving, key, apart: bool = False):

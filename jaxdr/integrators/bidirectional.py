@@ -20,6 +20,7 @@ from jaxdr.integrators.base import (
     prepare_terms,
     term_images,
 )
+from jaxdr.kernels import CHOICES as COMPUTE
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene
@@ -105,7 +106,7 @@ class BidirectionalPathTracer(eqx.Module):
     - `heuristic`: "balance" or "power" (2) combination of all ways to find a path.
     - `boundary`: `KernelDensity` or `WarpedArea`, for visibility changes behind the first hit, or None for the interior
       term only. Silhouettes in the image are explicit, as in `PathTracer`.
-    - `edge_samples`, `rays`: as in `PathTracer`.
+    - `edge_samples`, `rays`, `compute`: as in `PathTracer`.
     - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample. Memory is
       proportional to it, and independent of the samples per pixel. A chunk has at least one sample of every pixel.
       None: 262,144 on CPUs and 2,097,152 elsewhere.
@@ -120,6 +121,7 @@ class BidirectionalPathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
+    compute: str = eqx.field(static=True, default="xla")
 
     motion_refusals = (
         Refusal("what moves, in scenes with mirrors or smooth glass", "`PathTracer`", _moved_over_mirrors),
@@ -134,7 +136,7 @@ class BidirectionalPathTracer(eqx.Module):
     def __check_init__(self):
         name = "BidirectionalPathTracer"
         check_depth(name, self.max_depth)
-        for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES)):
+        for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES), ("compute", COMPUTE)):
             if getattr(self, field) not in known:
                 raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")
         if self.boundary is not None and not isinstance(self.boundary, ConnectedEstimator):

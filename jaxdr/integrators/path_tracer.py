@@ -29,6 +29,7 @@ from jaxdr.integrators.base import (
     term_images,
 )
 from jaxdr.integrators.known_failures import warn_of_cuts
+from jaxdr.kernels import CHOICES as COMPUTE
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import only_delta
 from jaxdr.scene.packed import PackedScene
@@ -92,6 +93,8 @@ class PathTracer(eqx.Module):
       random numbers. So give this number if images of one key must agree between machines.
     - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
+    - `compute`: "xla", or "kernels" for vector kernels on CPUs ([how programs run](how_programs_run.md)); "auto" takes
+      them where they can be compiled. Results agree up to rounding.
 
     Raises ValueError for options out of range.
     """
@@ -103,6 +106,7 @@ class PathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
+    compute: str = eqx.field(static=True, default="xla")
 
     refusals = (
         STEEP_FILTER,
@@ -126,6 +130,7 @@ class PathTracer(eqx.Module):
             ("primary", ("fixed_ray", "material", "warp")),
             ("sampling", ("mis", "emitter")),
             ("rays", CHOICES),
+            ("compute", COMPUTE),
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")

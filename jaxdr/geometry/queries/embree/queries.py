@@ -3,11 +3,11 @@
 All other queries, and these two on other devices, are Warp's own.
 """
 
-from jaxdr.geometry.queries.bvh_cache import BVHCache
-from jaxdr.geometry.queries.embree import kernels
-from jaxdr.geometry.queries.embree.scene import EmbreeScene, library
+import jax
+import jax.numpy as jnp
+
+from jaxdr.geometry.queries.embree import native
 from jaxdr.geometry.queries.warp import queries as warp_queries
-from jaxdr.geometry.queries.warp.launch import SLICE, launch, on_host
 from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
     closest_silhouettes,
     draw_edges,
@@ -20,19 +20,32 @@ from jaxdr.geometry.queries.warp.queries import (  # noqa: F401
     silhouettes,
 )
 
-_scenes = BVHCache(lambda moving, topology: EmbreeScene(moving[0], topology[0]), lambda scene, m: scene.refit(m[0]))
+
+def _on_cpu(native_query, warp_query, *arguments):
+    """The query by Embree on CPUs, by Warp elsewhere."""
+    if jax.default_backend() == "cpu":  # there is nothing else, and one branch less to trace
+        return native_query(*arguments)
+    return jax.lax.platform_dependent(*arguments, cpu=native_query, default=warp_query)
 
 
-def _trace(kernel: str, geometry, rays, outputs: list) -> None:
-    vertices, faces = geometry.vertices, geometry.faces
-    if not vertices.device.is_cpu:
-        return warp_queries.trace(kernel, geometry, rays, outputs)
-    function = library().intersect if kernel == "closest_hit" else library().occluded
-    with _scenes.lock:
-        scene = _scenes.find([on_host(vertices)], [on_host(faces)])
-        packets = -(-rays.reach.shape[0] // kernels.PACKET)
-        leading, rest = [function, scene.handle], [rays, *outputs]
-        launch(getattr(kernels, kernel), packets, leading, rest, vertices.device, SLICE // kernels.PACKET)
+def closest_hit(geometry, rays):
+    """(face, t, barycentric): the nearest face in front of each ray, -1 and a huge t on a miss."""
+    n = rays.reach.shape[0]
+    kinds = [jax.ShapeDtypeStruct(s, k) for s, k in (((n,), jnp.int32), ((n,), jnp.float32), ((n, 3), jnp.float32))]
+    return _on_cpu(
+        lambda geometry, rays: tuple(native.call("jaxdr_closest_hit", kinds, *geometry, *rays)),
+        lambda geometry, rays: tuple(warp_queries.closest_hit(geometry, rays)),
+        geometry,
+        rays,
+    )
 
 
-closest_hit, occluded = warp_queries.hit_queries(_trace, kernels)
+def occluded(geometry, rays):
+    """Whether anything lies on the ray before its reach."""
+    kind = jax.ShapeDtypeStruct(rays.reach.shape, jnp.bool_)
+    return _on_cpu(
+        lambda geometry, rays: native.call("jaxdr_occluded", kind, *geometry, *rays),
+        warp_queries.occluded,
+        geometry,
+        rays,
+    )

@@ -1,7 +1,7 @@
 """Triangle meshes in Embree, by its library in the package `embreex` (the C interface, through ctypes).
 
-`embreex` itself traces one ray at a time and holds Python's lock. Instead, our own kernels trace packets: they call the
-library's functions at the addresses given here.
+`embreex` itself holds Python's lock while it traces. Instead, our own handlers (`native`) call the library's functions
+at the addresses given here.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ UINT3, FLOAT3 = 0x5003, 0x9003  # RTCFormat
 ROBUST = 4
 MEDIUM, REFIT = 1, 3  # RTCBuildQuality
 MAJOR = 1  # RTCDeviceProperty: the version's first number
-VERSION = 4  # the packets' layout in memory is that of this version
+VERSION = 4  # the layout of rays in memory is that of this version
 
 
 class _Library:
@@ -37,7 +37,7 @@ class _Library:
         version = self.functions.rtcGetDeviceProperty(self.device, ctypes.c_int(MAJOR))
         if version != VERSION:
             raise ImportError(f"jaxdr needs Embree {VERSION}, and embreex has {version}: pip install -U embreex")
-        self.intersect, self.occluded = (self._address(name) for name in ("rtcIntersect16", "rtcOccluded16"))
+        self.intersect, self.occluded = (self._address(name) for name in ("rtcIntersect1", "rtcOccluded1"))
 
     def _address(self, name: str) -> int:
         address = ctypes.cast(getattr(self.functions, name), ctypes.c_void_p).value

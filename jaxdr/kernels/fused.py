@@ -1,0 +1,94 @@
+"""`fused(function)`: the same function, whose arithmetic on rows is done by kernels on CPUs."""
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+from jax.extend import core
+from jax.interpreters import batching, mlir
+
+from jaxdr.kernels import machine
+from jaxdr.kernels.flatten import small_constant
+from jaxdr.kernels.program import Counts, Program
+
+logger = logging.getLogger("jaxdr.kernels")
+
+
+def fused(function: Callable) -> Callable:
+    """The same function of arrays in pytrees. It has no derivative. `vmap` of it is `fused` of the function's `vmap`.
+
+    Results are those of XLA up to rounding. Where a kernel can't be compiled, XLA computes all, and a warning of the
+    logger `jaxdr.kernels` says so. At the level INFO it names what is left to XLA.
+    """
+
+    def called(*arguments):
+        leaves, structure = jax.tree.flatten(arguments)
+        shape: list = []
+
+        def of_leaves(*leaves):
+            results, out = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+            shape.append(out)
+            return results
+
+        closed, constants = _apart(jax.make_jaxpr(of_leaves)(*leaves))
+        results = _fused.bind(*constants, *leaves, closed=closed)
+        return jax.tree.unflatten(shape[-1], results)
+
+    return called
+
+
+def _apart(closed: core.ClosedJaxpr) -> tuple[core.ClosedJaxpr, list[Any]]:
+    """(the jaxpr with its constants as leading arguments, except those that are known and small; these constants)."""
+    jaxpr = closed.jaxpr
+    known = [small_constant(c) for c in closed.consts]
+    named = list(zip(jaxpr.constvars, closed.consts, known, strict=True))
+    variables, constants = [v for v, _, k in named if k is None], [c for _, c, k in named if k is None]
+    kept = jaxpr.replace(invars=[*variables, *jaxpr.invars], constvars=[v for v, _, k in named if k is not None])
+    return core.ClosedJaxpr(kept, [k for k in known if k is not None]), constants
+
+
+_fused = core.Primitive("jaxdr_fused")
+_fused.multiple_results = True
+
+
+@_fused.def_impl
+def _now(*operands, closed):
+    return jax.jit(partial(_fused.bind, closed=closed))(*operands)
+
+
+@_fused.def_abstract_eval
+def _abstract(*operands, closed):
+    return closed.out_avals
+
+
+def _batched(operands, axes, closed):
+    run = jax.vmap(core.jaxpr_as_fun(closed), in_axes=tuple(a if isinstance(a, int) else None for a in axes))
+    results = fused(run)(*operands)
+    return results, [0] * len(results)
+
+
+def _by_xla(*operands, closed):
+    return core.jaxpr_as_fun(closed)(*operands)
+
+
+def _by_kernels(*operands: Any, closed: core.ClosedJaxpr) -> list:
+    """Trace the program with its kernels, and wait until they are compiled."""
+    counts = Counts()
+    try:
+        program = Program(
+            closed, counts, [None] * len(operands), [False] * len(operands), [False] * len(closed.out_avals)
+        )
+        machine.ready(counts.targets)
+    except machine.CompilerError as error:
+        logger.warning("XLA computes what kernels should: %s", error)
+        return _by_xla(*operands, closed=closed)
+    left = ", ".join(f"{n} {name}" for name, n in sorted(counts.left.items(), key=lambda x: -x[1]))
+    logger.info("%d operations in %d kernels; left to XLA: %s", counts.fused, len(counts.targets), left)
+    return [result[0] for result in program([[x] for x in operands])]
+
+
+batching.primitive_batchers[_fused] = _batched
+mlir.register_lowering(_fused, mlir.lower_fun(_by_xla, multiple_results=True))
+mlir.register_lowering(_fused, mlir.lower_fun(_by_kernels, multiple_results=True), platform="cpu")

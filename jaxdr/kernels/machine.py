@@ -1,0 +1,178 @@
+"""Machine code: compiled by the clang that Warp ships, kept on disk by its text, called by XLA by address."""
+
+import ctypes
+import hashlib
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import jax
+import warp as wp
+
+from jaxdr.program_cache import user_folder
+
+FLAGS = "-march=native -fno-slp-vectorize -fno-vectorize -ffp-contract=off -w"
+KEPT = 4096  # objects on disk; beyond, those that were not used for longest are deleted
+SYMBOL = "jaxdr_handler"
+
+
+class CompilerError(RuntimeError):
+    """The compiler does not take a kernel, or is not there."""
+
+
+@cache
+def _build():
+    """(the function that compiles, the library that loads). Warp has them, but does not document them."""
+    from warp._src import build, context
+
+    wp.init()
+    if context.runtime.llvm is None:
+        raise CompilerError("Warp has no compiler for the CPU on this machine")
+    return build.build_cpu, context.runtime.llvm
+
+
+@cache
+def available() -> bool:
+    """Whether kernels can be compiled here, for JAX's default backend."""
+    try:
+        return jax.default_backend() == "cpu" and bool(_build())
+    except (CompilerError, ImportError, AttributeError):
+        return False
+
+
+@cache
+def _machine() -> str:
+    """What machine code depends on beside the text: compiler, instructions, flags."""
+    return f"{wp.get_cpu_kernel_cache_key(cpu_compiler_flags=FLAGS)} {FLAGS}"
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
+
+
+@cache
+def library_text(name: str) -> str:
+    """A file of C++ of this package."""
+    return Path(__file__).with_name(name).read_text()
+
+
+@cache
+def declarations() -> str:
+    """XLA's own declarations, without other headers, and what handlers share: a text to begin with."""
+    header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
+    types = (
+        "typedef __SIZE_TYPE__ size_t; typedef __INT64_TYPE__ int64_t; typedef __INT32_TYPE__ int32_t;\n"
+        "typedef __UINT32_TYPE__ uint32_t; typedef __UINT64_TYPE__ uint64_t;\n"
+        "#define offsetof(type, field) __builtin_offsetof(type, field)\n"
+    )
+    lines = [line for line in header.splitlines() if not line.startswith("#include")]
+    return "\n".join([types, *lines, library_text("parallel.h")])
+
+
+_targets: dict[str, Future] = {}
+_lock = threading.Lock()
+
+
+def target(text: str) -> str:
+    """The name of XLA's call of a kernel; compiling begins in the background. See `ready`."""
+    name = _name(text)
+    with _lock:
+        if name not in _targets:
+            _targets[name] = _workers().submit(_register, name, text)
+    return name
+
+
+def ready(names: list[str]) -> None:
+    """Wait until kernels can be called. Raises CompilerError for one that can't."""
+    for name in names:
+        _targets[name].result()
+
+
+def _register(name: str, text: str) -> None:
+    register(name, _loaded(name, text)(SYMBOL))
+
+
+def register(name: str, address: int) -> None:
+    """Let XLA call the handler at an address by a name."""
+    function = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(address)
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
+    _kept_alive.append(function)
+
+
+_kept_alive: list = []
+
+
+def addresses(text: str, symbols: Sequence[str]) -> dict[str, int]:
+    """Addresses of functions of a text. Raises CompilerError if it can't be compiled."""
+    address = _loaded(_name(text), text)
+    return {symbol: address(symbol) for symbol in symbols}
+
+
+def _name(text: str) -> str:
+    return "jaxdr_" + hashlib.sha256(f"{_machine()}\n{text}".encode()).hexdigest()[:32]
+
+
+def _loaded(name: str, text: str) -> Callable[[str], int]:
+    """The addresses of an object's symbols, from an object on disk or a new one."""
+    compile_, library = _build()
+    folder = _folder()
+    path = folder / f"{name}.o"
+    if path.exists():
+        os.utime(path)
+    else:
+        _compile(compile_, path, text)
+        _bound(folder)
+    if library.wp_load_obj(str(path).encode(), name.encode(), wp.config.legacy_cpu_linker) != 0:
+        path.unlink(missing_ok=True)  # damaged: the next process compiles it again
+        raise CompilerError(f"the machine code {path} can't be loaded; it is deleted")
+    return lambda symbol: library.wp_lookup(name.encode(), symbol.encode())
+
+
+def _folder() -> Path:
+    """The folder of objects: that of the user, or one of this process if that is not writable."""
+    folder = user_folder() / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
+    except OSError:
+        pass
+    return _own_folder()
+
+
+@cache
+def _own_folder() -> Path:
+    folder = tempfile.TemporaryDirectory(prefix="jaxdr_kernels_")
+    _kept_alive.append(folder)  # it is deleted when the process ends
+    return Path(folder.name)
+
+
+def _compile(compile_, path: Path, text: str) -> None:
+    """Write an object at once: other processes see all of it or nothing."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        source, made = Path(folder) / "kernel.cpp", Path(folder) / "kernel.o"
+        source.write_text(text)
+        try:
+            compile_(str(made), str(source), fuse_fp=False, extra_flags=FLAGS)
+        except Exception as error:
+            raise CompilerError(f"Warp's compiler does not take a kernel: {error}") from error
+        os.replace(made, path)
+
+
+def _bound(folder: Path) -> None:
+    """Delete the objects that were not used for longest."""
+
+    def used(path: Path) -> float:
+        try:
+            return path.stat().st_mtime
+        except FileNotFoundError:  # another process has deleted it
+            return 0.0
+
+    objects = list(folder.glob("*.o"))
+    for path in sorted(objects, key=used)[: max(0, len(objects) - KEPT)]:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,203 @@
+"""Loops, branches, batches, threads, and whole renderings."""
+
+import dataclasses
+import logging
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import jaxdr as jd
+from jaxdr.kernels import fused, machine
+from jaxdr.kernels.flatten import flat
+from jaxdr.kernels.levels import Cluster, planned
+from jaxdr.kernels.text import KernelWriter
+from tests.kernels.programs import N, both, operations
+
+
+@pytest.fixture
+def x():
+    return jnp.asarray(np.random.default_rng(0).normal(size=(N, 3)), jnp.float32)
+
+
+def test_scans(x):
+    def turn(carry, y):
+        rows, total = carry
+        return (rows * 0.5 + y, total + rows.sum(0)), rows[:, 0]
+
+    both(lambda x: lax.scan(turn, (x, jnp.zeros(3)), jnp.arange(50.0)), x, rtol=1e-4, atol=1e-4)
+    both(lambda x: lax.scan(turn, (x, jnp.zeros(3)), jnp.arange(50.0), reverse=True), x, rtol=1e-4, atol=1e-4)
+    both(lambda x: lax.fori_loop(0, 5, lambda i, x: jnp.sin(x) + i, x), x, rtol=1e-5, atol=1e-6)  # written out
+
+
+def test_loops_whose_end_is_a_value(x):
+    def body(state):
+        i, rows = state
+        part = lax.dynamic_slice_in_dim(rows, i, 600) * 2
+        return i + 1, lax.dynamic_update_slice_in_dim(rows, part, 0, 0) + rows[jnp.arange(N) // 2]
+
+    both(lambda x: lax.while_loop(lambda s: (s[0] < 4) & (s[1][0, 0] < 1e9), body, (0, x)), x, rtol=1e-5)
+
+
+def test_branches(x):
+    def branch(x, k):
+        return lax.cond(k > 0, lambda x: (x * 2, x.sum()), lambda x: (x[:, ::-1], x.max()), x + 1)
+
+    for k in (0, 1):
+        both(branch, x, jnp.int32(k), rtol=1e-5, atol=1e-4)
+        both(lambda x, k: lax.switch(k, [lambda x: x + 1, lambda x: x * 2, lambda x: -x], x), x, jnp.int32(k + 1))
+
+
+def test_batches(x):
+    def function(x, a):
+        return (jnp.sin(x) * a).sum(1)
+
+    expected = jax.vmap(function, (None, 0))(x, jnp.arange(4.0))
+    found = jax.jit(jax.vmap(fused(function), (None, 0)))(x, jnp.arange(4.0))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_arrays_that_a_function_closes_over(x):
+    table = jnp.arange(4000.0)
+    np.testing.assert_array_equal(fused(lambda y: y[:, 0] + table[:N])(x), x[:, 0] + table[:N])
+    inside = jax.jit(lambda x, t: fused(lambda y: y * t[:3])(x))(x, table)
+    np.testing.assert_array_equal(inside, x * table[:3])
+
+
+def test_texts_do_not_depend_on_the_number_of_rows():
+    def texts(rows):
+        shape = jax.ShapeDtypeStruct((rows, 3), jnp.float32)
+        closed = jax.make_jaxpr(lambda x: (jnp.sin(x).sum(1), x.sum(0)))(shape)
+        _, equations, outputs = flat(closed)
+        plan = planned(equations)
+        writers = [KernelWriter(s.rows, s.equations, plan.free, (), ()) for s in plan.steps if isinstance(s, Cluster)]
+        return [w.finished((), outputs).text for w in writers]
+
+    assert texts(1000) == texts(70_001)
+
+
+_DIGESTS = """
+import hashlib, os, sys
+os.sched_setaffinity(0, list(os.sched_getaffinity(0))[: int(sys.argv[1])])
+import jax, jax.numpy as jnp, numpy as np
+from jaxdr.kernels import fused
+x = jax.random.normal(jax.random.key(0), (100_003, 3))
+i = jax.random.randint(jax.random.key(1), (100_003,), 0, 50)
+f = jax.jit(fused(lambda x, i: (jnp.zeros((50, 3)).at[i].add(jnp.exp(x)), x.sum(0))))
+for _ in range(2):
+    print(hashlib.sha256(b"".join(np.asarray(r).tobytes() for r in f(x, i))).hexdigest())
+"""
+
+
+def test_bits_do_not_depend_on_threads():
+    """Sums have a fixed order. In processes of one core and of all, and in two runs, they are the same."""
+    if not hasattr(os, "sched_setaffinity"):
+        pytest.skip("needs Linux")
+
+    def run(cores: int) -> list[str]:
+        command = [sys.executable, "-c", _DIGESTS, str(cores)]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+
+    found = {line for cores in (1, 64) for line in run(cores) if len(line) == 64}
+    assert len(found) == 1, found
+
+
+def test_a_machine_without_a_compiler_takes_xla(x, monkeypatch, caplog):
+    def refuse(*_):
+        raise machine.CompilerError("no compiler")
+
+    monkeypatch.setattr(machine, "_build", refuse)
+    with caplog.at_level(logging.WARNING, "jaxdr.kernels"):
+        found = jax.jit(fused(lambda x: jnp.cos(x) + 0.123))(x)
+    np.testing.assert_allclose(found, jnp.cos(x) + 0.123, rtol=1e-6)
+    assert "no compiler" in caplog.text
+
+
+def test_machine_code_is_kept_and_damage_is_mended(x, monkeypatch, tmp_path):
+    monkeypatch.setattr(machine, "user_folder", lambda: tmp_path)
+
+    def run():
+        monkeypatch.setattr(machine, "_targets", {})  # as in a new process
+        return np.asarray(jax.jit(fused(lambda x: jnp.sin(x) * 0.4567))(x))
+
+    first = run()
+    (path,) = (tmp_path / "kernels").glob("*.o")
+    kept = path.stat().st_ino
+    np.testing.assert_array_equal(run(), first)
+    assert path.stat().st_ino == kept
+    path.write_bytes(b"damaged")
+    with pytest.raises(machine.CompilerError, match="can't be loaded; it is deleted"):
+        machine._loaded(path.stem, "")
+    assert not path.exists()
+    np.testing.assert_array_equal(run(), first)
+    assert path.exists()
+
+
+def test_a_folder_that_is_not_writable(x, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(machine, "user_folder", lambda: tmp_path / "file")
+    np.testing.assert_array_equal(jax.jit(fused(lambda x: x * 0.321))(x), x * jnp.float32(0.321))
+
+
+def test_few_objects_are_kept(x, monkeypatch, tmp_path):
+    monkeypatch.setattr(machine, "user_folder", lambda: tmp_path)
+    monkeypatch.setattr(machine, "KEPT", 2)
+    for factor in range(4):
+        jax.jit(fused(lambda x, f=factor: x * (f + 0.789)))(x)
+    assert len(list((tmp_path / "kernels").glob("*.o"))) == 2
+
+
+SCENES = {
+    "lamp": (jd.Diffuse(0.5), jd.PathTracer(max_depth=2)),
+    "rough metal": (jd.RoughConductor(alpha=0.2), jd.PathTracer(max_depth=3, boundary=None)),
+    "principled": (jd.Principled(roughness=0.4, metallic=0.3), jd.PathTracer(max_depth=3, boundary=jd.LineSampling())),
+    "glass": (jd.Dielectric(), jd.PathTracer(max_depth=4)),
+    "bidirectional": (jd.Diffuse(0.5), jd.BidirectionalPathTracer(max_depth=3)),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_renderings(name):
+    """Images and gradients by kernels are those of XLA. A comparison that rounding turns over changes single paths."""
+    bsdf, integrator = SCENES[name]
+    lamp = jd.shapes.transformed(jd.shapes.rectangle(1.0, 1.0), jd.look_at((2, 1, 4), (0, 0, 0.5), (0, 1, 0)))
+    scene = jd.Scene(
+        shapes={
+            "ball": jd.Shape(jd.shapes.sphere(2, radius=0.5, center=(0.0, 0.0, 0.8)), bsdf),
+            "floor": jd.Shape(jd.shapes.plane(10.0), jd.TwoSided(jd.Diffuse(0.5))),
+            "lamp": jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(20.0)),
+        },
+        camera=jd.Perspective(jd.look_at((0, -4, 2.5), (0, 0, 0.5), (0, 0, 1)), fov=35.0, film=jd.Film(16, 16)),
+    )
+    vertices = scene.parameters()["ball.vertices"]
+
+    def values(compute):
+        own = dataclasses.replace(integrator, compute=compute)
+
+        def loss(offset, key):
+            image = jd.render(scene.replace({"ball.vertices": vertices + offset}), key, 8, own)
+            return jnp.square(image).mean(), image
+
+        return jax.jit(jax.grad(loss, has_aux=True))(jnp.asarray([0.1, 0.0, 0.0]), jax.random.key(0))
+
+    (gradient, image), (expected, reference) = values("kernels"), values("xla")
+    np.testing.assert_allclose(gradient, expected, atol=0.01 * np.abs(expected).max())
+    off = np.abs(image - reference).max(-1) > 1e-4 * np.abs(reference).max()
+    assert off.mean() < 0.02
+
+
+def test_names_of_what_is_left_to_xla(x, caplog):
+    with caplog.at_level(logging.INFO, "jaxdr.kernels"):
+        jax.jit(fused(lambda x: jnp.cumsum(x * 3)))(x)
+    assert "1 operations in 1 kernels; left to XLA" in caplog.text and "cumsum" in caplog.text
+    assert operations(lambda x: x * 3, x) == (1, set())
+
+
+def test_options_have_names():
+    with pytest.raises(ValueError, match="compute must be one of auto, kernels, xla"):
+        jd.PathTracer(compute="gpu")
