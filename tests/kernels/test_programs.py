@@ -161,7 +161,9 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", ["lamp", *(pytest.param(name, marks=pytest.mark.slow) for name in SCENES if name != "lamp")]
+)
 def test_renderings(name):
     """Images and gradients by kernels are those of XLA. A comparison that rounding turns over changes single paths."""
     bsdf, integrator = SCENES[name]
