@@ -28,11 +28,11 @@ TURNS, BODY = 32, 80  # a loop of so many turns and equations is written out
 
 
 class Value:
-    """What an equation reads or makes. A small array that is known has its `constant`."""
+    """What an equation reads or makes. An array or key that is known has its `constant`."""
 
     __slots__ = ("aval", "constant")
 
-    def __init__(self, aval: Any, constant: np.ndarray | None = None):
+    def __init__(self, aval: Any, constant: Any = None):
         self.aval = aval
         self.constant = constant
 
@@ -63,7 +63,7 @@ class Equation:
         return self.primitive.name
 
 
-def flat(closed: core.ClosedJaxpr, known: Sequence[np.ndarray | None] = ()) -> tuple[list, list[Equation], list[Value]]:
+def flat(closed: core.ClosedJaxpr, known: Sequence[Any] = ()) -> tuple[list, list[Equation], list[Value]]:
     """(inputs, equations, outputs) of a jaxpr without constants; `known` has the arrays of inputs that are known."""
     known = known or [None] * len(closed.jaxpr.invars)
     inputs = [Value(v.aval, k) for v, k in zip(closed.jaxpr.invars, known, strict=True)]
@@ -81,6 +81,8 @@ class _Writer:
         self.literals: dict[Any, Value] = {}
 
     def constant(self, array: Any, aval: Any) -> Value:
+        if jnp.issubdtype(aval.dtype, jax.dtypes.extended):  # a key
+            return Value(aval, array)
         array = np.asarray(array, aval.dtype)
         key = array.shape, array.dtype.str, array.tobytes()
         if key not in self.literals:
@@ -119,7 +121,7 @@ class _Writer:
 
     def equation(self, primitive: Any, inputs: list[Value], avals: list[Any], parameters: dict, acts: bool):
         key: Any = None
-        if not acts and not parameters.keys() & {"jaxpr", "branches", "cond_jaxpr", "body_jaxpr"}:
+        if not acts and not any(map(_has_program, parameters.values())):
             key = primitive, tuple(map(id, inputs)), tuple((k, str(v)) for k, v in sorted(parameters.items()))
             if key in self.found:
                 return self.found[key]
@@ -137,6 +139,14 @@ class _Writer:
             entries = [self.constant(x.constant[turn], jax.ShapeDtypeStruct(x.shape[1:], x.aval.dtype)) for x in xs]  # type: ignore[reportOptionalSubscript]
             carry = self.inline(parameters["jaxpr"].jaxpr, parameters["jaxpr"].consts, [*constants, *carry, *entries])
         return carry
+
+
+_PROGRAMS = core.Jaxpr, core.ClosedJaxpr, np.ndarray, jax.Array
+
+
+def _has_program(parameter: Any) -> bool:
+    """Whether the text of a parameter leaves out something: constants of a jaxpr, numbers of an array."""
+    return isinstance(parameter, _PROGRAMS) or (isinstance(parameter, tuple) and any(map(_has_program, parameter)))
 
 
 def _of_cpu(platforms: Sequence[Sequence[str] | None]) -> int:

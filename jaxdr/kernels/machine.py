@@ -1,5 +1,6 @@
 """Machine code: compiled by the clang that Warp ships, kept on disk by its text, called by XLA by address."""
 
+import contextlib
 import ctypes
 import hashlib
 import os
@@ -40,13 +41,14 @@ def available() -> bool:
     """Whether kernels can be compiled here, for JAX's default backend."""
     try:
         return jax.default_backend() == "cpu" and bool(_build())
-    except (CompilerError, ImportError, AttributeError):
+    except (CompilerError, ImportError, AttributeError, RuntimeError):
         return False
 
 
 @cache
 def _machine() -> str:
-    """What machine code depends on beside the text: compiler, instructions, flags."""
+    """What machine code depends on beside the text: compiler, instructions, flags. Raises CompilerError."""
+    _build()
     return f"{wp.get_cpu_kernel_cache_key(cpu_compiler_flags=FLAGS)} {FLAGS}"
 
 
@@ -122,15 +124,35 @@ def _loaded(name: str, text: str) -> Callable[[str], int]:
     compile_, library = _build()
     folder = _folder()
     path = folder / f"{name}.o"
-    if path.exists():
-        os.utime(path)
-    else:
-        _compile(compile_, path, text)
-        _bound(folder)
-    if library.wp_load_obj(str(path).encode(), name.encode(), wp.config.legacy_cpu_linker) != 0:
-        path.unlink(missing_ok=True)  # damaged: the next process compiles it again
-        raise CompilerError(f"the machine code {path} can't be loaded; it is deleted")
-    return lambda symbol: library.wp_lookup(name.encode(), symbol.encode())
+    try:
+        if path.exists():
+            with contextlib.suppress(OSError):  # another user's
+                os.utime(path)
+        else:
+            _compile(compile_, path, text)
+            _bound(folder)
+    except OSError as error:
+        raise CompilerError(f"machine code can't be kept in {folder}: {error}") from error
+    with _loading:  # Warp's loader is not safe for threads
+        if library.wp_load_obj(str(path).encode(), name.encode(), wp.config.legacy_cpu_linker) != 0:
+            _drop(library, name, path)
+
+    def address(symbol: str) -> int:
+        with _loading:
+            found = library.wp_lookup(name.encode(), symbol.encode())
+            return found or _drop(library, name, path)
+
+    return address
+
+
+_loading = threading.Lock()
+
+
+def _drop(library, name: str, path: Path):
+    """Delete damaged machine code, so that the next process compiles it again; raises CompilerError."""
+    library.wp_unload_obj(name.encode())
+    path.unlink(missing_ok=True)
+    raise CompilerError(f"the machine code {path} can't be loaded; it is deleted")
 
 
 def _folder() -> Path:

@@ -106,7 +106,7 @@ def _rule(equation: Equation) -> Callable[..., str] | None:
             return lambda a: _power(a, parameters["y"], vector)
         case "is_finite":
             return lambda a: f"B(ELEMENTWISE(abs)({a}) < F(__builtin_inff()))"
-        case "clamp":
+        case "clamp" if kind != "bool":
             return lambda low, a, high: f"v_min(v_max({a}, {low}), {high})"
         case "select_n" if len(equation.inputs) == 3 and kind == "bool":
             return lambda which, a, b: f"v_select({which}, {b}, {a})"

@@ -49,6 +49,7 @@ static void wait_a_little(int turn) {
 }
 
 static void in_parallel(XLA_FFI_CallFrame* f, int64_t tasks, void (*run)(void*, int64_t), void* data) {
+  if (tasks < 1) return;
   int64_t threads = 1;
   XLA_FFI_ThreadPool_NumThreads_Args count = {sizeof count, nullptr, f->ctx, &threads};
   if (failed(f->api, f->api->XLA_FFI_ThreadPool_NumThreads(&count))) threads = 1;  // there is no pool

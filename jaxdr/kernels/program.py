@@ -65,7 +65,7 @@ class Program:
         self,
         closed: core.ClosedJaxpr,
         counts: Counts,
-        known: Sequence[np.ndarray | None],
+        known: Sequence[Any],
         apart: Sequence[bool],
         apart_out: Sequence[bool],
     ):
@@ -227,6 +227,8 @@ def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
     if equation.name not in BY_COMPONENT or not any(v in apart for v in equation.inputs):
         return False
     given = [v for v in equation.inputs if v.shape]
+    if any(not v.size for v in given):
+        return False
     (out,) = equation.outputs
     inner = out.shape[1:]
     if any(v.shape[1:] != inner or row_axis(v.shape, max(v.shape)) != 0 for v in (*given, out)):

@@ -6,6 +6,8 @@ An array has rows along one axis, its longest; the other axes are the components
 
 import math
 
+from jax.lax import GatherScatterMode
+
 from jaxdr.kernels.flatten import SMALL, Equation, Value
 
 LEAST = 512  # rows; fewer are left to XLA
@@ -42,7 +44,7 @@ def width(value: Value, rows: int) -> int:
 
 def rows_of(equation: Equation) -> int:
     """The number of rows of a row-wise equation, and 0 for all others."""
-    if equation.acts or any(v.kind not in KINDS for v in (*equation.inputs, *equation.outputs)):
+    if equation.acts or any(v.kind not in KINDS or not v.size for v in (*equation.inputs, *equation.outputs)):
         return 0
     if is_sum(equation):
         return max(equation.inputs[-1].shape)
@@ -115,7 +117,7 @@ def _keeps_rows_apart(equation: Equation, rows: int) -> bool:
 def is_sum(equation: Equation) -> bool:
     """Whether it sums over rows, as a whole or into the entries of a small table."""
     out = equation.outputs[0]
-    if equation.acts or out.kind not in ("float32", "int32") or out.size > SUMMED:
+    if equation.acts or out.kind not in ("float32", "int32") or not 0 < out.size <= SUMMED:
         return False
     if equation.name == "reduce_sum":
         (given,) = equation.inputs
@@ -150,6 +152,8 @@ def _is_lookup(equation: Equation, rows: int) -> bool:
     kept = [d for d in range(len(table.shape)) if d not in numbers.collapsed_slice_dims]
     return (
         index.kind in ("int32", "uint32")
+        and equation.parameters["mode"] != GatherScatterMode.ONE_HOT
+        and table.size < 1 << 31  # places in tables are int32
         and not numbers.operand_batching_dims
         and row_axis(index.shape, rows) is not None
         and width(index, rows) <= SMALL

@@ -99,7 +99,7 @@ class KernelWriter:
 
     def read(self, value: Value) -> Components:
         vector, scalar = VECTORS[value.kind], SCALARS[value.kind]
-        if value.constant is not None:
+        if value.constant is not None and row_axis(value.shape, self.rows) is None:
             return [literal(x, value.kind) for x in value.constant.ravel()]
         if value in self.free:
             equation = self.free[value]

@@ -197,10 +197,16 @@ HERE F turned(F x, int quarters) {
   return (n & I(2)) != I(0) ? -v : v;
 }
 HERE F v_sin(F x) {
-  // A small angle is its own sine, and keeps the sign of zero.
-  return any(!(ELEMENTWISE(abs)(x) < F(1.0e6f))) ? far_sin(x) : (ELEMENTWISE(abs)(x) < F(1.0e-4f) ? x : turned(x, 0));
+  // A small angle is its own sine, and keeps the sign of zero. A lane does not depend on others.
+  const B near = ELEMENTWISE(abs)(x) < F(1.0e6f);
+  const F r = ELEMENTWISE(abs)(x) < F(1.0e-4f) ? x : turned(near ? x : F(0.0f), 0);
+  return any(~near) ? (near ? r : far_sin(x)) : r;
 }
-HERE F v_cos(F x) { return any(!(ELEMENTWISE(abs)(x) < F(1.0e6f))) ? far_cos(x) : turned(x, 1); }
+HERE F v_cos(F x) {
+  const B near = ELEMENTWISE(abs)(x) < F(1.0e6f);
+  const F r = turned(near ? x : F(0.0f), 1);
+  return any(~near) ? (near ? r : far_cos(x)) : r;
+}
 
 HERE F v_logistic(F x) { return F(1.0f) / (F(1.0f) + v_exp(-x)); }
 #define BY_LIBRARY(name) APART F v_##name(F x) { EACH_LANE x[l] = name##f(x[l]); return x; }

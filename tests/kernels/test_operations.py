@@ -1,10 +1,12 @@
 """Every operation that kernels have, against XLA's or NumPy's answer, also for special numbers."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
 
+from jaxdr.kernels import fused
 from jaxdr.kernels.rows import ELEMENTWISE
 from tests.kernels.programs import N, both, operations
 
@@ -167,3 +169,28 @@ def test_nothing_is_taken_for_rows_of_another():
     both(lambda x: x + x.sum(0) * 1e-3, x, rtol=1e-4, atol=1e-4)
     both(lambda x: x @ (x.T @ x) * 1e-3, x, rtol=1e-4, atol=1e-4)
     both(lambda x: jnp.where(x[0, 0] > 9, x, x[:, ::-1]), x)
+
+
+def test_known_arrays():
+    """A function inside may know an array with rows, a key, or one number for all rows."""
+    rows, key = jnp.arange(float(N)), jax.random.key(3)
+    inner = jax.jit(lambda x: x * 2.0 + rows[:, None] + jax.random.uniform(key, (3,)))
+    both(lambda x: inner(x) + 1, jnp.ones((N, 3)), rtol=1e-6)
+    both(lambda x: jnp.zeros(4).at[jnp.arange(N) % 4].add(x[:, 0]), jnp.ones((N, 3)))
+
+
+def test_axes_without_numbers():
+    x = jnp.ones((N, 3))
+    both(lambda x: x[:, :0].sum(1) + 2 * x[:, 0], x)
+    both(lambda x: [jnp.einsum("ni,ij->nj", x[:, :0], jnp.ones((0, 2))), x * 2], x)
+    both(lambda x: [jnp.concatenate([x * 2, x[:0]]), x[:, :0].sum(0)], x)
+    both(lambda x: jnp.zeros((0, 3)).at[jnp.zeros(N, int)].add(x).sum() + x * 2, x)
+
+
+def test_lanes_do_not_depend_on_their_neighbours():
+    """An infinite angle in a row changes nothing in other rows, to the bit."""
+    x = jnp.linspace(-50.0, 50.0, N)
+    function = jax.jit(fused(lambda x: (jnp.sin(x), jnp.cos(x))))
+    for a, b in zip(function(x), function(x.at[::3].set(jnp.inf)), strict=True):
+        keep = np.arange(N) % 3 != 0
+        np.testing.assert_array_equal(a[keep], b[keep])

@@ -5,6 +5,7 @@ A handler finds the tree of a mesh by the mesh's content, without Python. Only i
 
 import contextlib
 import ctypes
+import threading
 import traceback
 from collections.abc import Iterator
 from functools import cache
@@ -76,15 +77,18 @@ class _Trees:
         """A context in which no tree is in use; after it, handlers see the cache's trees."""
         self.writing()
         try:
-            yield
+            try:
+                yield
+            finally:
+                used = {id(entry): tree.used for entry, tree in zip(self.listed, self.table, strict=False)}
+                latest = max(used.values(), default=0) + 1  # a new tree is about to be used
+                self.listed = list(self.cache.entries)
+                for i, entry in enumerate(self.listed):
+                    vertices, faces = entry.moving[0], entry.topology[0]
+                    sizes = len(vertices), len(faces), entry.structure.handle, used.get(id(entry), latest)
+                    self.table[i] = _Tree(vertices.ctypes.data, faces.ctypes.data, *sizes)
+                self.set_trees(ctypes.addressof(self.table), len(self.listed))
         finally:
-            used = {id(entry): tree.used for entry, tree in zip(self.listed, self.table, strict=False)}
-            self.listed = list(self.cache.entries)
-            for i, entry in enumerate(self.listed):
-                vertices, faces = entry.moving[0], entry.topology[0]
-                sizes = len(vertices), len(faces), entry.structure.handle, used.get(id(entry), 0)
-                self.table[i] = _Tree(vertices.ctypes.data, faces.ctypes.data, *sizes)
-            self.set_trees(ctypes.addressof(self.table), len(self.listed))
             self.written()
 
 
@@ -100,12 +104,23 @@ class _Locked(HostArrays):
 
 def _array(address: int, kind, count: int) -> np.ndarray:
     """The rows of three numbers at an address."""
+    if count == 0:  # XLA has no address for an empty array
+        return np.empty((0, 3), np.dtype(kind))
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), (count, 3))
 
 
-@cache
 def handlers() -> _Trees:
     """Register the handlers with XLA, once in a process. Raises `machine.CompilerError` if they can't be compiled."""
+    with _registering:
+        return _registered()
+
+
+_registering = threading.Lock()
+
+
+@cache
+def _registered() -> _Trees:
+    library()
     text = machine.declarations() + Path(__file__).with_name("trace.h").read_text()
     addresses = machine.addresses(text, (*HANDLERS, *OTHERS))
     trees = _Trees(addresses)
