@@ -136,7 +136,7 @@ class _Writer:
         constants, carry, xs = inputs[:count], inputs[count : count + carried], inputs[count + carried :]
         turns = range(parameters["length"])
         for turn in reversed(turns) if parameters["reverse"] else turns:
-            entries = [self.constant(x.constant[turn], jax.ShapeDtypeStruct(x.shape[1:], x.aval.dtype)) for x in xs]  # type: ignore[reportOptionalSubscript]
+            entries = [self.constant(x.constant[turn], jax.ShapeDtypeStruct(x.shape[1:], x.aval.dtype)) for x in xs]
             carry = self.inline(parameters["jaxpr"].jaxpr, parameters["jaxpr"].consts, [*constants, *carry, *entries])
         return carry
 
