@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
-import warp as wp
 
 from jaxdr.program_cache import user_folder
 
@@ -25,31 +25,37 @@ class CompilerError(RuntimeError):
     """The compiler does not take a kernel, or is not there."""
 
 
-@cache
-def _build():
-    """(the function that compiles, the library that loads). Warp has them, but does not document them."""
-    from warp._src import build, context
+class _Compiler(NamedTuple):
+    """Warp's compiler, its library, which loads objects, and what machine code depends on beside its text."""
 
-    wp.init()
-    if context.runtime.llvm is None:
-        raise CompilerError("Warp has no compiler for the CPU on this machine")
-    return build.build_cpu, context.runtime.llvm
+    compile: Callable[..., None]
+    library: Any
+    machine: str
+    old_linker: bool
 
 
 @cache
+def _build() -> _Compiler:
+    """Raises CompilerError if there is none. Warp has these functions, but does not document all of them."""
+    try:
+        import warp as wp  # here, because most of jaxdr starts without it
+        from warp._src import build, context
+
+        wp.init()
+        if context.runtime.llvm is None:
+            raise CompilerError("Warp has no compiler for the CPU on this machine")
+        machine = f"{wp.get_cpu_kernel_cache_key(cpu_compiler_flags=FLAGS)} {FLAGS}"
+        return _Compiler(build.build_cpu, context.runtime.llvm, machine, wp.config.legacy_cpu_linker)
+    except (ImportError, AttributeError) as error:
+        raise CompilerError(f"this version of Warp has another compiler: {error}") from error
+
+
 def available() -> bool:
     """Whether kernels can be compiled here, for JAX's default backend."""
     try:
         return jax.default_backend() == "cpu" and bool(_build())
-    except (CompilerError, ImportError, AttributeError, RuntimeError):
+    except RuntimeError:  # a CompilerError, or Warp does not start
         return False
-
-
-@cache
-def _machine() -> str:
-    """What machine code depends on beside the text: compiler, instructions, flags. Raises CompilerError."""
-    _build()
-    return f"{wp.get_cpu_kernel_cache_key(cpu_compiler_flags=FLAGS)} {FLAGS}"
 
 
 @cache
@@ -116,12 +122,13 @@ def addresses(text: str, symbols: Sequence[str]) -> dict[str, int]:
 
 
 def _name(text: str) -> str:
-    return "jaxdr_" + hashlib.sha256(f"{_machine()}\n{text}".encode()).hexdigest()[:32]
+    return "jaxdr_" + hashlib.sha256(f"{_build().machine}\n{text}".encode()).hexdigest()[:32]
 
 
 def _loaded(name: str, text: str) -> Callable[[str], int]:
     """The addresses of an object's symbols, from an object on disk or a new one."""
-    compile_, library = _build()
+    compiler = _build()
+    library = compiler.library
     folder = _folder()
     path = folder / f"{name}.o"
     try:
@@ -129,12 +136,12 @@ def _loaded(name: str, text: str) -> Callable[[str], int]:
             with contextlib.suppress(OSError):  # another user's
                 os.utime(path)
         else:
-            _compile(compile_, path, text)
+            _compile(compiler, path, text)
             _bound(folder)
     except OSError as error:
         raise CompilerError(f"machine code can't be kept in {folder}: {error}") from error
     with _loading:  # Warp's loader is not safe for threads
-        if library.wp_load_obj(str(path).encode(), name.encode(), wp.config.legacy_cpu_linker) != 0:
+        if library.wp_load_obj(str(path).encode(), name.encode(), compiler.old_linker) != 0:
             _drop(library, name, path)
 
     def address(symbol: str) -> int:
@@ -174,13 +181,13 @@ def _own_folder() -> Path:
     return Path(folder.name)
 
 
-def _compile(compile_, path: Path, text: str) -> None:
+def _compile(compiler: _Compiler, path: Path, text: str) -> None:
     """Write an object at once: other processes see all of it or nothing."""
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         source, made = Path(folder) / "kernel.cpp", Path(folder) / "kernel.o"
         source.write_text(text)
         try:
-            compile_(str(made), str(source), fuse_fp=False, extra_flags=FLAGS)
+            compiler.compile(str(made), str(source), fuse_fp=False, extra_flags=FLAGS)
         except Exception as error:
             raise CompilerError(f"Warp's compiler does not take a kernel: {error}") from error
         os.replace(made, path)

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Int, UInt32
 from jaxdr.geometry.bundles import Bundles
 from jaxdr.geometry.edge_tree import EdgeTree, build_edge_tree, leaf_edges
 from jaxdr.geometry.queries.batches import asked
+from jaxdr.geometry.queries.embree import native as embree
 from jaxdr.geometry.queries.embree import scene as embree_scene
 from jaxdr.geometry.queries.jax import queries as jax_queries
 from jaxdr.geometry.queries.records import (
@@ -48,7 +49,7 @@ ANSWER = "answer of a query"  # the name of answers among the values that revers
 
 def _module(implementation: str) -> Any:
     if implementation == "auto":
-        implementation = "embree" if embree_scene.available() else "warp"
+        implementation = "embree" if embree.available() else "warp"
     if implementation == "jax":
         return jax_queries
     wait_at_exit()
@@ -58,7 +59,8 @@ def _module(implementation: str) -> Any:
 
         return warp_queries
     if implementation == "embree":
-        embree_scene.library()  # called here, because an error in a callback would not reach the caller
+        embree_scene.library()  # raises ImportError without the package
+        embree.handlers()
         from jaxdr.geometry.queries.embree import queries as embree_queries
 
         return embree_queries

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from jaxdr.geometry import queries
+from jaxdr.geometry.queries import api
 from jaxdr.geometry.queries.embree import native, scene
+from jaxdr.kernels import machine
 
 pytestmark = pytest.mark.skipif(not scene.available(), reason="needs Embree")
 FACES = jnp.asarray([[0, 1, 2]])
@@ -63,3 +65,12 @@ def test_a_tree_that_cannot_be_built(monkeypatch, capfd):
     assert "no room for a tree" in capfd.readouterr().err
     monkeypatch.undo()
     assert distance(at(1.0)) == pytest.approx(4.0, rel=1e-6)  # other programs go on
+
+
+def test_without_a_compiler_warp_traces_rays(monkeypatch):
+    def refuse():
+        raise machine.CompilerError("no compiler")
+
+    monkeypatch.setattr(native, "handlers", refuse)
+    with pytest.warns(UserWarning, match="Warp traces rays in place of Embree, which is faster: no compiler"):
+        assert api._module("auto").__name__.endswith("warp.queries")

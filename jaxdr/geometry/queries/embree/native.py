@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ import jax
 import numpy as np
 
 from jaxdr.geometry.queries.bvh_cache import BVHCache, HostArrays
+from jaxdr.geometry.queries.embree import scene
 from jaxdr.geometry.queries.embree.scene import EmbreeScene, library
 from jaxdr.kernels import machine
 
@@ -113,6 +115,18 @@ def handlers() -> _Trees:
     """Register the handlers with XLA, once in a process. Raises `machine.CompilerError` if they can't be compiled."""
     with _registering:
         return _registered()
+
+
+def available() -> bool:
+    """Whether rays can be traced by Embree. Warns if only the compiler of the handlers is missing."""
+    if not scene.available():
+        return False
+    try:
+        handlers()
+    except machine.CompilerError as error:
+        warnings.warn(f"jaxdr: Warp traces rays in place of Embree, which is faster: {error}", stacklevel=2)
+        return False
+    return True
 
 
 _registering = threading.Lock()
