@@ -153,7 +153,8 @@ def test_few_objects_are_kept(x, monkeypatch, tmp_path):
 
 
 SCENES = {
-    "lamp": (jd.Diffuse(0.5), jd.PathTracer(max_depth=2)),
+    "lamp": (jd.Diffuse(0.5), jd.PathTracer(max_depth=2, boundary=None)),
+    "kernel density": (jd.Diffuse(0.5), jd.PathTracer(max_depth=2)),
     "rough metal": (jd.RoughConductor(alpha=0.2), jd.PathTracer(max_depth=3, boundary=None)),
     "principled": (jd.Principled(roughness=0.4, metallic=0.3), jd.PathTracer(max_depth=3, boundary=jd.LineSampling())),
     "glass": (jd.Dielectric(), jd.PathTracer(max_depth=4)),
