@@ -119,8 +119,7 @@ class KernelWriter:
         p, inner = self.place(Part(value)), math.prod(value.shape[axis + 1 :])
         found = []
         for i in range(width(value, self.rows)):
-            outer, rest = divmod(i, inner)
-            start = f"(const {scalar}*)P[{p}] + ({f'{outer} * rows + ' if outer else ''}at) * {inner}L + {rest}"
+            start = _start(f"(const {scalar}*)P[{p}]", i, inner)
             form = (
                 f"load_{vector}({start})" if inner == 1 else f"gather_{vector}({start}, placed(lanes() * I({inner})))"
             )
@@ -243,8 +242,7 @@ class KernelWriter:
         assert axis is not None
         inner = math.prod(value.shape[axis + 1 :])
         for i, name in enumerate(names):
-            outer, rest = divmod(i, inner)
-            start = f"{pointer} + ({f'{outer} * rows + ' if outer else ''}at) * {inner}L + {rest}"
+            start = _start(pointer, i, inner)
             form = f"store_{vector}({start}, {name});" if inner == 1 else f"scatter_{vector}({start}, {inner}, {name});"
             self.lines.append(form)
 
@@ -273,3 +271,9 @@ class KernelWriter:
                 "",
             ]
         )
+
+
+def _start(pointer: str, component: int, inner: int) -> str:
+    """The address of a component of the first row, in a whole array with `inner` numbers after the axis of rows."""
+    outer, rest = divmod(component, inner)
+    return f"{pointer} + ({f'{outer} * rows + ' if outer else ''}at) * {inner}L + {rest}"

@@ -63,7 +63,7 @@ class _Trees:
         try:
             with self.cache.lock:
                 # Handlers use trees without telling the cache.
-                used = {id(entry): tree.used for entry, tree in zip(self.listed, self.table, strict=False)}
+                used = self._used()
                 self.cache.entries.sort(key=lambda entry: used.get(id(entry), 0))
                 moving = _array(vertices, ctypes.c_float, vertex_count)
                 self.cache.find([moving], [_array(faces, ctypes.c_int32, face_count)])
@@ -74,6 +74,10 @@ class _Trees:
             return 1
         return 0
 
+    def _used(self) -> dict[int, int]:
+        """The last use of every listed entry, by its identity; a later use has a larger number."""
+        return {id(entry): tree.used for entry, tree in zip(self.listed, self.table, strict=False)}
+
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
         """A context in which no tree is in use; after it, handlers see the cache's trees."""
@@ -82,7 +86,7 @@ class _Trees:
             try:
                 yield
             finally:
-                used = {id(entry): tree.used for entry, tree in zip(self.listed, self.table, strict=False)}
+                used = self._used()
                 latest = max(used.values(), default=0) + 1  # a new tree is about to be used
                 self.listed = list(self.cache.entries)
                 for i, entry in enumerate(self.listed):
