@@ -16,7 +16,11 @@ import tests.type_checker  # noqa: F401  the hook names it in a string
 # Not level 0: in 0.10.2 `(a - b != 0).any(-1)` for vectors a, b then is False now and then where it should be True.
 if jax.__version__.startswith("0.10."):
     quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
+    quick += " --xla_backend_extra_options=xla_cpu_disable_loop_unrolling"  # a third of the compiler's time
     os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}"
+
+# Tracing makes many objects that live on. At Python's own threshold a fifth of its time goes to looking for others.
+gc.set_threshold(50_000, 20, 20)
 
 # A run in the background inherits SIGINT ignored; the tests of Ctrl-C are about a program in the foreground.
 signal.signal(signal.SIGINT, signal.default_int_handler)

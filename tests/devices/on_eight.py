@@ -17,6 +17,7 @@ from jaxdr.optimize.devices import Divided, Division, divide
 from jaxdr.optimize.phase import view_gradient
 
 SPP = 4
+QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}  # where bits are not compared
 
 
 def counted(monitored: list):
@@ -63,8 +64,9 @@ def main():
         return jax.lax.pmean(value, "views"), gradient / 8
 
     specs = {"in_specs": (PartitionSpec(), PartitionSpec("views")), "out_specs": (PartitionSpec(), PartitionSpec())}
-    mapped = jax.jit(jax.shard_map(on_each, mesh=mesh, check_vma=True, **specs))(offset, keys)
-    single = jax.jit(jax.value_and_grad(loss))
+    sharded = jax.shard_map(on_each, mesh=mesh, check_vma=True, **specs)
+    mapped = jax.jit(sharded, compiler_options=QUICK)(offset, keys)
+    single = jax.jit(jax.value_and_grad(loss), compiler_options=QUICK)
     alone = [single(offset, key) for key in keys]
     mean = jax.tree.map(lambda *x: sum(x) / 8, *alone)
     found["shard_map"] = [[np.asarray(x).tolist() for x in pair] for pair in (mapped, mean)]
