@@ -179,6 +179,7 @@ def test_in_strips_of_a_mirror(monkeypatch):
     assert 0.2 < (found.mean * truth.mean).sum() / (truth.mean**2).sum() < 0.8
 
 
+@pytest.mark.slow
 def test_it_does_not_matter_how_many_trials_are_made_at_once(monkeypatch):
     scene = before_a_mirror(louvre())
     expected = gradients(scene, "object.vertices", MOTION, 2, 1, spp=4)

@@ -13,7 +13,8 @@ import pytest
 
 import jaxdr as jd
 from experiments import one_term
-from jaxdr.boundary.film.film_edges import KINDS, FilmEdges, edge_distribution
+from jaxdr.boundary.film import film_edges
+from jaxdr.boundary.film.film_edges import KINDS, FilmEdges
 from jaxdr.geometry.shapes import box, rectangle
 from jaxdr.scene.packed import pack
 from jaxdr.transport.path_settings import PathSettings
@@ -80,6 +81,7 @@ def union_area(first, second, window=(0, 0, SIZE, SIZE)):
     return abs(signed_area(first)) + abs(signed_area(second)) - abs(signed_area(common))
 
 
+edge_distribution = jax.jit(film_edges.edge_distribution, static_argnums=(1, 3))
 INTEGRATOR, SETTINGS = jd.PathTracer(max_depth=1, edge_samples=4.0), PathSettings(2, True, "auto")
 
 

@@ -35,6 +35,7 @@ def scene_and_bundles():
     return packed, Bundles(*(jnp.asarray(x, jnp.float32) for x in (origin, direction, *rates, end)))
 
 
+@jax.jit
 def importances(table, bundles):
     """Of every edge for every bundle, zero for those that are no candidates [N, E]."""
     each = jax.tree.map(lambda x: x[:, None], bundles)
@@ -42,7 +43,7 @@ def importances(table, bundles):
     _, crosses = may_cross(each, start, table.ends[None, :, 1] - start, REACH)
     front = jnp.einsum("ekx,nx->nek", table.normals, bundles.direction) > 0
     silhouette = ~table.interior | (front[..., 0] != front[..., 1])
-    return np.asarray(jnp.where(crosses & (table.importance > 0), jnp.where(silhouette, 1.0, table.importance), 0.0))
+    return jnp.where(crosses & (table.importance > 0), jnp.where(silhouette, 1.0, table.importance), 0.0)
 
 
 @pytest.mark.parametrize(("rays", "platform"), [("warp", "cpu"), ("jax", "cpu"), ("jax", "gpu")])
@@ -50,14 +51,15 @@ def test_all_candidates_and_each_as_often_as_it_should(rays, platform, monkeypat
     """In two blocks, and in one as on a GPU."""
     monkeypatch.setattr(sizes, "platform", lambda: platform)
     packed, bundles = scene_and_bundles()
-    table = edge_table(packed, packed.edges.shape >= 0, "jax")
-    expected = importances(table, bundles)
+    table = jax.jit(lambda: edge_table(packed, packed.edges.shape >= 0, "jax"))()
+    expected = np.asarray(importances(table, bundles))
     assert (expected > 0).sum() > 2 * BUNDLES
     rows = np.repeat(np.arange(BUNDLES), COPIES)
     active, bundles = jnp.asarray(rows % 7 != 0), jax.tree.map(lambda x: x[rows], bundles)
     seed = jax.random.bits(jax.random.key(0), rows.shape, jnp.uint32)
     bundles = bundles._replace(end=jnp.where(active, bundles.end, 0.0))
-    found = jax.tree.map(np.asarray, draw_edges(table, bundles, seed, REACH, rays))
+    drawn = jax.jit(lambda *arguments: draw_edges(*arguments, REACH, rays))  # traced for this platform
+    found = jax.tree.map(np.asarray, drawn(table, bundles, seed))
     some = found.total > 0
     np.testing.assert_array_equal(some, np.asarray(active) & (expected.sum(1) > 0)[rows])
     np.testing.assert_allclose(found.total[some], expected.sum(1)[rows][some], rtol=1e-5)
