@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -41,11 +42,36 @@ install_import_hook(
 
 
 def pytest_configure(config):
-    """Compiled programs are kept in pytest's cache folder (`pytest --cache-clear` empties it); workers share it."""
-    from jaxdr.program_cache import keep_programs
+    """Compiled programs are kept in the user's cache folder (`pytest --cache-clear` empties it); all runs share it."""
+    from jaxdr.program_cache import keep_programs, user_folder
 
-    if hasattr(config, "cache"):  # not with -p no:cacheprovider
-        keep_programs(config.cache.mkdir("programs"))
+    folder = user_folder() / "tests"
+    if config.getoption("cacheclear", False) and not hasattr(config, "workerinput"):
+        shutil.rmtree(folder, ignore_errors=True)
+    try:
+        keep_programs(folder)
+    except OSError as problem:
+        config.issue_config_time_warning(pytest.PytestConfigWarning(f"no program is kept: {problem}"), stacklevel=1)
+
+
+FULL = ROOT / "tests/full.txt"
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(config, items):
+    """Mark the tests that `tests/full.txt` names by their id, or by that of a test with any parameters."""
+    lines = [line for line in FULL.read_text().splitlines() if line and not line.startswith("#")]
+    named = {line: False for line in lines}
+    for item in items:
+        for name in (item.nodeid, item.nodeid.partition("[")[0]):
+            if name in named:
+                named[name] = True
+                if not item.get_closest_marker("slow"):
+                    item.add_marker("full")
+    whole = {item.nodeid.partition("::")[0] for item in items} if not any("::" in word for word in config.args) else ()
+    missing = [name for name, found in named.items() if not found and name.partition("::")[0] in whole]
+    if missing:
+        raise pytest.UsageError(f"tests/full.txt names tests that are not there: {', '.join(missing)}")
 
 
 MAPPINGS = Path("/proc/self/maps")

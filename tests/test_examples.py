@@ -19,7 +19,7 @@ from examples import take_photographs
 from examples.your_own_bsdf import Minnaert
 from jaxdr.optimize.reconstruction.config import reconstruct_config
 from jaxdr.optimize.reconstruction.reconstruct import reconstruct
-from jaxdr.program_cache import SIZE
+from jaxdr.program_cache import SIZE, user_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_LINES = 60
@@ -44,11 +44,9 @@ def numbers(text: str) -> list[float]:
 
 
 @pytest.fixture
-def printed(tmp_path, request):
+def printed(tmp_path):
     """A function that runs a script in `tmp_path`. Compiled programs are kept where those of the tests are."""
-    kept = hasattr(request.config, "cache")  # not with -p no:cacheprovider
-    programs = request.config.cache.mkdir("programs") if kept else tmp_path
-    return lambda name: run(ROOT / "examples" / f"{name}.py", tmp_path, programs)
+    return lambda name: run(ROOT / "examples" / f"{name}.py", tmp_path, user_folder() / "tests")
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

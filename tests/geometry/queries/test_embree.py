@@ -1,5 +1,7 @@
 """Trees that handlers find without Python: which are kept, and what happens if one can't be built."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,6 +54,12 @@ def test_moved_vertices_have_trees_of_their_own(built):
     heights = np.random.default_rng(0).integers(0, 64, 40) / 32
     for height in heights:
         assert distance(at(float(height))) == pytest.approx(5.0 - height, rel=1e-6)
+
+
+def test_programs_call_handlers_of_this_version():
+    """XLA keeps programs for other processes, which may have other handlers."""
+    name = native.handlers().names["jaxdr_closest_hit"]
+    assert re.fullmatch("jaxdr_closest_hit_[0-9a-f]{12}", name) and name in distance.lower(at(0.0)).as_text()
 
 
 def test_a_tree_that_cannot_be_built(monkeypatch, capfd):

@@ -5,6 +5,7 @@ A handler finds the tree of a mesh by the mesh's content, without Python. Only i
 
 import contextlib
 import ctypes
+import hashlib
 import threading
 import traceback
 import warnings
@@ -38,9 +39,11 @@ class _Tree(ctypes.Structure):
 
 
 class _Trees:
-    """Trees of meshes, for handlers and Python."""
+    """Trees of meshes, for handlers and Python. `names`: what XLA calls the handlers, by their symbols."""
 
-    def __init__(self, addresses: dict[str, int]):
+    def __init__(self, addresses: dict[str, int], names: dict[str, str]):
+        self.names = names
+
         def function(name, result, *arguments):
             return ctypes.CFUNCTYPE(result, *arguments)(addresses[name])
 
@@ -141,13 +144,14 @@ def _registered() -> _Trees:
     library()
     text = machine.declarations() + Path(__file__).with_name("trace.h").read_text()
     addresses = machine.addresses(text, (*HANDLERS, *OTHERS))
-    trees = _Trees(addresses)
-    for name in HANDLERS:
-        machine.register(name, addresses[name])
+    # XLA keeps programs by the names that they call: those of another version must not meet these handlers.
+    version = hashlib.sha256(text.encode()).hexdigest()[:12]
+    trees = _Trees(addresses, {symbol: f"{symbol}_{version}" for symbol in HANDLERS})
+    for symbol, name in trees.names.items():
+        machine.register(name, addresses[symbol])
     return trees
 
 
-def call(name: str, results, *arrays):
+def call(symbol: str, results, *arrays):
     """The results of a handler."""
-    handlers()
-    return jax.ffi.ffi_call(name, results)(*arrays)
+    return jax.ffi.ffi_call(handlers().names[symbol], results)(*arrays)

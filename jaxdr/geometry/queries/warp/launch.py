@@ -17,11 +17,6 @@ SLICE = 8192
 _loading = threading.Lock()
 
 
-def on_host(array: wp.array) -> np.ndarray:
-    """The array on the host: a view on CPU, a copy from CUDA."""
-    return array.numpy()
-
-
 def _load(kernel, device) -> None:
     """Compile or load a kernel's module before threads launch it; the lock is for programs that run in parallel."""
     with _loading:
@@ -29,7 +24,7 @@ def _load(kernel, device) -> None:
 
 
 def launch(kernel, count: int, leading: list, rest: list, device, each: int = SLICE) -> None:
-    """Run `kernel(*leading, start, *rest)` over `count` rays, or packets of them, `each` at a time."""
+    """Run `kernel(*leading, start, *rest)` over `count` rays or numbers, `each` at a time."""
     if count == 0:
         return
     if not device.is_cpu:

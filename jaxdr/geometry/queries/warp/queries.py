@@ -6,7 +6,6 @@ pure function of its arguments. The functions do host work, so they run outside 
 
 import contextlib
 import warnings
-from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +23,7 @@ from jaxdr.geometry.queries.warp import (
     tree_kernels,
 )
 from jaxdr.geometry.queries.warp.device_arrays import number_above
-from jaxdr.geometry.queries.warp.launch import compact, launch, on_host
+from jaxdr.geometry.queries.warp.launch import compact, launch
 from jaxdr.geometry.queries.warp.records import Call, Numbers
 from jaxdr.geometry.queries.warp.structures import structure_cache
 
@@ -37,7 +36,7 @@ def kept_structure(kind: str, device, moving: list, topology: list):
     """A structure over arrays. Inside the context no other code changes it."""
     cache = structure_cache(kind, device)
     if isinstance(cache.arrays, HostArrays):
-        moving, topology = [on_host(a) for a in moving], [on_host(a) for a in topology]
+        moving, topology = [a.numpy() for a in moving], [a.numpy() for a in topology]
     with cache.lock:
         yield cache.find(moving, topology)
 
@@ -49,40 +48,35 @@ def structure(kind: str, device, moving: list, topology: list):
         yield kept.id
 
 
-def hit_queries(trace: Callable, module) -> tuple[Callable, Callable]:
-    """`closest_hit` and `occluded`, which call `trace(kernel, geometry, rays, outputs)` with kernels of these names."""
-
-    def closest_hit_of(geometry, rays, face, t, barycentric):
-        trace("closest_hit", geometry, rays, [face, t, barycentric])
-
-    def occluded_of(geometry, rays, result):
-        trace("occluded", geometry, rays, [result])
-
-    inputs = [records.Geometry, records.Rays]
-    hit_call = Call(closest_hit_of, inputs, [WHOLE, REAL, wp.array(dtype=wp.vec3)], module)
-    occluded_call = Call(occluded_of, inputs, [WHOLE], module)
-
-    def closest_hit(geometry, rays):
-        """(face, t, barycentric): the nearest face in front of each ray, -1 and a huge t on a miss."""
-        n = rays.reach.shape[0]
-        return hit_call(geometry, rays, dims=[n, n, n])
-
-    def occluded(geometry, rays):
-        """Whether anything lies on the ray before its reach."""
-        (result,) = occluded_call(geometry, rays, dims=[rays.reach.shape[0]])
-        return result != 0
-
-    return closest_hit, occluded
-
-
-def trace(kernel: str, geometry, rays, outputs: list) -> None:
-    """Run the kernel "closest_hit" or "occluded"."""
+def _trace(kernel, geometry, rays, outputs: list) -> None:
     device = geometry.vertices.device
     with structure("mesh", device, [geometry.vertices], [geometry.faces]) as mesh:
-        launch(getattr(kernels, kernel), rays.reach.shape[0], [mesh], [rays, *outputs], device)
+        launch(kernel, rays.reach.shape[0], [mesh], [rays, *outputs], device)
 
 
-closest_hit, occluded = hit_queries(trace, kernels)
+def _closest_hit(geometry, rays, face, t, barycentric):
+    _trace(kernels.closest_hit, geometry, rays, [face, t, barycentric])
+
+
+def _occluded(geometry, rays, result):
+    _trace(kernels.occluded, geometry, rays, [result])
+
+
+_RAYS = [records.Geometry, records.Rays]
+_closest_hit_call = Call(_closest_hit, _RAYS, [WHOLE, REAL, wp.array(dtype=wp.vec3)], kernels)
+_occluded_call = Call(_occluded, _RAYS, [WHOLE], kernels)
+
+
+def closest_hit(geometry, rays):
+    """(face, t, barycentric): the nearest face in front of each ray, -1 and a huge t on a miss."""
+    n = rays.reach.shape[0]
+    return _closest_hit_call(geometry, rays, dims=[n, n, n])
+
+
+def occluded(geometry, rays):
+    """Whether anything lies on the ray before its reach."""
+    (result,) = _occluded_call(geometry, rays, dims=[rays.reach.shape[0]])
+    return result != 0
 
 
 def _projections(geometry, face_shape, lines, face, height, count):
