@@ -22,6 +22,7 @@ LOOPS = ("scan", "while", "cond")
 WIDEST = 16  # components; wider values go through loops as a whole
 # Operations of XLA that move rows, and do the same to every component.
 BY_COMPONENT = ("dynamic_slice", "dynamic_update_slice", "slice", "concatenate", "pad")
+INTO_ROWS = {"scatter-add": jax.lax.scatter_add, "scatter": jax.lax.scatter}
 
 
 class Counts:
@@ -224,6 +225,8 @@ def _run_kernel(call: _Call, arrays: _Arrays) -> None:
 
 def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
     """Whether an operation does the same to every component of rows, some of which are there one by one."""
+    if equation.name in INTO_ROWS:
+        return equation.inputs[0] in apart and _goes_into_rows(equation)
     if equation.name not in BY_COMPONENT or not any(v in apart for v in equation.inputs):
         return False
     given = [v for v in equation.inputs if v.shape]
@@ -245,12 +248,28 @@ def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
             return True
 
 
+def _goes_into_rows(equation: Equation) -> bool:
+    """Whether a scatter changes whole rows [N, *d] of a table [V, *d] at indices [N, 1]."""
+    table, index, rows = equation.inputs
+    numbers = equation.parameters["dimension_numbers"]
+    return (
+        len(index.shape) == 2
+        and index.shape[1] == 1
+        and index.kind in ("int32", "uint32")
+        and rows.shape == (index.shape[0], *table.shape[1:])
+        and all(v.size and row_axis(v.shape, max(v.shape)) == 0 for v in equation.inputs)
+        and tuple(numbers.scatter_dims_to_operand_dims) == (0,) == tuple(numbers.inserted_window_dims)
+        and not numbers.operand_batching_dims
+        and tuple(numbers.update_window_dims) == tuple(range(1, len(rows.shape)))
+    )
+
+
 def _moved(equation: Equation, arrays: _Arrays) -> list[Any]:
     parameters, (out,) = equation.parameters, equation.outputs
     parts = [arrays.components(v) if v.shape else [arrays.whole(v)] for v in equation.inputs]
     found = []
     for i in range(math.prod(out.shape[1:])):
-        given = [p[i] if v.shape else p[0] for v, p in zip(equation.inputs, parts, strict=True)]
+        given = [p[i] if len(p) > 1 else p[0] for p in parts]  # a scalar or index is for all components
         match equation.name:
             case "concatenate":
                 found.append(jnp.concatenate(given))
@@ -261,6 +280,20 @@ def _moved(equation: Equation, arrays: _Arrays) -> list[Any]:
             case "pad":
                 before, after, inside = map(int, parameters["padding_config"][0])
                 found.append(jax.lax.pad(given[0], given[1], [(before, after, inside)]))
+            case "scatter" | "scatter-add":
+                numbers = jax.lax.ScatterDimensionNumbers((), (0,), (0,))
+                table, index, rows = given
+                found.append(
+                    INTO_ROWS[equation.name](
+                        table,
+                        index[:, None],
+                        rows,
+                        numbers,
+                        indices_are_sorted=parameters["indices_are_sorted"],
+                        unique_indices=parameters["unique_indices"],
+                        mode=parameters["mode"],
+                    )
+                )
             case "dynamic_slice":
                 found.append(jax.lax.dynamic_slice(given[0], (given[1],), (out.shape[0],)))
             case _:

@@ -16,6 +16,7 @@ import jaxdr as jd
 from jaxdr.kernels import fused, machine
 from jaxdr.kernels.flatten import flat
 from jaxdr.kernels.levels import Cluster, planned
+from jaxdr.kernels.rows import SUMMED
 from jaxdr.kernels.text import KernelWriter
 from tests.kernels.programs import N, both, operations
 
@@ -42,6 +43,22 @@ def test_loops_whose_end_is_a_value(x):
         return i + 1, lax.dynamic_update_slice_in_dim(rows, part, 0, 0) + rows[jnp.arange(N) // 2]
 
     both(lambda x: lax.while_loop(lambda s: (s[0] < 4) & (s[1][0, 0] < 1e9), body, (0, x)), x, rtol=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["drop", "clip"])
+def test_rows_that_a_loop_adds_to(x, mode):
+    """To a table that is too large for sums of each thread's own; twice to some rows, and past the end."""
+    table = jnp.asarray(np.random.default_rng(1).normal(size=(SUMMED // 2, 3)), jnp.float32)
+
+    def turn(i, table, x):
+        index = (jnp.arange(N) * 7 + 2000 * i) % (table.shape[0] + 9)
+        table = table.at[index].add(x * i, mode=mode)
+        return table.at[index[:5] + 1].set(x[:5], mode=mode)
+
+    def rows_added(table, x):
+        return lax.fori_loop(0, 40, lambda i, table: turn(i, table, x), table)
+
+    both(rows_added, table, x, rtol=1e-4, atol=1e-4)
 
 
 def test_branches(x):
