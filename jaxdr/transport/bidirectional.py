@@ -99,7 +99,7 @@ def bidirectional_paths(
     pixels = width * height
     primary = primary_samples(packed, samples, key, settings.rays, Form.MATERIAL if moving else Form.FIXED)
     number = (jnp.arange(pixels)[:, None] + samples[None] * pixels).reshape(-1)
-    light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)[0]
+    light = lattice(jax.random.fold_in(key, 1), 1, number, LIGHT_DIMENSIONS, packed.vertices.dtype)
     return primary, strategies(packed, primary, light, chunk_key, settings)
 
 

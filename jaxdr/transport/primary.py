@@ -58,7 +58,7 @@ def primary_samples(
     pixels, count, dtype = width * height, samples.shape[0], packed.vertices.dtype
     number = samples // 2 if form == Form.MATERIAL else samples
     dimensions = FIRST_DIMENSIONS + (LENS_DIMENSIONS if camera.aperture else 0)
-    u = lattice(key, pixels, number, dimensions, dtype).reshape(pixels * count, dimensions)
+    u = lattice(key, pixels, number, dimensions, dtype)
     offset = film.filter.sample(u[:, :2])
     if form == Form.MATERIAL:
         offset = jnp.where((jnp.tile(samples, pixels) % 2 == 1)[:, None], -offset, offset)

@@ -31,15 +31,19 @@ def uniform(key: PRNGKeyArray, shape: tuple[int, ...], dtype=jnp.float32) -> Flo
 
 def lattice(
     key: PRNGKeyArray, pixels: int, index: Int[Array, " n"], dimensions: int, dtype=jnp.float32
-) -> Float[Array, "pixels n d"]:
-    """Points of a rank-1 lattice, shifted at random for every pixel (Cranley-Patterson rotation).
+) -> Float[Array, "N d"]:
+    """Points of a rank-1 lattice, shifted at random for every pixel (Cranley-Patterson rotation), N = pixels * n rows.
 
     Each point is uniform on the unit cube, so estimates are unbiased. The points of a pixel fill the cube evenly, so
     estimates have less noise than with independent points. `index` numbers a pixel's samples across chunks.
     """
-    shift = jax.random.bits(key, (pixels, 1, dimensions), jnp.uint32)
+    shift = jax.random.bits(key, (pixels, dimensions), jnp.uint32)
     steps = jnp.asarray(_generators(dimensions), jnp.uint32)
-    return to_unit(shift + index.astype(jnp.uint32)[None, :, None] * steps, jnp.dtype(dtype).type)
+    index = index.astype(jnp.uint32)
+    if pixels > 1:  # one row for every sample: broadcasts of [pixels, n, d] have other rows
+        row, count = jnp.arange(pixels * index.shape[0], dtype=jnp.uint32), jnp.uint32(index.shape[0])
+        shift, index = shift[jax.lax.div(row, count)], index[jax.lax.rem(row, count)]
+    return to_unit(shift + index[:, None] * steps, jnp.dtype(dtype).type)
 
 
 def path_numbers(key: PRNGKeyArray, number: Integer[Array, " n"], bounce: Int[Array, "*#n"] | int, dtype=jnp.float32):

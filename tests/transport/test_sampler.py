@@ -12,7 +12,8 @@ KEY = jax.random.key(30)
 
 
 def points(pixels, samples, key=KEY, dtype=jnp.float32, start=0):
-    return np.asarray(lattice(key, pixels, start + jnp.arange(samples), FIRST_DIMENSIONS, dtype))
+    points = lattice(key, pixels, start + jnp.arange(samples), FIRST_DIMENSIONS, dtype)
+    return np.asarray(points).reshape(pixels, samples, FIRST_DIMENSIONS)
 
 
 def test_range_and_shape():

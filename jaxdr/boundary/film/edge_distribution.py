@@ -258,7 +258,7 @@ def _unshadowed(packed: PackedScene, corner, normal, smooth, key) -> Float[Array
         cosine = jnp.where(smooth, jnp.where(cosine > 0, 0.3, 0.0), jnp.maximum(cosine, 0.0))
         return cosine * jnp.where(sample.infinite, 1.0, facing) * power
 
-    samples = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype)[0])
+    samples = sample_emitter(packed, lattice(key, 1, jnp.arange(PILOTS), 2, corner.dtype))
     return jax.vmap(arriving)(samples).mean(0)
 
 

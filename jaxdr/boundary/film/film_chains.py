@@ -182,7 +182,7 @@ def _chords(packed: PackedScene, cell: Int[Array, " C"], inverse, key, key_paths
     x0, y0, width, _ = packed.camera.film.window
     margin, dtype = _margin(packed), inverse.dtype
     aperture = LENS_DIMENSIONS if packed.camera.aperture else 0
-    drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)[0]
+    drawn = lattice(key, 1, jnp.arange(cell.shape[0]), 3 + aperture, dtype)
     row, column = jnp.divmod(cell, width + 2 * margin)
     corner = jnp.stack([column + x0 - margin, row + y0 - margin], -1).astype(dtype)
     angle, stream = math.pi * drawn[:, 2], streams(FilmChains.name, cell.shape[0])

@@ -111,9 +111,9 @@ class FilmEdges:
         for kind in kinds:
             key_edges, key_first, key_lens = jax.random.split(named_key(chunk.key, kind), 3)
             drawn.append(sample_edges(state, getattr(state, kind), count, key_edges))
-            numbers.append(lattice(key_first, 1, jnp.arange(count), 4, chunk.weight.dtype)[0])
+            numbers.append(lattice(key_first, 1, jnp.arange(count), 4, chunk.weight.dtype))
             if packed.camera.aperture:
-                lenses.append(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, chunk.weight.dtype)[0])
+                lenses.append(lattice(key_lens, 1, jnp.arange(count), LENS_DIMENSIONS, chunk.weight.dtype))
             stream.append(streams(kind, count))
         drawn = jax.tree.map(lambda *x: jnp.concatenate(x), *drawn)
         lens = jnp.concatenate(lenses) if lenses else None

@@ -48,7 +48,7 @@ class PixelBorders:
         film_points, numbers = [], []
         for axis, key_axis in enumerate(jax.random.split(key)):
             rows, columns = _sides(packed, axis)
-            u = lattice(key_axis, rows * columns, jnp.arange(count), dimensions, dtype).reshape(-1, dimensions)
+            u = lattice(key_axis, rows * columns, jnp.arange(count), dimensions, dtype)
             row, column = jnp.divmod(jnp.arange(rows * columns), columns)
             corner = jnp.repeat(jnp.stack([column + x0, row + y0], -1).astype(dtype), count, axis=0)
             film_points.append(corner.at[:, 1 - axis].add(u[:, 0]))

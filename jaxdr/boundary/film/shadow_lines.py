@@ -278,7 +278,7 @@ def on_film(packed: PackedScene, points: ShadowPoints) -> OnFilm:
 
 def draw_lines(packed: PackedScene, cdf: Float[Array, " K"], count: int, key) -> tuple[ShadowLines, Float[Array, " n"]]:
     """Points on lines and 1 / density per unit of the line's parameter. A lattice spreads the points over all lines."""
-    u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)[0]
+    u = lattice(key, 1, jnp.arange(count), 2, cdf.dtype)
     total = cdf[-1]
     entry, _, mass = sample_cdf(cdf, u[:, 0] * total)
     used = mass > 0

@@ -257,7 +257,7 @@ class GuidedEdges(eqx.Module):
         plan, guide = plans[number], prepared.guides[number]
         key_segments, key_detector, key_source = jax.random.split(key, 3)
         # A lattice in four dimensions: the lattice in three has gaps into which shadows can fall.
-        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[0, :, :3]
+        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[:, :3]
         primary = guide.sample(u)
         # For most lines towards emitters the edge is not a silhouette. The other lines are moved to the front.
         drawn = plan.strategy.segments(packed, lunes, primary)

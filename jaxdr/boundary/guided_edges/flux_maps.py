@@ -62,7 +62,7 @@ def flux_maps(packed: PackedScene, key: PRNGKeyArray, settings: PathSettings) ->
     area = jnp.sort(cell)[1:].prod()
     key_emitter, key_light, key_first, key_camera = jax.random.split(key, 4)
 
-    u = lattice(key_emitter, 1, jnp.arange(PHOTONS), 4, dtype)[0]
+    u = lattice(key_emitter, 1, jnp.arange(PHOTONS), 4, dtype)
     light = light_start(packed, sample_emitter(packed, u[:, :2]), u[:, 2:], 1, settings.rays)
     light = trace_on(packed, light, uniform(key_light, (bounces - 1, PHOTONS, 2), dtype), True, 1, settings.rays)
     photons = light.vertices(bounces)

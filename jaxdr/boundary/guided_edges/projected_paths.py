@@ -69,7 +69,7 @@ def project_paths(
 ) -> tuple[BoundarySegments, BoundaryEnds]:
     """`count` lines past edges, from as many paths. They are not `valid` if no edge is found or no path is hidden."""
     key_paths, key_pairs = jax.random.split(key)
-    u = lattice(key_paths, 1, jnp.arange(count), 4, packed.vertices.dtype)[0]
+    u = lattice(key_paths, 1, jnp.arange(count), 4, packed.vertices.dtype)
     paths = shadow_rays(packed, u, rays)
     hidden, lit = paths.occluder >= 0, paths.there & (paths.occluder < 0)
     both = hidden.any() & lit.any()

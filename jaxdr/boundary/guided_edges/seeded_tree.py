@@ -106,7 +106,7 @@ def build_seeded_tree(
     scale = edges ** jnp.asarray([ALONG, 0.0, 0.0])
     count, dtype = SEEDS * leaves, seeds.dtype
     key_even, key_drawn, *keys = jax.random.split(key, 6)
-    even = lattice(key_even, 1, jnp.arange(count), 4, dtype)[0, :, :3]
+    even = lattice(key_even, 1, jnp.arange(count), 4, dtype)[:, :3]
     points = _moved(jnp.concatenate([seeds, even]), keys[0])
     tried = jnp.concatenate([usable, jnp.ones(count, bool)])
     least = jnp.asarray(SHARES[0], dtype)
@@ -115,7 +115,7 @@ def build_seeded_tree(
         key_tree, key_shift = jax.random.split(key_round)
         tree = _grown(target, points, values, scale, leaves, samples, key_tree)
         tree = tree._replace(around=jnp.asarray(SEARCH, dtype))
-        drawn = Defended(tree, least).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[0, :, :3])
+        drawn = Defended(tree, least).sample(lattice(key_shift, 1, jnp.arange(count), 4, dtype)[:, :3])
         points, values = jnp.concatenate([points, drawn]), jnp.concatenate([values, evaluate(target, drawn)])
     return _grown(target, points, values, scale, leaves, samples, keys[1])
 

@@ -88,7 +88,7 @@ class ChordKind(abc.ABC):
 
     def starts(self, chosen: Chosen, key, numbers: int) -> tuple[Scatterer, Float[Array, "M n"]]:
         """(BSDFs at the path vertices that chords start from, some uniform numbers for each)."""
-        u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), numbers, self.packed.vertices.dtype)[0]
+        u = lattice(key, 1, jnp.arange(chosen.vertex.shape[0]), numbers, self.packed.vertices.dtype)
         return self.paths.scatterer(jnp.maximum(chosen.vertex, 0)), u
 
 

@@ -157,7 +157,7 @@ class Numbers(NamedTuple):
 
 def numbers_behind(key: PRNGKeyArray, name: str, number: Int[Array, " C"], dtype) -> Numbers:
     """The random numbers of the boundary points with these `number`s, of the term `name`."""
-    return Numbers(lattice(key, 1, number, 4, dtype)[0], number.astype(jnp.uint32) + stream_of(name))
+    return Numbers(lattice(key, 1, number, 4, dtype), number.astype(jnp.uint32) + stream_of(name))
 
 
 def ask_behind(

@@ -62,7 +62,7 @@ def run_chains(space: Space, steps: Steps, key: PRNGKeyArray) -> Chains:
     """Draw seeds, start chains from them, and let them step."""
     key_seeds, key_start, key_steps = jax.random.split(key, 3)
     dtype = space.lunes.start.dtype
-    seeds = states_of(space, fresh_lines(space, lattice(key_seeds, 1, jnp.arange(steps.seeds), 4, dtype)[0]))
+    seeds = states_of(space, fresh_lines(space, lattice(key_seeds, 1, jnp.arange(steps.seeds), 4, dtype)))
     value = safe_divide(seeds.magnitude, seeds.density, seeds.density > 0, 0.0)
     chosen = choice(value)
     u = (jnp.arange(steps.chains) + uniform(key_start, (), dtype)) / steps.chains

@@ -103,7 +103,7 @@ class QuadricSampling(eqx.Module):
         packed, lunes = context.packed, state.lunes
         number = jnp.arange(self.samples * paths.count)
         vertex = number % paths.count
-        u = lattice(key, 1, number, NUMBERS + 1, lunes.start.dtype)[0]
+        u = lattice(key, 1, number, NUMBERS + 1, lunes.start.dtype)
         scatterer = paths.scatterer(vertex)
         scattered = vertex < paths.count - paths.paths  # the last vertex of a path gathers direct light alone
         other = jnp.full(vertex.shape, True) if packed.environment is not None else scattered
