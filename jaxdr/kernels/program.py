@@ -22,6 +22,7 @@ LOOPS = ("scan", "while", "cond")
 WIDEST = 16  # components; wider values go through loops as a whole
 # Operations of XLA that move rows, and do the same to every component.
 BY_COMPONENT = ("dynamic_slice", "dynamic_update_slice", "slice", "concatenate", "pad")
+HANDLERS = {"rows_where": "rows_where.h"}  # operations that have a handler in C++, which is no kernel
 INTO_ROWS = {"scatter-add": jax.lax.scatter_add, "scatter": jax.lax.scatter}
 
 
@@ -48,6 +49,13 @@ class _Loop(NamedTuple):
     programs: list["Program"]
     apart: tuple[bool, ...]
     apart_out: tuple[bool, ...]
+
+
+class _Handled(NamedTuple):
+    """A step: an operation with a handler of its own, with this name."""
+
+    target: str
+    equation: Equation
 
 
 class _Moved(NamedTuple):
@@ -83,6 +91,12 @@ class Program:
                 made |= {v for e in step.equations if not is_sum(e) for v in e.outputs}
                 self.apart |= made
                 steps.append(writer)
+                continue
+            if step.name in HANDLERS:
+                counts.targets.append(
+                    machine.target(machine.declarations() + machine.library_text(HANDLERS[step.name]))
+                )
+                steps.append(_Handled(counts.targets[-1], step))
                 continue
             counts.left[step.name] = counts.left.get(step.name, 0) + 1
             if step.name in LOOPS:
@@ -135,7 +149,7 @@ def _needs(step: Any) -> list[Part]:
         return [Part(v, 0 if a else None) for v, a in zip(step.equation.inputs, step.apart, strict=True)]
     if isinstance(step, _Moved):
         return [Part(v, 0 if v.shape else None) for v in step.equation.inputs]
-    return [Part(v) for v in step.inputs]
+    return [Part(v) for v in (step.equation if isinstance(step, _Handled) else step).inputs]
 
 
 class _Arrays:
@@ -195,6 +209,11 @@ def _run(step: Any, arrays: _Arrays) -> None:
                 arrays.parts[value] = result
             else:
                 arrays.arrays[value] = result[0]
+    elif isinstance(step, _Handled):
+        (out,) = step.equation.outputs
+        call = jax.ffi.ffi_call(step.target, jax.ShapeDtypeStruct(out.shape, out.aval.dtype))
+        (mask,) = step.equation.inputs
+        arrays.arrays[out] = call(arrays.whole(mask), fill=np.int64(step.equation.parameters["fill"]))
     elif isinstance(step, _Moved):
         (out,) = step.equation.outputs
         arrays.parts[out] = _moved(step.equation, arrays)

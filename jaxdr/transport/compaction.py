@@ -1,15 +1,44 @@
 """Compaction: the numbers of the rows that count, moved to the front."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
+from jax.extend import core
+from jax.interpreters import batching, mlir
 from jaxtyping import Array, Bool, Int
+
+from jaxdr import loops
 
 
 def rows_where(mask: Bool[Array, " n"], size: int | None = None, fill_value: int = 0) -> Int[Array, " size"]:
     """Numbers of the rows where `mask` is true, in order, then `fill_value`. At most `size` (default n) are kept.
 
     It is like `jnp.nonzero` but with one running sum instead of two. XLA compiles each sum to a tree of small kernels.
+    It is a primitive, for which `jaxdr.kernels` has a handler.
     """
     size = mask.shape[0] if size is None else size
+    return _rows_where.bind(loops.varying(mask), size=int(size), fill=int(fill_value))
+
+
+def _by_xla(mask, size: int, fill: int):
     place = jnp.where(mask, jnp.cumsum(mask, dtype=jnp.int32) - 1, size)
-    rows = jnp.full(size, fill_value, jnp.int32)
+    rows = jnp.full(size, fill, jnp.int32)
     return rows.at[place].set(jnp.arange(mask.shape[0], dtype=jnp.int32), mode="drop")
+
+
+_rows_where = core.Primitive("rows_where")
+_rows_where.def_impl(partial(jax.jit, static_argnames=("size", "fill"))(_by_xla))
+
+
+@_rows_where.def_abstract_eval
+def _abstract(mask, size: int, fill: int):
+    return loops.result_like([mask], (size,), jnp.dtype("int32"))
+
+
+def _batch(operands, axes, size: int, fill: int):
+    return jax.vmap(partial(_by_xla, size=size, fill=fill), in_axes=axes)(*operands), 0
+
+
+mlir.register_lowering(_rows_where, mlir.lower_fun(_by_xla, multiple_results=False))
+batching.primitive_batchers[_rows_where] = _batch

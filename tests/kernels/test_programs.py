@@ -18,6 +18,7 @@ from jaxdr.kernels.flatten import flat
 from jaxdr.kernels.levels import Cluster, planned
 from jaxdr.kernels.rows import SUMMED
 from jaxdr.kernels.text import KernelWriter
+from jaxdr.transport.compaction import rows_where
 from tests.kernels.programs import N, both, operations
 
 
@@ -59,6 +60,19 @@ def test_rows_that_a_loop_adds_to(x, mode):
         return lax.fori_loop(0, 40, lambda i, table: turn(i, table, x), table)
 
     both(rows_added, table, x, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize(("rows", "size"), [(N, None), (N, 100), (N, 2 * N), (300_001, None)])
+def test_rows_that_count(share, rows, size):
+    numbers = jax.random.uniform(jax.random.key(0), (rows,))
+
+    def function(numbers):
+        return rows_where(numbers < share, size, 7)
+
+    both(function, numbers)
+    both(lambda numbers: jax.vmap(function)(numbers[None]), numbers)
+    assert not operations(function, numbers)[1]
 
 
 def test_branches(x):
