@@ -57,7 +57,7 @@ def planned(equations: Sequence[Equation]) -> Plan:
 
 def _rows(equation: Equation) -> int:
     rows = rows_of(equation)
-    if not rows or is_sum(equation) or equation.name in ("gather", "iota"):
+    if not rows or is_sum(equation) or equation.name in ("gather", "iota", "random_bits"):
         return rows
     # Operations are looked up by their names and kinds, so a trial with any components tells whether there is a rule.
     trial = [[""] * width(v, rows) for v in equation.inputs]
@@ -66,7 +66,7 @@ def _rows(equation: Equation) -> int:
 
 def _is_free(equation: Equation, rows: int) -> bool:
     """Whether rows are made of nothing but a few numbers that all share."""
-    if is_sum(equation) or equation.name == "gather":
+    if is_sum(equation) or equation.name in ("gather", "random_bits"):
         return False
     return all(row_axis(v.shape, rows) is None for v in equation.inputs)
 

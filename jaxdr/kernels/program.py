@@ -15,7 +15,7 @@ from jax.extend import core
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import Equation, Value, flat
 from jaxdr.kernels.levels import Cluster, planned
-from jaxdr.kernels.rows import KINDS, LEAST, is_sum, row_axis, width
+from jaxdr.kernels.rows import KINDS, LEAST, THREEFRY, is_sum, row_axis, width
 from jaxdr.kernels.text import Kernel, KernelWriter, Part
 
 LOOPS = ("scan", "while", "cond")
@@ -93,9 +93,8 @@ class Program:
                 steps.append(writer)
                 continue
             if step.name in HANDLERS:
-                counts.targets.append(
-                    machine.target(machine.declarations() + machine.library_text(HANDLERS[step.name]))
-                )
+                text = machine.declarations() + machine.library_text(HANDLERS[step.name])
+                counts.targets.append(machine.target(text))
                 steps.append(_Handled(counts.targets[-1], step))
                 continue
             counts.left[step.name] = counts.left.get(step.name, 0) + 1
@@ -189,6 +188,8 @@ class _Arrays:
         return self.parts[value]
 
     def part(self, part: Part) -> Any:
+        if part.value.kind == THREEFRY:
+            return jax.random.key_data(self.whole(part.value))
         return self.whole(part.value) if part.component is None else self.components(part.value)[part.component]
 
 

@@ -6,12 +6,14 @@ An array has rows along one axis, its longest; the other axes are the components
 
 import math
 
+import jax
 from jax.lax import GatherScatterMode
 
 from jaxdr.kernels.flatten import SMALL, Equation, Value
 
 LEAST = 512  # rows; fewer are left to XLA
 KINDS = {"float32", "int32", "uint32", "bool"}
+THREEFRY = "key<fry>"  # the type of JAX's default keys
 SUMMED = 1 << 15  # numbers in a table: each task has its own, so sums into larger tables are left to XLA
 # Operations on components, each by its own rule in `operations`.
 ELEMENTWISE = frozenset(
@@ -44,6 +46,8 @@ def width(value: Value, rows: int) -> int:
 
 def rows_of(equation: Equation) -> int:
     """The number of rows of a row-wise equation, and 0 for all others."""
+    if equation.name == "random_bits":
+        return _rows_of_bits(equation)
     if equation.acts or any(v.kind not in KINDS or not v.size for v in (*equation.inputs, *equation.outputs)):
         return 0
     if is_sum(equation):
@@ -64,6 +68,15 @@ def rows_of(equation: Equation) -> int:
     if any(not _is_read_by_row(v, rows) for v in equation.inputs):
         return 0
     return rows if _keeps_rows_apart(equation, rows) else 0
+
+
+def _rows_of_bits(equation: Equation) -> int:
+    """The number of rows of random bits that kernels have: those of one threefry key, numbered in order."""
+    (key,), (out,) = equation.inputs, equation.outputs
+    rows = max(out.shape, default=0)
+    has_rows = rows >= LEAST and row_axis(out.shape, rows) is not None and width(out, rows) <= SMALL
+    is_known = key.kind == THREEFRY and not key.shape and out.kind == "uint32" and out.size < 1 << 32
+    return rows if has_rows and is_known and jax.config.jax_threefry_partitionable else 0  # type: ignore[reportAttributeAccessIssue]
 
 
 def _is_read_by_row(value: Value, rows: int) -> bool:

@@ -132,6 +132,8 @@ class KernelWriter:
             results = [self.lookup(equation)]
         elif equation.name == "iota":
             results = [self.counted(equation)]
+        elif equation.name == "random_bits":
+            results = [self.drawn(equation)]
         else:
             given = [self.components_of(v) for v in equation.inputs]
             found = computed(equation, self.rows, given)
@@ -152,6 +154,20 @@ class KernelWriter:
             np.arange(shape[dimension]).reshape([-1 if d == dimension else 1 for d in range(len(shape))]), shape
         )
         return [literal(x, out.kind) for x in numbers.ravel()]
+
+    def drawn(self, equation: Equation) -> Components:
+        """Random bits: threefry of the key and the place in the array, as JAX draws them."""
+        (key,), (out,) = equation.inputs, equation.outputs
+        p, axis = self.place(Part(key)), row_axis(out.shape, self.rows)
+        assert axis is not None
+        words = ", ".join(self.named("U", f"U(((const unsigned*)P[{p}])[{i}])", True) for i in (0, 1))
+        inner = math.prod(out.shape[axis + 1 :])
+        found = []
+        for i in range(width(out, self.rows)):
+            outer, rest = divmod(i, inner)
+            start = f"(unsigned)({f'{outer} * rows + ' if outer else ''}at) * {inner}u + {rest}u"
+            found.append(f"v_threefry({words}, to_U(lanes()) * U({inner}u) + U({start}))")
+        return found
 
     def lookup(self, equation: Equation) -> Components:
         """Entries of a table, at indices that are clipped to it."""

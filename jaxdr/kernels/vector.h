@@ -214,3 +214,22 @@ BY_LIBRARY(log1p) BY_LIBRARY(expm1) BY_LIBRARY(tan) BY_LIBRARY(tanh) BY_LIBRARY(
 BY_LIBRARY(atan) BY_LIBRARY(erf) BY_LIBRARY(cbrt)
 APART F v_pow(F x, F y) { EACH_LANE x[l] = powf(x[l], y[l]); return x; }
 APART F v_atan2(F y, F x) { EACH_LANE y[l] = atan2f(y[l], x[l]); return y; }
+
+// Random bits of the words of a key and a place below 2^32 (Salmon et al. 2011): 20 rounds, both words of the result.
+HERE U v_threefry(U key0, U key1, U place) {
+  const U keys[3] = {key0, key1, key0 ^ key1 ^ U(0x1BD11BDAu)};
+  const unsigned turns[8] = {13, 15, 26, 6, 17, 29, 16, 24};
+  U a = key0, b = place + key1;
+#pragma unroll
+  for (int group = 0; group < 5; group++) {
+#pragma unroll
+    for (int i = 0; i < 4; i++) {
+      const unsigned turn = turns[4 * (group % 2) + i];
+      a += b;
+      b = ((b << U(turn)) | (b >> U(32 - turn))) ^ a;
+    }
+    a += keys[(group + 1) % 3];
+    b += keys[(group + 2) % 3] + U(group + 1);
+  }
+  return a ^ b;
+}

@@ -194,3 +194,14 @@ def test_lanes_do_not_depend_on_their_neighbours():
     for a, b in zip(function(x), function(x.at[::3].set(jnp.inf)), strict=True):
         keep = np.arange(N) % 3 != 0
         np.testing.assert_array_equal(a[keep], b[keep])
+
+
+@pytest.mark.parametrize("shape", [(N,), (N, 6), (2, N, 3), (4, 3, N), (3, 3)])
+def test_random_bits(shape):
+    """Those of JAX, bit for bit."""
+
+    def function(key, x):
+        return jax.random.bits(jax.random.fold_in(key, 7), shape), jax.random.uniform(key, shape), jnp.sin(x)
+
+    both(function, jax.random.key(3), jnp.ones(N), rtol=1e-6)
+    assert ("random_bits" in operations(function, jax.random.key(3), jnp.ones(N))[1]) == (N not in shape)
