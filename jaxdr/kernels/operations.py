@@ -48,8 +48,7 @@ def computed(equation: Equation, rows: int, given: Sequence[Components]) -> list
     """Expressions for the components of every output; None for an operation without a rule."""
     name, out = equation.name, equation.outputs[0]
     if name in STRUCTURAL:
-        numbers, every = _placed(equation, rows, given)
-        return [[every[i] if i >= 0 else given[1][0] for i in n.ravel()] for n in numbers]
+        return rearranged(equation, rows, given)
     if name in REDUCTION_FORMS:
         return [_reduced(equation, rows, given[0])]
     if name == "dot_general":
@@ -134,7 +133,13 @@ def _power(a: str, exponent: int, vector: str) -> str:
     return product if exponent >= 0 else f"F(1.0f) / ({product})"
 
 
-def _placed(equation: Equation, rows: int, given: Sequence[Components]) -> tuple[list[np.ndarray], Components]:
+def rearranged(equation: Equation, rows: int, given: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """The components of every output of an operation that only places components, without a look at them."""
+    numbers, every = _placed(equation, rows, given)
+    return [[every[i] if i >= 0 else given[1][0] for i in n.ravel()] for n in numbers]
+
+
+def _placed(equation: Equation, rows: int, given: Sequence[Sequence[Any]]) -> tuple[list[np.ndarray], list[Any]]:
     """For each output the numbers of the components that it consists of, -1 for padding; and all components."""
     parameters, out = equation.parameters, equation.outputs[0]
     every = [c for part in given for c in part]

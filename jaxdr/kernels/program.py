@@ -15,7 +15,7 @@ from jax.extend import core
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import Equation, Value, flat
 from jaxdr.kernels.levels import Cluster, planned
-from jaxdr.kernels.rows import KINDS, LEAST, THREEFRY, is_sum, row_axis, width
+from jaxdr.kernels.rows import KINDS, LEAST, STRUCTURAL, THREEFRY, is_sum, row_axis, width
 from jaxdr.kernels.text import Kernel, KernelWriter, Part
 
 LOOPS = ("scan", "while", "cond")
@@ -84,10 +84,12 @@ class Program:
         self.free = plan.free
         self.apart = {v for v, a in zip(self.inputs, apart, strict=True) if a}
         made: set[Value] = set()
+        placed: dict[Value, Equation] = {}
         steps: list[Any] = []
         for step in plan.steps:
             if isinstance(step, Cluster):
-                writer = KernelWriter(step.rows, step.equations, plan.free, self.apart, made)
+                writer = KernelWriter(step.rows, step.equations, plan.free, self.apart, made, placed)
+                placed |= {v: e for e in step.equations if e.name in STRUCTURAL for v in e.outputs}
                 made |= {v for e in step.equations if not is_sum(e) for v in e.outputs}
                 self.apart |= made
                 steps.append(writer)
@@ -107,10 +109,12 @@ class Program:
                 steps.append(_Moved(step))
             else:
                 steps.append(step)
-        needed = {part for step in steps for part in _needs(step)} | {
-            Part(v, 0 if a else None) for v, a in zip(self.outputs, apart_out, strict=True)
-        }
-        by_component = {part.value for part in needed if part.component is not None}
+        needed = [part for step in steps for part in _needs(step)]
+        needed += [part for v, a in zip(self.outputs, apart_out, strict=True) for part in _parts(v, a)]
+        by_component: dict[Value, set[int]] = {}
+        for value, number in needed:
+            if number is not None:
+                by_component.setdefault(value, set()).add(number)
         whole = {part.value for part in needed if part.component is None}
         # What XLA makes of repeated operations, it makes of whole arrays.
         whole |= {v for e in plan.free.values() for v in e.inputs}
@@ -122,7 +126,7 @@ class Program:
         arrays = _Arrays(self)
         for value, given, by_component in zip(self.inputs, operands, self.given, strict=True):
             if by_component:
-                arrays.parts[value] = given
+                arrays.parts[value] = dict(enumerate(given))
             else:
                 arrays.arrays[value] = given[0]
         for step in self.steps:
@@ -132,22 +136,26 @@ class Program:
         ]
 
 
-def _call(writer: KernelWriter, counts: Counts, by_component: set[Value], whole: set[Value]) -> _Call:
+def _call(writer: KernelWriter, counts: Counts, by_component: dict[Value, set[int]], whole: set[Value]) -> _Call:
     kernel = writer.finished(by_component, whole)
     counts.fused += len(writer.equations)
     counts.targets.append(machine.target(kernel.text))
     return _Call(counts.targets[-1], kernel)
 
 
+def _parts(value: Value, by_component: bool) -> list[Part]:
+    """All components of a value, or the value as a whole."""
+    return [Part(value, i) for i in range(width(value, max(value.shape)))] if by_component else [Part(value)]
+
+
 def _needs(step: Any) -> list[Part]:
-    """What a step reads. Component 0 stands for all of them."""
+    """What a step reads."""
     if isinstance(step, KernelWriter):
-        read = [Part(p.value, None if p.component is None else 0) for p in step.reads]
-        return [*read, *(Part(e.inputs[0]) for e in step.sums if e.name == "scatter-add")]
+        return [*step.reads, *(Part(e.inputs[0]) for e in step.sums if e.name == "scatter-add")]
     if isinstance(step, _Loop):
-        return [Part(v, 0 if a else None) for v, a in zip(step.equation.inputs, step.apart, strict=True)]
+        return [p for v, a in zip(step.equation.inputs, step.apart, strict=True) for p in _parts(v, a)]
     if isinstance(step, _Moved):
-        return [Part(v, 0 if v.shape else None) for v in step.equation.inputs]
+        return [p for v in step.equation.inputs for p in _parts(v, bool(v.shape))]
     return [Part(v) for v in (step.equation if isinstance(step, _Handled) else step).inputs]
 
 
@@ -157,7 +165,7 @@ class _Arrays:
     def __init__(self, program: Program):
         self.program = program
         self.arrays: dict[Value, Any] = {}
-        self.parts: dict[Value, list[Any]] = {}
+        self.parts: dict[Value, dict[int, Any]] = {}
 
     def whole(self, value: Value) -> Any:
         if value.constant is not None:
@@ -171,7 +179,7 @@ class _Arrays:
             shape = value.shape
             axis = row_axis(shape, max(shape))
             assert axis is not None
-            table = jnp.stack(self.parts[value], -1) if len(self.parts[value]) > 1 else self.parts[value][0][:, None]
+            table = jnp.stack(self.components(value), -1)
             others = [n for d, n in enumerate(shape) if d != axis]
             return jnp.moveaxis(table.reshape(shape[axis], *others), 0, axis)
         equation = self.program.free[value]
@@ -184,13 +192,16 @@ class _Arrays:
             axis = row_axis(value.shape, rows)
             assert axis is not None
             table = jnp.moveaxis(array, axis, 0).reshape(rows, -1)
-            self.parts[value] = [table[:, i] for i in range(table.shape[1])]
-        return self.parts[value]
+            self.parts[value] = {i: table[:, i] for i in range(table.shape[1])}
+        return [self.parts[value][i] for i in range(len(self.parts[value]))]
 
     def part(self, part: Part) -> Any:
         if part.value.kind == THREEFRY:
             return jax.random.key_data(self.whole(part.value))
-        return self.whole(part.value) if part.component is None else self.components(part.value)[part.component]
+        if part.component is None:
+            return self.whole(part.value)
+        known = self.parts.get(part.value, {})
+        return known[part.component] if part.component in known else self.components(part.value)[part.component]
 
 
 def _bind(equation: Equation, operands: list[Any]) -> list[Any]:
@@ -207,7 +218,7 @@ def _run(step: Any, arrays: _Arrays) -> None:
         results = _run_loop(step, arrays)
         for value, result, by_component in zip(step.equation.outputs, results, step.apart_out, strict=True):
             if by_component:
-                arrays.parts[value] = result
+                arrays.parts[value] = dict(enumerate(result))
             else:
                 arrays.arrays[value] = result[0]
     elif isinstance(step, _Handled):
@@ -217,7 +228,7 @@ def _run(step: Any, arrays: _Arrays) -> None:
         arrays.arrays[out] = call(arrays.whole(mask), fill=np.int64(step.equation.parameters["fill"]))
     elif isinstance(step, _Moved):
         (out,) = step.equation.outputs
-        arrays.parts[out] = _moved(step.equation, arrays)
+        arrays.parts[out] = dict(enumerate(_moved(step.equation, arrays)))
     else:
         results = _bind(step, [arrays.whole(v) for v in step.inputs])
         arrays.arrays |= dict(zip(step.outputs, results, strict=True))
@@ -236,7 +247,7 @@ def _run_kernel(call: _Call, arrays: _Arrays) -> None:
         if part.component is None:
             arrays.arrays[part.value] = result
         else:
-            arrays.parts.setdefault(part.value, []).append(result)
+            arrays.parts.setdefault(part.value, {})[part.component] = result
     for equation, total in zip(kernel.sums, results[len(kinds) :], strict=True):
         if equation.name == "scatter-add":
             total = arrays.whole(equation.inputs[0]) + total

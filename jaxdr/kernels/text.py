@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxdr.kernels.flatten import Equation, Value
 from jaxdr.kernels.machine import declarations, library_text
-from jaxdr.kernels.operations import SCALARS, VECTORS, Components, computed, literal
+from jaxdr.kernels.operations import SCALARS, VECTORS, Components, computed, literal, rearranged
 from jaxdr.kernels.rows import components, is_sum, row_axis, width
 
 _NEEDS_NO_NAME = re.compile(r"x\d+|[FIUB]\([-+.\w]*\)")  # names and literals
@@ -41,7 +41,8 @@ class KernelWriter:
     """Writes the kernel of some equations; its `reads` are known before what it writes is.
 
     `free` equations are repeated where they are needed. Components of values in `apart` are there one by one;
-    those in `made` come from other kernels, which write them by component, as a whole, or both.
+    those in `made` come from other kernels, which write them by component, as a whole, or both. The equations of values
+    in `placed` do nothing but place components of others, which are read in their stead.
     """
 
     def __init__(
@@ -51,9 +52,12 @@ class KernelWriter:
         free: Mapping[Value, Equation],
         apart: Container[Value],
         made: Container[Value],
+        placed: Mapping[Value, Equation],
     ):
         self.rows, self.equations, self.free, self.apart, self.made = rows, equations, free, apart, made
+        self.placed = placed
         self.known: dict[Value, Components] = {}
+        self.loaded: dict[Part, str] = {}
         self.reads: list[Part] = []
         self.places: dict[Part, int] = {}
         self.before: list[str] = []
@@ -68,11 +72,11 @@ class KernelWriter:
             else:
                 self.compute(equation)
 
-    def finished(self, by_component: Container[Value], whole: Container[Value]) -> Kernel:
-        """The kernel, which writes the values that others need by component, as a whole, or both."""
+    def finished(self, by_component: Mapping[Value, set[int]], whole: Container[Value]) -> Kernel:
+        """The kernel, which writes the components and whole values that others need."""
         writes = []
         for value in (v for e in self.equations if not is_sum(e) for v in e.outputs):
-            numbers: list[int | None] = [*range(width(value, self.rows))] if value in by_component else []
+            numbers: list[int | None] = [*sorted(by_component.get(value, ()))]
             for number in [*numbers, None] if value in whole else numbers:
                 self.write(value, number, len(writes))
                 writes.append(Part(value, number))
@@ -112,10 +116,7 @@ class KernelWriter:
             pointer = f"((const {scalar}*)P[{p}])"
             return [self.named(vector, load.replace("p[", pointer + "[").format(i), True) for i in range(value.size)]
         if value in self.apart:
-            return [
-                self.named(vector, f"load_{vector}((const {scalar}*)P[{self.place(Part(value, i))}] + at)")
-                for i in range(width(value, self.rows))
-            ]
+            return [self.component(part) for part in self.sources(value)]
         p, inner = self.place(Part(value)), math.prod(value.shape[axis + 1 :])
         found = []
         for i in range(width(value, self.rows)):
@@ -125,6 +126,26 @@ class KernelWriter:
             )
             found.append(self.named(vector, form))
         return found
+
+    def sources(self, value: Value) -> list[Part]:
+        """The components of a value, or those of other values of which it consists."""
+        own = [Part(value, i) for i in range(width(value, self.rows))]
+        equation = self.placed.get(value)
+        if equation is None or any(v not in self.apart for v in equation.inputs):
+            return own
+        found = rearranged(equation, self.rows, [self.sources(v) for v in equation.inputs])
+        return found[equation.outputs.index(value)]
+
+    def component(self, part: Part) -> str:
+        value, number = part
+        assert number is not None
+        if value in self.known:
+            return self.known[value][number]
+        if part not in self.loaded:
+            vector, scalar = VECTORS[value.kind], SCALARS[value.kind]
+            load = f"load_{vector}((const {scalar}*)P[{self.place(part)}] + at)"
+            self.loaded[part] = self.named(vector, load)
+        return self.loaded[part]
 
     def compute(self, equation: Equation) -> None:
         """Write lines for an equation, and remember its results."""

@@ -106,8 +106,10 @@ def test_texts_do_not_depend_on_the_number_of_rows():
         closed = jax.make_jaxpr(lambda x: (jnp.sin(x).sum(1), x.sum(0)))(shape)
         _, equations, outputs = flat(closed)
         plan = planned(equations)
-        writers = [KernelWriter(s.rows, s.equations, plan.free, (), ()) for s in plan.steps if isinstance(s, Cluster)]
-        return [w.finished((), outputs).text for w in writers]
+        writers = [
+            KernelWriter(s.rows, s.equations, plan.free, (), (), {}) for s in plan.steps if isinstance(s, Cluster)
+        ]
+        return [w.finished({}, outputs).text for w in writers]
 
     assert texts(1000) == texts(70_001)
 
