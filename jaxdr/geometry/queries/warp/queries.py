@@ -227,7 +227,7 @@ INDIRECT = (
 def _face_intersections(geometry, moving, options, first, second, start, end, count, weight):
     lists, device = [first, second, start, end], first.device
     rest, total = [geometry, moving, options], geometry.faces.shape[0]
-    question = on_host(moving).tobytes(), first.shape[0]
+    question = moving.numpy().tobytes(), first.shape[0]
     kernel = intersection_kernels.face_intersections
     with kept_structure("faces", device, [geometry.vertices], [geometry.faces]) as faces:
         if question in faces.answers:
@@ -238,8 +238,8 @@ def _face_intersections(geometry, moving, options, first, second, start, end, co
         else:
             found, inverse = compact(kernel, [faces.id], rest, total, lists, 2, device, INTERSECTIONS)
             if inverse == 1.0:  # all pairs: no random numbers are in the answer
-                faces.answers[question] = [on_host(table).copy() for table in lists], found
-    if found[1] > 0 and on_host(options)[1]:
+                faces.answers[question] = [table.numpy().copy() for table in lists], found
+    if found[1] > 0 and options.numpy()[1]:
         warnings.warn(f"jaxdr: {INDIRECT}", stacklevel=2)
     _counted(found[1:2], inverse, count, weight)
 
