@@ -21,7 +21,7 @@ if jax.__version__.startswith("0.10."):
     os.environ["XLA_FLAGS"] = f"{quick} {os.environ.get('XLA_FLAGS', '')}"
 
 # Tracing makes many objects that live on. At Python's own threshold a fifth of its time goes to looking for others.
-gc.set_threshold(50_000, 20, 20)
+gc.set_threshold(20_000, 10, 10)
 
 # A run in the background inherits SIGINT ignored; the tests of Ctrl-C are about a program in the foreground.
 signal.signal(signal.SIGINT, signal.default_int_handler)
