@@ -15,7 +15,7 @@ from jax.extend import core
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import Equation, Value, flat
 from jaxdr.kernels.levels import Cluster, planned
-from jaxdr.kernels.rows import KINDS, LEAST, STRUCTURAL, THREEFRY, is_sum, row_axis, width
+from jaxdr.kernels.rows import KINDS, LEAST, STRUCTURAL, THREEFRY, changes_entries, is_sum, row_axis, width
 from jaxdr.kernels.text import Kernel, KernelWriter, Part
 
 LOOPS = ("scan", "while", "cond")
@@ -257,7 +257,9 @@ def _run_kernel(call: _Call, arrays: _Arrays) -> None:
 def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
     """Whether an operation does the same to every component of rows, some of which are there one by one."""
     if equation.name in INTO_ROWS:
-        return equation.inputs[0] in apart and _goes_into_rows(equation)
+        table, index, _ = equation.inputs
+        by_row = all(v.size and row_axis(v.shape, max(v.shape)) == 0 for v in equation.inputs)
+        return table in apart and by_row and len(index.shape) == 2 and changes_entries(equation)
     if equation.name not in BY_COMPONENT or not any(v in apart for v in equation.inputs):
         return False
     given = [v for v in equation.inputs if v.shape]
@@ -277,22 +279,6 @@ def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
             return all(tuple(map(int, p)) == (0, 0, 0) for p in parameters["padding_config"][1:])
         case _:
             return True
-
-
-def _goes_into_rows(equation: Equation) -> bool:
-    """Whether a scatter changes whole rows [N, *d] of a table [V, *d] at indices [N, 1]."""
-    table, index, rows = equation.inputs
-    numbers = equation.parameters["dimension_numbers"]
-    return (
-        len(index.shape) == 2
-        and index.shape[1] == 1
-        and index.kind in ("int32", "uint32")
-        and rows.shape == (index.shape[0], *table.shape[1:])
-        and all(v.size and row_axis(v.shape, max(v.shape)) == 0 for v in equation.inputs)
-        and tuple(numbers.scatter_dims_to_operand_dims) == (0,) == tuple(numbers.inserted_window_dims)
-        and not numbers.operand_batching_dims
-        and tuple(numbers.update_window_dims) == tuple(range(1, len(rows.shape)))
-    )
 
 
 def _moved(equation: Equation, arrays: _Arrays) -> list[Any]:

@@ -141,16 +141,24 @@ def is_sum(equation: Equation) -> bool:
         return False
     _, index, update = equation.inputs
     rows = max(update.shape, default=0)
-    numbers = equation.parameters["dimension_numbers"]
     return (
         rows >= LEAST
-        and index.kind in ("int32", "uint32")
         and row_axis(update.shape, rows) == 0 == row_axis(index.shape, rows)
         and width(update, rows) <= SMALL
+        and changes_entries(equation)
+    )
+
+
+def changes_entries(equation: Equation) -> bool:
+    """Whether a scatter changes whole entries [*k, *d] of a table [V, *d] at indices [*k, 1]."""
+    table, index, update = equation.inputs
+    numbers = equation.parameters["dimension_numbers"]
+    return (
+        index.kind in ("int32", "uint32")
         and tuple(numbers.scatter_dims_to_operand_dims) == (0,)
         and tuple(numbers.inserted_window_dims) == (0,)
         and not numbers.operand_batching_dims
-        and update.shape == (*index.shape[:-1], *out.shape[1:])
+        and update.shape == (*index.shape[:-1], *table.shape[1:])
         and tuple(numbers.update_window_dims) == tuple(range(len(index.shape) - 1, len(update.shape)))
     )
 
