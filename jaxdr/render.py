@@ -154,7 +154,7 @@ def _program(scene: Scene, spp: int, integrator: Integrator, by_default: bool):
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
     arrays, static = eqx.partition(integrator, eqx.is_array)
-    compute = getattr(integrator, "compute", "xla")  # foreign integrators may have no choice
+    compute = getattr(integrator, "compute", "auto")  # foreign integrators may have no choice
     return Program(structure, is_float, int(spp), static, by_default, compute), floats, others, arrays
 
 

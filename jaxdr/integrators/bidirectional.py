@@ -121,7 +121,7 @@ class BidirectionalPathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
-    compute: str = eqx.field(static=True, default="xla")
+    compute: str = eqx.field(static=True, default="auto")
 
     motion_refusals = (
         Refusal("what moves, in scenes with mirrors or smooth glass", "`PathTracer`", _moved_over_mirrors),

@@ -106,7 +106,7 @@ class PathTracer(eqx.Module):
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
-    compute: str = eqx.field(static=True, default="xla")
+    compute: str = eqx.field(static=True, default="auto")
 
     refusals = (
         STEEP_FILTER,

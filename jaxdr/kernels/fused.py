@@ -6,8 +6,10 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.extend import core
-from jax.interpreters import batching, mlir
+from jax.interpreters import ad, batching, mlir
 
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import small_constant
@@ -17,7 +19,9 @@ logger = logging.getLogger("jaxdr.kernels")
 
 
 def fused(function: Callable) -> Callable:
-    """The same function of arrays in pytrees. It has no derivative. `vmap` of it is `fused` of the function's `vmap`.
+    """The same function of arrays in pytrees. `vmap` of it is `fused` of the function's `vmap`.
+
+    Apply it where nobody differentiates any more. If somebody does, XLA computes value and derivative.
 
     Results are those of XLA up to rounding. Where a kernel can't be compiled, XLA computes all, and a warning of the
     logger `jaxdr.kernels` says so. At the level INFO it names what is left to XLA.
@@ -89,6 +93,19 @@ def _by_kernels(*operands: Any, closed: core.ClosedJaxpr) -> list:
     return [result[0] for result in program([[x] for x in operands])]
 
 
+def _differentiated(primals, tangents, closed):
+    moving = [jnp.issubdtype(p.dtype, np.inexact) for p in primals]
+    at = [p for p, moves in zip(primals, moving, strict=True) if moves]
+    along = [ad.instantiate_zeros(t) for t, moves in zip(tangents, moving, strict=True) if moves]
+
+    def of_moving(*values):
+        left = iter(values)
+        return core.jaxpr_as_fun(closed)(*(next(left) if m else p for p, m in zip(primals, moving, strict=True)))
+
+    return jax.jvp(of_moving, at, along)
+
+
 batching.primitive_batchers[_fused] = _batched
+ad.primitive_jvps[_fused] = _differentiated
 mlir.register_lowering(_fused, mlir.lower_fun(_by_xla, multiple_results=True))
 mlir.register_lowering(_fused, mlir.lower_fun(_by_kernels, multiple_results=True), platform="cpu")

@@ -227,6 +227,17 @@ def test_renderings(name):
     assert off.mean() < 0.02
 
 
+def test_where_it_is_differentiated_xla_computes(x):
+    table = jnp.arange(5.0)
+
+    def of(x, number):
+        return (jnp.sin(x) * x + table[number]).sum()
+
+    expected = jax.grad(of)(x, 3)
+    np.testing.assert_allclose(jax.grad(fused(of))(x, 3), expected, atol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.grad(fused(of)))(x, 3), expected, atol=1e-6)
+
+
 def test_names_of_what_is_left_to_xla(x, caplog):
     with caplog.at_level(logging.INFO, "jaxdr.kernels"):
         jax.jit(fused(lambda x: jnp.cumsum(x * 3)))(x)
