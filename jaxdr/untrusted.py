@@ -49,7 +49,7 @@ def reason(problem: BaseException) -> str:
     return " ".join(words.split()) or type(problem).__name__
 
 
-def finite(value: Any, where: str, low: float = -LARGEST, high: float = LARGEST) -> float:
+def finite(value: Any, where: str, low: float | int = -LARGEST, high: float | int = LARGEST) -> float:
     """A number from a file, within a range. Raises ValueError with `where`, the file and the place."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{where}: expected a number, got {shortened(value)}")
@@ -178,7 +178,7 @@ def check_pixels(width: int, height: int, where: str = "") -> None:
         raise ValueError(f"{f'{where}: ' if where else ''}{limit}, got {shortened(width)} x {shortened(height)}")
 
 
-def check_memory(needed: float, where: str) -> None:
+def check_memory(needed: int, where: str) -> None:
     """Raises ValueError where something asks for more bytes than this machine has at all."""
     try:
         there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

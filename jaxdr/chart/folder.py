@@ -1,8 +1,9 @@
 """The folder of a chart. Every call has a file of its own, so that an interrupted chart can go on."""
 
+import glob
 import json
-import zipfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,9 +11,10 @@ import numpy as np
 
 from jaxdr.atomic_file import atomic_path
 from jaxdr.chart.config import ChartConfig
-from jaxdr.optimize.results_folder import open_results
+from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder
+from jaxdr.untrusted import array_of, arrays_of, read_json
 
-KEPT = ("references", "cells", "calls", "terms")
+KEPT = {"references": "npy", "cells": "json", "calls": "npz", "terms": "npz"}  # folders, and their kind of files
 
 
 class Cell(NamedTuple):
@@ -40,10 +42,18 @@ class ChartFolder:
         self.path = Path(config.output)
         self.config = config
 
-    def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or check that it is the one to go on with. Raises ValueError as `open_results` does."""
+    def opened(self, resume: bool, overwrite: bool) -> AbstractContextManager[None]:
+        """Inside the block the folder is this chart's alone. Raises ValueError as `results_folder` does."""
         free = ("output", "folder", "until")  # where files are, and what pictures show
-        open_results(self.path, self.config, resume, overwrite, "chart", "chart.json", free)
+        scenes = [glob.escape(scene.name) for scene in self.config.scenes]
+        writes = ("rows.csv", "terms.csv", "index.html", "summary.json", "references/*.npy")
+        inside = [f"{kind}/{name}/*.{end}" for kind, end in KEPT.items() for name in scenes]
+        pictures = [picture for name in scenes for picture in (f"{name}.png", f"{name}_*.png")]
+        inputs = files_of(self.config)
+        results = Results(
+            self.path, "chart", self.config, "chart.json", free, (MARKER, *writes, *inside, *pictures), inputs
+        )
+        return results_folder(results, resume, overwrite)
 
     def kept(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
         """The array in `references/`; `make` makes it if there is no file. Raises ValueError for a damaged file."""
@@ -53,14 +63,19 @@ class ChartFolder:
             with atomic_path(path) as temporary:
                 np.save(temporary, array)
         try:
-            return np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as problem:
-            raise ValueError(f"{path}: can't be read ({problem}); delete it and --resume") from None
+            return array_of(path, str(path))
+        except ValueError as problem:
+            raise ValueError(f"{problem}; delete it and --resume") from None
 
     def status(self, name: str) -> dict | None:
         """What is known about a cell; None if nothing is."""
         path = self._file("cells", f"{name}.json")
-        return json.loads(path.read_text()) if path.exists() else None
+        if not path.exists():
+            return None
+        found = read_json(path)
+        if not isinstance(found, dict) or not isinstance(found.get("status", ""), str):
+            raise ValueError(f"{path}: is damaged; delete it and --resume")
+        return found
 
     def save_status(self, name: str, values: dict) -> dict:
         """Write what is known about a cell, and return it."""
@@ -83,10 +98,9 @@ class ChartFolder:
         for number in range(count):
             path = self._file(kind, f"{cell.file}_{number}.npz")
             try:
-                with np.load(path, allow_pickle=False) as file:
-                    found.append(dict(file))
-            except (OSError, ValueError, zipfile.BadZipFile) as problem:
-                raise ValueError(f"{path}: can't be read ({problem}); delete it and --resume") from None
+                found.append(arrays_of(path, str(path)))
+            except (OSError, ValueError) as problem:
+                raise ValueError(f"{problem}; delete it and --resume") from None
         return {name: np.stack([values[name] for values in found]) for name in found[0]}
 
     def write_text(self, name: str, text: str) -> None:

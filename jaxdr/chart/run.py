@@ -37,7 +37,30 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
         if isinstance(scene.reference, Stored):
             stored_reference(scene, case)  # a mistake shows before anything is written
     folder = ChartFolder(config)
-    folder.open(resume, overwrite)
+    with folder.opened(resume, overwrite):
+        rows = _measured(config, cases, folder)
+        counts = {
+            kind: sum(row["status"].startswith(kind) for row in rows) for kind in ("ok", "over", "refused", "not")
+        }
+        summary = {
+            "rows": len(rows),
+            "measured": counts["ok"] + counts["not"],
+            "over_budget": counts["over"],
+            "refused": counts["refused"],
+            "not_finite": counts["not"],
+            "machine": machine(),
+        }
+        folder.write_text("summary.json", json.dumps(summary, indent=2) + "\n")
+    if counts["not"]:
+        bad = [f"{r['scene']}, {r['estimator']}, {r['samples']} spp" for r in rows if r["status"].startswith("not")]
+        raise NotFinite(
+            f"{folder.path}: the chart is complete, and has estimates that are not finite: {'; '.join(bad)}"
+        )
+    return summary
+
+
+def _measured(config: ChartConfig, cases, folder: ChartFolder) -> list[dict]:
+    """The rows of all scenes. Tables, pictures and page are written anew after each scene."""
     rows, terms, sections = [], [], []
     with deferred_interrupt() as interruption:
         for scene, case in zip(config.scenes, cases, strict=True):
@@ -53,22 +76,7 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
                 folder.write_bytes(f"{scene.name}_{suffix}.png", png_of(pixels))
             folder.write_text("index.html", page("Speed against accuracy", _about(config), sections))
             jax.clear_caches()
-    counts = {kind: sum(row["status"].startswith(kind) for row in rows) for kind in ("ok", "over", "refused", "not")}
-    summary = {
-        "rows": len(rows),
-        "measured": counts["ok"] + counts["not"],
-        "over_budget": counts["over"],
-        "refused": counts["refused"],
-        "not_finite": counts["not"],
-        "machine": machine(),
-    }
-    folder.write_text("summary.json", json.dumps(summary, indent=2) + "\n")
-    if counts["not"]:
-        bad = [f"{r['scene']}, {r['estimator']}, {r['samples']} spp" for r in rows if r["status"].startswith("not")]
-        raise NotFinite(
-            f"{folder.path}: the chart is complete, and has estimates that are not finite: {'; '.join(bad)}"
-        )
-    return summary
+    return rows
 
 
 def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: Interruption):

@@ -7,7 +7,6 @@ are too large for one host; those of a run are a few numbers a vertex.
 """
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int, PyTree
 
 from jaxdr.atomic_file import atomic_path
+from jaxdr.untrusted import arrays_of, damage, finite, json_of, whole
 
 VERSION = 2  # 1 had no names of leaves, and said neither its version nor whose it was
 STATE = "state/"
@@ -105,7 +105,7 @@ def load_checkpoint(path: Path, owner: Owner) -> Checkpoint:
         )
     if missing := {"kind", "config", *PLACE} - arrays.keys():
         raise ValueError(f"{path}: is damaged: it lacks {', '.join(sorted(missing))}; start again with --overwrite")
-    kind, config = str(arrays["kind"]), json.loads(str(arrays["config"]))
+    kind, config = str(arrays["kind"]), json_of(str(arrays["config"]), f"{path}: config")
     if kind != owner.kind:
         raise ValueError(f"{path}: is the checkpoint of a {kind}, this is a {owner.kind}; choose another output")
     if changed := differences(config, owner.config):
@@ -113,19 +113,14 @@ def load_checkpoint(path: Path, owner: Owner) -> Checkpoint:
             f"{path}: is the checkpoint of a run with another config: {'; '.join(changed)}; take that config, or "
             "start again with --overwrite"
         )
-    step, level, since, start = (int(arrays[name]) for name in ("step", "level", "since", "start"))
-    place = Place(step, float(arrays["seconds"]), level, since, start, arrays["vertices"], arrays["faces"])
+    with damage(f"{path}: is damaged; start again with --overwrite"):
+        step, level, since, start = (
+            whole(arrays[name].item(), name, high=2**31) for name in ("step", "level", "since", "start")
+        )
+        seconds = finite(arrays["seconds"].item(), "seconds", low=0.0)
+        place = Place(step, seconds, level, since, start, arrays["vertices"], arrays["faces"])
     leaves = {name.removeprefix(STATE): leaf for name, leaf in arrays.items() if name.startswith(STATE)}
     return Checkpoint(path, place, leaves)
-
-
-def checkpoint_kind(path: Path) -> str | None:
-    """The kind of run whose checkpoint a file is; None where that can't be told."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return str(file["kind"])
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile):
-        return None  # `load_checkpoint` says what is wrong
 
 
 def differences(old: Any, new: Any, key: str = "") -> list[str]:
@@ -137,17 +132,12 @@ def differences(old: Any, new: Any, key: str = "") -> list[str]:
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
+    if not path.exists():
+        raise ValueError(f"{path}: there is no checkpoint to resume from; start again with --overwrite")
     try:
-        with zipfile.ZipFile(path):  # else NumPy takes the file for something else, and says so
-            pass
-        with np.load(path, allow_pickle=False) as file:
-            return dict(file)
-    except FileNotFoundError:
-        raise ValueError(f"{path}: there is no checkpoint to resume from; start again with --overwrite") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as problem:
-        raise ValueError(
-            f"{path}: is damaged, it is not a readable checkpoint ({problem}); start again with --overwrite"
-        ) from None
+        return arrays_of(path, f"{path}: is damaged, it is not a readable checkpoint")
+    except ValueError as problem:
+        raise ValueError(f"{problem}; start again with --overwrite") from None
 
 
 def _shape(leaf: np.ndarray | None) -> str:

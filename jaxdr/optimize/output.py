@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.atomic_file import atomic_path
+from jaxdr.boundary import ESTIMATORS
 from jaxdr.geometry.load import save_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import diverging, labelled_grid, save_png, to_srgb
-from jaxdr.optimize.run_files import RunFiles
+from jaxdr.optimize.run_files import AGAIN, STEP_PICTURES, RunFiles
 from jaxdr.plan.report import Plan
+from jaxdr.untrusted import array_of, read_json, shortened
 
 COLUMNS = (
     "iteration",
@@ -38,6 +40,10 @@ class RunFolder(RunFiles):
     """
 
     subfolders = ("pictures", "meshes")
+    results = (
+        *("plan.json", "targets.npy", "targets_[0-9]*.npy", "result.npz"),
+        *(STEP_PICTURES, "meshes/[0-9][0-9][0-9][0-9][0-9]*.glb", "meshes/target.glb", "meshes/result.glb"),
+    )
 
     def __init__(self, config: Any, columns: Sequence[str] = COLUMNS, kind: str = "shape optimisation"):
         super().__init__(config, columns)
@@ -56,25 +62,45 @@ class RunFolder(RunFiles):
         """The target views. Raises ValueError when they are missing or damaged."""
         path = self.targets(level)
         try:
-            return np.load(path)
-        except (OSError, ValueError) as problem:
-            raise ValueError(
-                f"{path}: the target views can't be read ({problem}); start again with --overwrite"
-            ) from None
+            found = array_of(path, str(path))
+            if found.ndim != 4 or 0 in found.shape or found.shape[-1] != 3 or found.dtype.kind != "f":
+                raise ValueError(
+                    f"{path}: expected numbers of shape [N, H, W, 3], got {found.dtype}{list(found.shape)}"
+                )
+            return found
+        except ValueError as problem:
+            raise ValueError(f"{problem}; {AGAIN}") from None
 
     def save_plan(self, plan: Plan) -> None:
         """Write `plan.json`: a resumed run does not measure again."""
         self.write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
 
-    def load_plan(self) -> Plan | None:
-        """The plan that the run was begun with, if one was made. Raises ValueError when it is damaged."""
+    def load_plan(self, allowed: Sequence[str]) -> Plan | None:
+        """The plan that the run was begun with, if one was made.
+
+        A plan may name an estimator in a file or a module, whose code is run. Only those in `allowed`, which the config
+        names, are taken from a folder. Raises ValueError for others, and for a plan that is damaged.
+        """
         path = self.path / "plan.json"
         if not path.exists():
             return None
         try:
-            return Plan.from_dict(json.loads(path.read_text()))
-        except (OSError, ValueError) as problem:
-            raise ValueError(f"{path}: can't be read ({problem}); start again with --overwrite") from None
+            plan = read_json(path)
+            named = plan["integrator"]["boundary"]
+            kind = None if named is None else named["kind"]
+        except ValueError as problem:
+            raise ValueError(f"{problem}; {AGAIN}") from None
+        except (TypeError, KeyError):
+            raise ValueError(f"{path}: is damaged, it is no plan; {AGAIN}") from None
+        if kind is not None and kind not in (*ESTIMATORS, *allowed):
+            raise ValueError(
+                f"{path}: names the estimator {shortened(kind)}, which the config does not name; code is run only "
+                f"where a config names it. Name it there, or {AGAIN}"
+            )
+        try:
+            return Plan.from_dict(plan)
+        except ValueError as problem:
+            raise ValueError(f"{path}: can't be read ({problem}); {AGAIN}") from None
 
     def save_grid(
         self, iteration: int, targets: Float[np.ndarray, "N H W 3"], images: Float[np.ndarray, "M H W 3"]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from jaxdr.boundary.named import estimator_name
 from jaxdr.optimize.config import Integrator
 from jaxdr.optimize.output import RunFolder
 from jaxdr.optimize.processes import of_writer
@@ -26,11 +27,12 @@ def planned(
     """The plan for derivatives of `spp` samples by `params`, or None where the config names the integrator.
 
     It is printed to stderr and written to `plan.json`; a run that is resumed takes the one that is there, with nothing
-    measured again. Raises ValueError as `plan` does, and for a file that is damaged.
+    measured again. Raises ValueError as `plan` does, and for a file that is damaged or names an estimator of others
+    that the config does not name.
     """
     if not options.planned:
         return None
-    if (kept := folder.load_plan()) is not None:
+    if (kept := folder.load_plan(_named(options))) is not None:
         return kept
 
     def measured() -> dict[str, np.ndarray]:
@@ -50,3 +52,9 @@ def planned(
 
     # Times decide, and they differ between processes.
     return Plan.from_dict(json.loads(str(of_writer(measured)["plan"])))
+
+
+def _named(options: Integrator) -> list[str]:
+    """The name of the estimator that the config names, where it is not left to the plan."""
+    estimator = None if options.boundary == AUTO else options.estimator()
+    return [] if estimator is None else [estimator_name(type(estimator))]

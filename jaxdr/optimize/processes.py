@@ -117,25 +117,28 @@ def folder_of_process(folder: RunFiles, resume: bool, overwrite: bool) -> Iterat
     Others have one of their own, with copies of the files that a run goes on from, which is deleted in the end: they
     need not see the same file system. A ValueError of the writing process is raised in all.
     """
-    if jax.process_count() == 1:
-        folder.open(resume, overwrite)
-        yield folder
-        return
+    with contextlib.ExitStack() as until_the_end:
+        if jax.process_count() == 1:
+            until_the_end.enter_context(folder.opened(resume, overwrite))
+            yield folder
+            return
 
-    def files_of_writer():
-        folder.open(resume, overwrite)
-        kept = [p for p in sorted(folder.path.iterdir()) if p.is_file()] if resume else []
-        return {p.name: np.frombuffer(p.read_bytes(), np.uint8) for p in kept}
+        def files_of_writer():
+            until_the_end.enter_context(folder.opened(resume, overwrite))
+            kept = [p for p in sorted(folder.path.iterdir()) if p.is_file()] if resume else []
+            return {p.name: np.frombuffer(p.read_bytes(), np.uint8) for p in kept}
 
-    files = of_writer(files_of_writer)
-    if is_writer():
-        yield folder
-        return
-    with tempfile.TemporaryDirectory(prefix="jaxdr-process-", ignore_cleanup_errors=True) as own:
+        files = of_writer(files_of_writer)
+        if is_writer():
+            yield folder
+            return
+        own = until_the_end.enter_context(
+            tempfile.TemporaryDirectory(prefix="jaxdr-process-", ignore_cleanup_errors=True)
+        )
         for name, content in files.items():
             (Path(own) / name).write_bytes(content.tobytes())
         there = folder.at(Path(own))
-        there.open(resume, overwrite=False)
+        until_the_end.enter_context(there.opened(resume, overwrite=False))
         yield there
 
 

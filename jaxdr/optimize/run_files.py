@@ -5,7 +5,7 @@ import csv
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,24 +13,29 @@ from typing import Any
 from jaxtyping import PyTree
 
 from jaxdr.atomic_file import CannotWrite, append_text, atomic_path
-from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, checkpoint_kind, load_checkpoint, save_checkpoint
+from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, load_checkpoint, save_checkpoint
 from jaxdr.optimize.progress import Stopped
-from jaxdr.optimize.results_folder import open_results, settled
+from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder, settled
+from jaxdr.untrusted import reason
 from jaxdr.views.pictures import CannotRead
+
+AGAIN = "start again with --overwrite"
+STEP_PICTURES = "pictures/[0-9][0-9][0-9][0-9][0-9]*.png"
 
 
 class RunFiles:
     """A folder with `config.json`, `metrics.csv` (a line a step), `checkpoint.npz`, and in the end `metrics.json`.
 
-    - `kind`: of run, in words; `folder_kind`: the same, of its folder; `free`: fields of the config that may differ
-      where a run goes on, for they do not change the result.
+    - `kind`: of run, in words; `free`: fields of the config that may differ where a run goes on, for they do not
+      change the result.
     - `columns`: of `metrics.csv`; the first is the number of steps done. `subfolders`: made at the start.
+    - `results`: patterns of the further files that runs of this kind write. `--overwrite` deletes these.
     """
 
     kind = "run"
-    folder_kind = "run"
     free: Sequence[str] = ("output", "report")
     subfolders: Sequence[str] = ()
+    results: Sequence[str] = ()
 
     def __init__(self, config: Any, columns: Sequence[str]):
         self.path, self.config, self.columns = Path(config.output), config, tuple(columns)
@@ -56,14 +61,20 @@ class RunFiles:
         """Whether the run came to its end."""
         return (self.path / "metrics.json").exists()
 
-    def open(self, resume: bool, overwrite: bool) -> None:
-        """Make the folder, or check that it is the one to go on with; raises ValueError, see `open_results`."""
-        found = checkpoint_kind(self.checkpoint) if resume and not overwrite else None
-        if found is not None and found != self.kind:
-            raise ValueError(f"output {self.path}: holds a {found}, this is a {self.kind}; choose another output")
-        open_results(self.path, self.config, resume, overwrite, kind=self.folder_kind, free=self.free)
-        for name in self.subfolders:
-            (self.path / name).mkdir(exist_ok=True)
+    @property
+    def inputs(self) -> Mapping[str, Path]:
+        """The files and folders that the run reads. A run goes on only if the files have the same contents."""
+        return files_of(self.config)
+
+    @contextmanager
+    def opened(self, resume: bool, overwrite: bool) -> Iterator[None]:
+        """Inside the block the folder is this run's alone; raises ValueError, see `results_folder`."""
+        writes = (MARKER, "metrics.csv", "metrics.json", "checkpoint.npz", *self.results)
+        results = Results(self.path, self.kind, self.config, "config.json", self.free, writes, self.inputs)
+        with results_folder(results, resume, overwrite):
+            for name in self.subfolders:
+                (self.path / name).mkdir(exist_ok=True)
+            yield
 
     def save_checkpoint(self, place: Place, state: PyTree) -> None:
         """Replace the checkpoint; see `jaxdr.optimize.checkpoint`."""
@@ -81,7 +92,7 @@ class RunFiles:
             if done := len(self._lines()):
                 raise ValueError(
                     f"{self.checkpoint}: there is no checkpoint to resume from, though {done} steps are done; put it "
-                    "back, or start again with --overwrite"
+                    f"back, or {AGAIN}"
                 )
             return None
         return load_checkpoint(self.checkpoint, self.owner)
@@ -109,9 +120,11 @@ class RunFiles:
     def _lines(self) -> list[str]:
         """Whole lines of `metrics.csv`; a full disk or a killed process may have left a part of the last one."""
         try:
-            text = (self.path / "metrics.csv").read_text()
+            text = (self.path / "metrics.csv").read_text(encoding="utf-8")
         except FileNotFoundError:
             return []
+        except UnicodeDecodeError as problem:
+            raise ValueError(f"{self.path / 'metrics.csv'}: is damaged ({reason(problem)}); {AGAIN}") from None
         whole = text[: text.rfind("\n") + 1].splitlines()[1:]
         return [line for line in whole if line.count(",") == len(self.columns) - 1 and line.partition(",")[0].isdigit()]
 

@@ -8,6 +8,7 @@ import equinox as eqx
 
 from jaxdr.boundary.named import estimator_class, estimator_name
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+from jaxdr.untrusted import damage
 
 INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTracer": BidirectionalPathTracer}
 
@@ -43,11 +44,9 @@ class Plan:
     @staticmethod
     def from_dict(table: dict[str, Any]) -> "Plan":
         """The plan from which `to_dict` made the table. Raises ValueError for any other table."""
-        try:
+        with damage("not a plan of this version"):
             chosen = integrator(table["integrator"])
             return Plan(chosen, int(table["spp"]), tuple(table["lines"]), dict(table["figures"]))
-        except (KeyError, TypeError, ValueError) as problem:
-            raise ValueError(f"not a plan of this version ({problem!r})") from None
 
 
 def settings(integrator: Any) -> dict[str, Any]:

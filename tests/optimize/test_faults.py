@@ -131,4 +131,5 @@ def test_a_folder_of_another_kind_of_run_is_told(config, tmp_path):
     folder = shape.RunFolder(config)
     folder.kind = "recovery"
     with pytest.raises(ValueError, match=r"holds a shape optimisation, this is a recovery; choose another output"):
-        folder.open(resume=True, overwrite=False)
+        with folder.opened(resume=True, overwrite=False):
+            pass

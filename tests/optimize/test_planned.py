@@ -85,7 +85,7 @@ def test_a_resumed_run_measures_nothing(asked, tmp_path, monkeypatch):
     np.testing.assert_array_equal(*latents)
     (tmp_path / "run" / "metrics.json").unlink()
     (tmp_path / "run" / "plan.json").write_text("{")
-    with pytest.raises(ValueError, match=r"plan\.json: can't be read.*--overwrite"):
+    with pytest.raises(ValueError, match=r"plan\.json: is not readable JSON.*--overwrite"):
         optimize(once, resume=True)
 
 

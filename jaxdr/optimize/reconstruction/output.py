@@ -1,5 +1,6 @@
 """The folder of a reconstruction: what is written where."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import labelled_grid, save_png, to_srgb, write_image
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.pictures import Cut
-from jaxdr.optimize.run_files import RunFiles
+from jaxdr.optimize.run_files import STEP_PICTURES, RunFiles
+from jaxdr.views.inputs import input_files
+from jaxdr.views.record import Views
 
 COLUMNS = ("step", "level", "loss", "gradient_norm", "vertices", "seconds")
 
@@ -24,12 +27,20 @@ class OutputFolder(RunFiles):
     `pictures/`, `checkpoint.npz` on the way.
     """
 
-    kind = folder_kind = "reconstruction"
+    kind = "reconstruction"
     free = ("output", "report", "memory")
     subfolders = ("pictures", "test")
 
-    def __init__(self, config: ReconstructConfig):
+    def __init__(self, config: ReconstructConfig, views: Views):
         super().__init__(config, COLUMNS)
+        named = ("asset.glb", "light.exr", "light.hdr", "transforms.json", "report.html", "turntable.gif")
+        self.results = (*named, STEP_PICTURES, *(f"test/{view.name}.png" for view in views.views))
+        self._inputs = {"photographs": views.folder} | input_files(views)
+
+    @property
+    def inputs(self) -> Mapping[str, Path]:
+        """The folder, and the files in it: photographs, masks and cameras."""
+        return self._inputs
 
     @property
     def light(self) -> Path:

@@ -74,7 +74,7 @@ class ReconstructionTask(Task[Current]):
 
     def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
         super().__init__(config, config.steps, devices)
-        self.folder, self.views, self.fitted = OutputFolder(config), views, views.fitted
+        self.folder, self.views, self.fitted = OutputFolder(config, views), views, views.fitted
         keep = int(config.memory.pictures / 2 * 2**30)
         self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)
         for _ in read_ahead(_check, views.held_out):  # an error now, not when all steps are done
