@@ -305,11 +305,15 @@ def _grid(width: float, height: float, resolution: int, center: Vector) -> Mesh:
     return Mesh(points + np.asarray(center), faces, uvs, faces)
 
 
+FINEST = 12  # subdivisions: 168 million vertices
+
+
 def _geodesic(
     name: str, subdivisions: int, vertex_count: int | None
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
     """Unit sphere from an icosahedron whose faces are split into n² triangles."""
     _require(subdivisions >= 0, f"{name}: subdivisions must not be negative", subdivisions)
+    _require(subdivisions <= FINEST, f"{name}: subdivisions must not exceed {FINEST}", subdivisions)
     _require(vertex_count is None or vertex_count >= 12, f"{name}: vertex_count must be at least 12", vertex_count)
     n = 2**subdivisions if vertex_count is None else max(1, round(np.sqrt((vertex_count - 2) / 10)))
 

@@ -24,6 +24,7 @@ from jaxdr.optimize.field_aligned import LEAST
 from jaxdr.optimize.strict_toml import build, read_toml
 from jaxdr.optimize.surroundings import FixedShape, material_of
 from jaxdr.plan.plan import AUTO
+from jaxdr.untrusted import check_memory, check_pixels
 
 Color = float | tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -109,6 +110,8 @@ class Cameras:
         positive(self, "distance")
         require(0 < self.fov < 180, "fov", "must be between 0 and 180 degrees", self.fov)
         require(self.resolution >= 1, "resolution", "must be at least 1 pixel", self.resolution)
+        check_pixels(self.resolution, self.resolution, "resolution")
+        check_memory(12 * self.views * self.resolution**2, "views")  # the target views, RGB in float32
         require(-90 < low <= high < 90, "elevation", "must be two increasing angles between -90 and 90", (low, high))
 
 

@@ -39,7 +39,7 @@ def check_run(config: Any) -> None:
 
 def check_choice(key: str, value: str, known: Collection[str]) -> None:
     """Raises ValueError unless a name is one of those that are known."""
-    if value not in known:
+    if not isinstance(value, str) or value not in known:  # values of tables may be of any kind
         raise ValueError(f"{key}: expected one of {', '.join(known)}, got {value!r}")
 
 

@@ -30,11 +30,17 @@ class ProcessLost(Exception):
 def start_processes(coordinator: str | None, count: int | None, number: int | None) -> None:
     """Join the processes of a run, before anything is computed. Without arguments the cluster says which they are.
 
-    `coordinator`: HOST:PORT of process 0. JAX finds all three under SLURM, Open MPI and Kubernetes. Raises ValueError
-    where something is missing, or the processes don't find one another.
+    `coordinator`: HOST:PORT of process 0, which listens at this address alone; the channel is not authenticated. JAX
+    finds all three under SLURM, Open MPI and Kubernetes. Raises ValueError where something is missing, or the processes
+    don't find one another.
     """
     try:
-        jax.distributed.initialize(coordinator, count, number, heartbeat_timeout_seconds=HEARTBEAT)
+        # Left out, JAX would listen at all addresses of the host.
+        jax.distributed.initialize(
+            *(coordinator, count, number),
+            coordinator_bind_address=coordinator,
+            heartbeat_timeout_seconds=HEARTBEAT,
+        )
     except (ValueError, TypeError) as problem:
         raise ValueError(
             f"processes: the cluster does not say where the others are ({problem}); give "

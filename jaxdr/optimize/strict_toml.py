@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from jaxdr.untrusted import LARGEST, reason, shortened
+
 Config = TypeVar("Config")
 
 
@@ -19,11 +21,15 @@ def read_toml(path: Path, overrides: Sequence[str] = ()) -> dict:
     something that is not a table.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as problem:
         raise ValueError(f"{path}: can't be read ({problem.strerror}); expected a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+    except UnicodeDecodeError as problem:
         raise ValueError(f"{path}: is not valid TOML: {problem}") from None
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:  # Python reads no whole number of more than 4,300 digits
+        raise ValueError(f"{path}: is not valid TOML: {reason(problem)}") from None
     return override_table(table, overrides, str(path))
 
 
@@ -51,7 +57,7 @@ def split_assignment(text: str) -> tuple[str, Any]:
         raise ValueError(f"--set {text}: expected key=value")
     try:
         parsed = tomllib.loads(f"value = {value}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return key, value
     return key, parsed["value"] if len(parsed) == 1 else value
 
@@ -82,20 +88,26 @@ def _convert(kind: Any, value, source: str, key: str) -> Any:
                 f"{_hint(value['kind'], kinds)}"
             )
         if not matching:
-            raise ValueError(f"{place}: expected {_describe(kind)}, got {value!r}")
+            raise ValueError(f"{place}: expected {_describe(kind)}, got {shortened(value)}")
         return _convert(matching[0], value, source, key)
     if not _looks_like(kind, value):
-        raise ValueError(f"{place}: expected {_describe(kind)}, got {value!r}{_hint(value, _choices(kind))}")
+        raise ValueError(f"{place}: expected {_describe(kind)}, got {shortened(value)}{_hint(value, _choices(kind))}")
     if origin is tuple:
         kinds = [arguments[0]] * len(value) if arguments[-1] is ... else arguments
         return tuple(_convert(k, v, source, f"{key}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
+    if kind in (int, float):
+        limit = LARGEST if kind is float else 2**63 - 1
+        if not -limit <= value <= limit:
+            raise ValueError(
+                f"{place}: expected {_describe(kind)} from {-limit:g} to {limit:g}, got {shortened(value)}"
+            )
     return float(value) if kind is float else value
 
 
 def _convert_table(kind, value, source, key):
     place = f"{source}: {key}" if key else source
     if not isinstance(value, dict):
-        raise ValueError(f"{place}: expected a table, got {value!r}")
+        raise ValueError(f"{place}: expected a table, got {shortened(value)}")
     types_of = typing.get_type_hints(kind)
     fields = {field.name: field for field in dataclasses.fields(kind)}
     prefix = f"{key}." if key else ""
