@@ -258,7 +258,7 @@ def _moves_rows(equation: Equation, apart: set[Value]) -> bool:
     """Whether an operation does the same to every component of rows, some of which are there one by one."""
     if equation.name in INTO_ROWS:
         table, index, _ = equation.inputs
-        by_row = all(v.size and row_axis(v.shape, max(v.shape)) == 0 for v in equation.inputs)
+        by_row = all(v.shape and v.size and row_axis(v.shape, max(v.shape)) == 0 for v in equation.inputs)
         return table in apart and by_row and len(index.shape) == 2 and changes_entries(equation)
     if equation.name not in BY_COMPONENT or not any(v in apart for v in equation.inputs):
         return False

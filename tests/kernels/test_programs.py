@@ -62,6 +62,12 @@ def test_rows_that_a_loop_adds_to(x, mode):
     both(rows_added, table, x, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize("mode", ["drop", "clip"])
+def test_one_row_is_changed(x, mode):
+    both(lambda x: (x * 2).at[3].set(1.0, mode=mode) + (x * 3).at[5].add(x[2], mode=mode), x)
+    both(lambda x: (x[:, 0] * 2).at[3].set(1.0, mode=mode).at[N + 4].add(2.0, mode=mode), x)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize(("rows", "size"), [(N, None), (N, 100), (N, 2 * N), (300_001, None)])
 def test_rows_that_count(share, rows, size):
