@@ -256,7 +256,7 @@ def test_boundary_is_chosen(scenes):
         ("gradient scene.xml --wrt spot.translate.x -o out.hdr", "out.hdr: derivatives have negative values"),
         ("optimize nothing.toml", "nothing.toml: can't be read"),
         ("optimize run.toml --set optimizer.lamb=3", "run.toml: optimizer.lamb: unknown key; did you mean 'lam'?"),
-        ("optimize run.toml --resume", "output run: there is no run to resume"),
+        ("optimize run.toml --resume", "output run: there is no shape optimisation to resume"),
         ("optimize run.toml --resume --overwrite", "exclude each other"),
         ("optimise run.toml", "invalid choice: 'optimise'"),
         ("", "the following arguments are required: COMMAND"),

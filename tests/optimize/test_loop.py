@@ -249,7 +249,7 @@ def test_results_are_not_overwritten_unasked(straight, tmp_path):
         optimize(changed)
     with pytest.raises(ValueError, match="exclude each other"):
         optimize(changed, resume=True, overwrite=True)
-    with pytest.raises(ValueError, match=r"config differs from the run's: seed was 0, is 3"):
+    with pytest.raises(ValueError, match=r"config differs from the shape optimisation's: seed was 0, is 3"):
         optimize(changed, resume=True)
     with pytest.raises(ValueError, match="this run is finished"):
         optimize(config, resume=True)
@@ -262,9 +262,9 @@ def test_a_folder_of_something_else_is_left_alone(config, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run/thesis.tex").write_text("precious")
     for overwrite in (False, True):
-        with pytest.raises(ValueError, match="not the folder of a run"):
+        with pytest.raises(ValueError, match="not the folder of a shape optimisation"):
             optimize(config, overwrite=overwrite)
-    with pytest.raises(ValueError, match="there is no run to resume"):
+    with pytest.raises(ValueError, match="there is no shape optimisation to resume"):
         optimize(config, resume=True)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["thesis.tex"]
 

@@ -43,7 +43,8 @@ def optimisation(steps=(0, 2, 4), finished=True) -> RunFolder:
     """The folder of a run from a sphere, as the loop writes it."""
     config = optimize_config({"output": "run", "target": {"shape": "sphere"}}, Path("run.toml"))
     folder = RunFolder(config)
-    folder.open(resume=False, overwrite=False)
+    with folder.opened(resume=False, overwrite=False):
+        pass
     folder.start_metrics(0)
     for i in range(1, 1 + steps[-1]):
         folder.add_metrics({"iteration": i, "loss": 10.0**-i, "vertices": 42, "chamfer": 0.1 / i if i % 2 else ""})
@@ -114,7 +115,8 @@ def test_a_recovery_with_a_mesh_and_a_texture():
     table["parameters"] = [{"name": "light.vertices", "motion": "rigid", "initial": [0.0] * 6, "learning_rate": 0.1}]
     config = recovery_config(table, Path("run.toml"))
     folder = RunFolder(config, ("iteration", "loss", "seconds", "light"))
-    folder.open(resume=False, overwrite=False)
+    with folder.opened(resume=False, overwrite=False):
+        pass
     folder.start_metrics(0)
     for step in (0, 3):
         folder.add_metrics({"iteration": step, "loss": 1.0 + step, "light": 2.0})

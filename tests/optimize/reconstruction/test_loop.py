@@ -205,10 +205,36 @@ def test_cameras_are_corrected_and_written(tmp_path):
         assert (np.abs(before.to_world - after.to_world).max() > 1e-4) != before.held_out
 
 
+@pytest.mark.parametrize("name", ["train/r_3.png", "test/r_1.png", "transforms_train.json"])
+def test_photographs_that_were_replaced_are_told(folder, tmp_path, name):
+    """With files of the same size, which only their contents tell apart."""
+    photos, output = tmp_path / "photos", tmp_path / "out"
+    shutil.copytree(folder, photos)
+    views = jd.load_views(photos)
+    with OutputFolder(config(photos, output), views).opened(False, False):
+        pass
+    data = bytearray((photos / name).read_bytes())
+    data[-1] ^= 1
+    (photos / name).write_bytes(data)
+    with pytest.raises(ValueError, match=rf"{name}: has other contents than when the run began"):
+        with OutputFolder(config(photos, output), views).opened(True, False):
+            pass
+
+
+def test_the_output_is_apart_from_the_photographs(folder, tmp_path):
+    photos = tmp_path / "photos"
+    shutil.copytree(folder, photos)
+    for output in (photos, photos / "out", tmp_path):
+        for overwrite in (False, True):
+            with pytest.raises(ValueError, match=r"(is|lies in|holds) the input .*photos; choose another folder"):
+                reconstruct.reconstruct(config(photos, output), overwrite=overwrite)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["photos"]
+
+
 def test_masks_are_named_for_those_who_read_the_result_again(tmp_path):
     views = jd.load_views(write_colmap(tmp_path / "photos"))
     assert views.masked and views.views[0].mask is not None
-    folder = OutputFolder(config(tmp_path / "photos", tmp_path / "out"))
+    folder = OutputFolder(config(tmp_path / "photos", tmp_path / "out"), views)
     folder.path.mkdir()
     save_cameras(folder, views.views)
     again = jd.load_views(tmp_path / "out")
