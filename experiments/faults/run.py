@@ -1,101 +1,28 @@
 """What a user sees when a run is killed, told to end, or loses its disk; and whether it goes on with the same bits.
 
-    python -m experiments.faults.run [CASE ...]
+    python -m experiments.faults.run [--kind optimize] [CASE ...]
 
-Every case is a real `jaxdr optimize` in a process of its own. Full and read-only disks are small file systems in
-memory. Only root may mount those; without root these cases are left out, and the report says so.
+Every case is a real run in a process of its own. Full and read-only disks are small file systems in memory. Only root
+may mount those; without root these cases are left out, and the report says so.
 """
 
+import argparse
+import random
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
+from experiments.faults.runs import Reconstruction, Run
 
-STEPS = 40
-CONFIG = f"""
-environment = 0.5
-[target]
-shape = "sphere"
-parameters = {{ subdivisions = 2 }}
-size = 0.9
-[initial]
-subdivisions = 2
-radius = 0.3
-[cameras]
-views = 3
-resolution = 32
-[integrator]
-max_depth = 2
-[samples]
-target = 16
-image = 4
-gradient = 4
-pictures = 4
-[optimizer]
-iterations = {STEPS}
-views_per_step = 2
-[report]
-pictures = 10
-chamfer = 10
-checkpoint = 4
-views = 2
-"""
-
-
-class Run:
-    """A run in a folder, with its config beside it."""
-
-    def __init__(self, place: Path):
-        self.output, self.config = place / "run", place.parent / f"{place.name}.toml"
-        self.config.write_text(f'output = "{self.output}"\n{CONFIG}')
-
-    def start(self, *options: str) -> subprocess.Popen:
-        """The process; what it says goes to a file that no full disk can stop."""
-        command = [sys.executable, "-m", "jaxdr", "optimize", str(self.config), *options]
-        self.said = tempfile.TemporaryFile("w+")
-        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self.said)
-
-    def wait_for_step(self, process: subprocess.Popen, step: int) -> None:
-        """Until so many steps are recorded."""
-        while self.steps() < step and process.poll() is None:
-            time.sleep(0.02)
-
-    def steps(self) -> int:
-        """Steps that are recorded."""
-        try:
-            return max(0, (self.output / "metrics.csv").read_text().count("\n") - 1)
-        except OSError:
-            return 0
-
-    def end(self, process: subprocess.Popen) -> None:
-        """Print what the user sees."""
-        code = process.wait(timeout=600)
-        self.said.seek(0)
-        lines = [line for line in self.said.read().splitlines() if "Warp" not in line and "kept in" not in line]
-        print(f"    exit code {code}; the last lines of what it says:")
-        for line in lines[-2:]:
-            print(f"    | {line}")
-
-    def resume(self) -> None:
-        """Go on to the end."""
-        process = self.start("--resume")
-        self.end(process)
-
-    def result(self) -> dict:
-        """All that must be the same: the arrays of the last checkpoint, the mesh, the metrics without times."""
-        with np.load(self.output / "checkpoint.npz") as file:
-            arrays = {name: file[name].tobytes() for name in file.files if name != "seconds"}
-        rows = [line.split(",") for line in (self.output / "metrics.csv").read_text().splitlines()]
-        column = rows[0].index("seconds")
-        timeless = [row[:column] + row[column + 1 :] for row in rows]
-        return arrays | {"rows": timeless, "mesh": (self.output / "meshes" / "result.glb").read_bytes()}
+MOMENTS = 10  # of each signal
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
 def killed(run: Run) -> None:
@@ -103,8 +30,8 @@ def killed(run: Run) -> None:
     process = run.start()
     run.wait_for_step(process, 11)
     process.kill()
-    run.end(process)
-    run.resume()
+    run.ended(process)
+    run.ended(run.start("--resume"))
 
 
 def terminated(run: Run) -> None:
@@ -112,39 +39,39 @@ def terminated(run: Run) -> None:
     process = run.start()
     run.wait_for_step(process, 11)
     process.send_signal(signal.SIGTERM)
-    run.end(process)
-    run.resume()
+    run.ended(process)
+    run.ended(run.start("--resume"))
 
 
 def full_disk(run: Run) -> None:
     """Something else fills the disk; later there is room again."""
-    with small_disk(run.output.parent):
+    with small_disk(run.place):
         process = run.start()
         run.wait_for_step(process, 9)
-        ballast = run.output.parent / "ballast"
+        ballast = run.place / "ballast"
         with open(ballast, "wb", buffering=0) as file:
             try:
                 while True:
                     file.write(bytes(4096))
             except OSError:
                 pass
-        run.end(process)
+        run.ended(process)
         ballast.unlink()
-        run.resume()
+        run.ended(run.start("--resume"))
         run.found = run.result()
 
 
 def read_only(run: Run) -> None:
     """The file system turns read-only, as broken disks do; later it can be written again."""
-    with small_disk(run.output.parent):
+    with small_disk(run.place):
         process = run.start()
         run.wait_for_step(process, 9)
         # A file that is open for writing at that moment refuses it: then again.
-        while subprocess.run(["mount", "-o", "remount,ro", run.output.parent], capture_output=True).returncode:
+        while subprocess.run(["mount", "-o", "remount,ro", run.place], capture_output=True).returncode:
             time.sleep(0.001)
-        run.end(process)
-        subprocess.run(["mount", "-o", "remount,rw", run.output.parent], check=True)
-        run.resume()
+        run.ended(process)
+        subprocess.run(["mount", "-o", "remount,rw", run.place], check=True)
+        run.ended(run.start("--resume"))
         run.found = run.result()
 
 
@@ -154,24 +81,81 @@ def removed(run: Run) -> None:
     run.wait_for_step(process, 9)
     shutil.rmtree(run.output, ignore_errors=True)
     shutil.rmtree(run.output, ignore_errors=True)
+    code, lines = run.ended(process)
+    assert code == 2 and "is gone" in lines[-1]
+    run.found = {}
+
+
+def two_at_once(run: Run) -> None:
+    """Two more runs are started in the folder of a run that goes on: they are refused, and it ends as if alone."""
+    process, said = run.start(), run.said
+    run.wait_for_step(process, 5)
+    process.send_signal(signal.SIGSTOP)  # until the others have started, which takes longer than all of its steps
+    for option in ("--overwrite", "--resume"):
+        code, lines = run.ended(run.start(option))
+        assert code == 2 and "another run is at work there" in lines[-1]
+    process.send_signal(signal.SIGCONT)
+    run.said = said
+    run.ended(process)
+
+
+def input_changed(run: Run) -> None:
+    """A file that the run reads is changed before it goes on: it is refused until the old file is back."""
+    process = run.start()
+    run.wait_for_step(process, 5)
+    process.kill()
     run.end(process)
-    run.found = None
+    content = run.input.read_bytes()
+    run.input.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    code, lines = run.ended(run.start("--resume"))
+    run.input.write_bytes(content)
+    assert code == 2 and "has other contents" in lines[-1]
+    run.ended(run.start("--resume"))
 
 
-# A case with two processes goes here: a function of a Run, which leaves a finished run or sets `found`.
+# A case is a function of a Run, which leaves a finished run or sets `found`: its results, none if nothing is left.
 CASES: dict[str, Callable[[Run], None]] = {
     "killed": killed,
     "terminated": terminated,
     "full_disk": full_disk,
     "read_only": read_only,
     "removed": removed,
+    "two_at_once": two_at_once,
+    "input_changed": input_changed,
 }
+RANDOM = "random_moments"
+
+
+def at_random(kind: type[Run], place: Path, expected: dict, seconds: float) -> int:
+    """Each signal at ten random moments of a run, imports among them. Then the run goes on, or begins if it had not."""
+    wrong, ends = 0, Counter()
+    moments = random.Random(0)
+    for number in range(MOMENTS * len(SIGNALS)):
+        sent, moment = SIGNALS[number % len(SIGNALS)], moments.uniform(0.0, seconds)
+        run = kind(place / f"random_{number}", place)
+        process = run.start()
+        time.sleep(moment)
+        process.send_signal(sent)
+        code, _ = run.end(process)
+        steps = run.steps_done()
+        again = 0
+        if not (run.output / "metrics.json").exists():
+            again, lines = run.end(run.start("--resume"))
+            if again == 2 and "to resume" in lines[-1]:
+                again, _ = run.end(run.start())
+        good = again == 0 and run.result() == expected
+        wrong += not good
+        print(
+            f"    {sent.name} after {moment:4.1f} s: exit code {code}, {steps} steps: {'same' if good else 'DIFFERENT'}"
+        )
+        ends[sent.name] += good
+    print(f"    the same bits: {', '.join(f'{name} {n} of {MOMENTS}' for name, n in ends.items())}")
+    return wrong
 
 
 @contextmanager
-def small_disk(place: Path, size: str = "2m"):
+def small_disk(place: Path, size: str = "3m"):
     """A file system in memory; raises PermissionError where it may not be mounted."""
-    place.mkdir(exist_ok=True)
     done = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", place], capture_output=True, text=True
     )
@@ -183,32 +167,49 @@ def small_disk(place: Path, size: str = "2m"):
         subprocess.run(["umount", "-l", place], check=True)
 
 
-def main(names: list[str]) -> int:
-    """Run the cases; the exit code is the number of those that did not end as they should."""
+def disturb(kind: type[Run], names: list[str], place: Path) -> int:
+    """The cases of a kind of run; returns the number of those that did not end as they should."""
     wrong = 0
-    with tempfile.TemporaryDirectory() as place:
-        straight = Run(Path(place) / "straight")
-        straight.output.parent.mkdir()
-        print(f"straight: {STEPS} steps without a fault")
-        straight.end(straight.start())
-        expected = straight.result()
-        for name in names or CASES:
-            run = Run(Path(place) / name)
-            run.output.parent.mkdir()
-            print(f"{name}: {CASES[name].__doc__}")
-            try:
-                CASES[name](run)
-            except PermissionError as problem:
-                print(f"    left out: no small file system can be mounted here ({problem})")
-                continue
-            found = run.found if hasattr(run, "found") else run.result()
-            if found is not None:
-                # The config is the same but for its output, which the checkpoint does not have.
-                different = [key for key in expected if found[key] != expected[key]]
-                wrong += bool(different)
-                print("    the same bits as without the fault" if not different else f"    DIFFERENT: {different}")
+    warm = kind(place / "warm", place)
+    warm.end(warm.start())  # compiled programs are kept from here on
+    straight, start = kind(place / "straight", place), time.monotonic()
+    print(f"{kind.name}: {kind.steps} steps without a fault")
+    straight.ended(straight.start())
+    seconds, expected = time.monotonic() - start, straight.result()
+    for name in names:
+        if name == RANDOM:
+            print(f"{name}: {at_random.__doc__}")
+            wrong += at_random(kind, place, expected, seconds)
+            continue
+        run = kind(place / name, place)
+        print(f"{name}: {CASES[name].__doc__}")
+        try:
+            CASES[name](run)
+        except PermissionError as problem:
+            print(f"    left out: no small file system can be mounted here ({problem})")
+            continue
+        found = run.result() if run.found is None else run.found
+        different = [key for key in found if found[key] != expected[key]]
+        wrong += bool(different)
+        if found:
+            print("    the same bits as without the fault" if not different else f"    DIFFERENT: {different}")
+    return wrong
+
+
+def main() -> int:
+    """Run the cases; the exit code is the number of those that did not end as they should."""
+    kinds = {kind.name: kind for kind in (Run, Reconstruction)}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kind", choices=[*kinds], help="only these runs")
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join([*CASES, RANDOM])}; default: all")
+    options = parser.parse_args()
+    wrong = 0
+    for name in [options.kind] if options.kind else [*kinds]:
+        with tempfile.TemporaryDirectory() as place:
+            wrong += disturb(kinds[name], options.cases or [*CASES, RANDOM], Path(place))
     return wrong
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    sys.exit(main())
