@@ -750,7 +750,7 @@ damaged("bad_material.glb", "refers to material 3; there are 0", lambda f, p: p.
 damaged(
     "bad_positions.glb",
     f"{WHERE}POSITION has values that are not finite",
-    lambda f, p: p["attributes"].update(POSITION=f.accessor(CORNERS * np.float32(np.nan))),
+    lambda f, p: p["attributes"].update(POSITION=f.accessor(CORNERS * np.float32(np.nan), min=[0] * 3, max=[1] * 3)),
 )
 damaged(
     "bad_normals.glb",

@@ -1,6 +1,7 @@
 """References and their noise: stored derivative images, central differences, long runs for gradients by vertices."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ from jaxdr.chart.scenes import Case
 from jaxdr.compilation import jit
 from jaxdr.integrators import PathTracer
 from jaxdr.render import render
+from jaxdr.untrusted import array_of
 
 
 def stored_reference(scene: ChartScene, case: Case) -> tuple[Float[np.ndarray, "H W 3"], float]:
@@ -21,10 +23,7 @@ def stored_reference(scene: ChartScene, case: Case) -> tuple[Float[np.ndarray, "
     source = scene.reference
     assert isinstance(source, Stored)
     place = f"scene {scene.name}: reference.file: {source.file}"
-    try:
-        image = np.load(source.file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as problem:
-        raise ValueError(f"{place} can't be read ({problem}); expected a .npy file") from None
+    image = array_of(Path(source.file), place)
     _, _, width, height = case.scene.camera.film.window
     if image.shape != (height, width, 3) or image.dtype.kind != "f":
         raise ValueError(

@@ -160,10 +160,9 @@ def _velocities(rest, motion) -> Float[Array, "V 3"]:
         if not 0 <= motion.vertex < len(rest):
             raise ValueError(f"motion.vertex: {motion.shape} has {len(rest)} vertices, got {motion.vertex}")
         return jnp.zeros_like(rest).at[motion.vertex].set(jnp.asarray(motion.direction, rest.dtype))
-    try:
-        field = np.load(motion.velocities, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as problem:
-        raise ValueError(f"motion.velocities: {motion.velocities} can't be read ({problem})") from None
+    field = array_of(Path(motion.velocities), f"motion.velocities: {motion.velocities}")
+    if field.dtype.kind not in "iuf":
+        raise ValueError(f"motion.velocities: {motion.velocities}: expected numbers, got {field.dtype}")
     if field.shape != rest.shape or not np.isfinite(field).all() or not field.any():
         raise ValueError(
             f"motion.velocities: expected finite numbers, not all zero, of shape {list(rest.shape)}; "

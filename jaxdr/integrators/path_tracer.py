@@ -93,8 +93,8 @@ class PathTracer(eqx.Module):
       random numbers. So give this number if images of one key must agree between machines.
     - `rays`: implementation of the ray queries: "embree" (CPU; Warp elsewhere), "warp" (CPU, CUDA), "jax", or "auto"
       for the first of them that is installed.
-    - `compute`: "xla", or "kernels" for vector kernels on CPUs ([how programs run](how_programs_run.md)); "auto" takes
-      them where they can be compiled. Results agree up to rounding.
+    - `compute`: "kernels" for vector kernels on CPUs ([how programs run](how_programs_run.md)), "xla", or "auto" for
+      kernels where they can be compiled and JAX has one device. Results agree up to rounding.
 
     Raises ValueError for options out of range.
     """

@@ -84,7 +84,7 @@ def test_mistakes_are_one_line(capsys, workplace, override, words):
         ("step = 0.02", "step = 0", "scenes[0].reference.step: must be positive"),
         ('kind = "finite_differences", step = 0.02', 'file = "no.npy", noise = 0.1', "found none at no.npy"),
         ('kind = "finite_differences", step = 0.02', 'file = "small.npy", noise = 0.1', "expected floats of shape [8"),
-        ('kind = "finite_differences", step = 0.02', 'file = "bad.npy", noise = 0.1', "can't be read"),
+        ('kind = "finite_differences", step = 0.02', 'file = "bad.npy", noise = 0.1', "not a readable NPY file"),
         ('kind = "finite_differences", step = 0.02', 'file = "nan.npy", noise = 0.1', "1 values are not finite"),
     ],
 )

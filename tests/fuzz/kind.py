@@ -16,7 +16,7 @@ class Kind(NamedTuple):
     """
 
     name: str
-    write: Callable[[Path], None]
+    write: Callable[[Path], object]
     read: Callable[[Path], object]
     damaged: Sequence[str] = ("*",)
     text: bool = False

@@ -21,8 +21,8 @@ def kind(request, tmp_path_factory):
 
 
 def test_valid_inputs_are_read(kind):
-    kind, valid, _ = kind
-    kind.read(valid)
+    of, valid, _ = kind
+    of.read(valid)
 
 
 @pytest.mark.parametrize(
@@ -44,8 +44,9 @@ def test_faults_are_found(tmp_path, read, fault):
     deadline=None,
     derandomize=True,
     database=None,
-    suppress_health_check=list(HealthCheck),
+    suppress_health_check=[*HealthCheck],
 )
 @given(seed=st.integers(0, 2**32 - 1))
 def test_damaged_inputs(kind, seed):
-    assert not examine(*kind, seed).fault
+    of, valid, place = kind
+    assert not examine(of, valid, place, seed).fault
