@@ -43,8 +43,10 @@ install_import_hook(
 
 def pytest_configure(config):
     """Compiled programs are kept in the user's cache folder (`pytest --cache-clear` empties it); all runs share it."""
+    from jaxdr.kernels import machine
     from jaxdr.program_cache import keep_programs, user_folder
 
+    machine.FLAGS += " -O1"  # kernels, too, are compiled fast
     folder = user_folder() / "tests"
     if config.getoption("cacheclear", False) and not hasattr(config, "workerinput"):
         shutil.rmtree(folder, ignore_errors=True)

@@ -177,3 +177,17 @@ def small_constant(array: Any) -> np.ndarray | None:
     if isinstance(array, Tracer) or not jnp.issubdtype(jnp.result_type(array), jnp.number):
         return None
     return np.asarray(array) if np.size(array) <= SMALL else None
+
+
+def most_products(closed: core.ClosedJaxpr) -> int:
+    """The largest number of products of one multiplication, also in calls, loops and branches."""
+    found, jaxprs = 0, [closed.jaxpr]
+    while jaxprs:
+        for equation in jaxprs.pop().eqns:
+            if equation.primitive.name == "mul":
+                found = max(found, math.prod(equation.outvars[0].aval.shape))
+            for value in equation.params.values():
+                parts = value if isinstance(value, tuple) else (value,)
+                jaxprs += [part.jaxpr for part in parts if isinstance(part, core.ClosedJaxpr)]
+                jaxprs += [part for part in parts if isinstance(part, core.Jaxpr)]
+    return found

@@ -12,14 +12,16 @@ from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
 from jaxdr.kernels import machine
-from jaxdr.kernels.flatten import small_constant
+from jaxdr.kernels.flatten import most_products, small_constant
 from jaxdr.kernels.program import Counts, Program
 
 logger = logging.getLogger("jaxdr.kernels")
 
 
-def fused(function: Callable) -> Callable:
+def fused(function: Callable, fewest: int = 0) -> Callable:
     """The same function of arrays in pytrees. `vmap` of it is `fused` of the function's `vmap`.
+
+    XLA computes all of a program if none of its products has as many numbers as `fewest`: then kernels do not pay.
 
     Apply it where nobody differentiates any more. If somebody does, XLA computes value and derivative.
 
@@ -37,7 +39,7 @@ def fused(function: Callable) -> Callable:
             return results
 
         closed, constants = _apart(jax.make_jaxpr(of_leaves)(*leaves))
-        results = _fused.bind(*constants, *leaves, closed=closed)
+        results = _fused.bind(*constants, *leaves, closed=closed, fewest=fewest)
         return jax.tree.unflatten(shape[-1], results)
 
     return called
@@ -58,27 +60,29 @@ _fused.multiple_results = True
 
 
 @_fused.def_impl
-def _now(*operands, closed):
-    return jax.jit(partial(_fused.bind, closed=closed))(*operands)
+def _now(*operands, **how):
+    return jax.jit(partial(_fused.bind, **how))(*operands)
 
 
 @_fused.def_abstract_eval
-def _abstract(*operands, closed):
+def _abstract(*operands, closed, fewest):
     return closed.out_avals
 
 
-def _batched(operands, axes, closed):
+def _batched(operands, axes, closed, fewest):
     run = jax.vmap(core.jaxpr_as_fun(closed), in_axes=tuple(a if isinstance(a, int) else None for a in axes))
-    results = fused(run)(*operands)
+    results = fused(run, fewest)(*operands)
     return results, [0] * len(results)
 
 
-def _by_xla(*operands, closed):
+def _by_xla(*operands, closed, fewest=0):
     return core.jaxpr_as_fun(closed)(*operands)
 
 
-def _by_kernels(*operands: Any, closed: core.ClosedJaxpr) -> list:
+def _by_kernels(*operands: Any, closed: core.ClosedJaxpr, fewest: int) -> list:
     """Trace the program with its kernels, and wait until they are compiled."""
+    if most_products(closed) < fewest:
+        return _by_xla(*operands, closed=closed)
     counts = Counts()
     try:
         program = Program(
@@ -93,7 +97,7 @@ def _by_kernels(*operands: Any, closed: core.ClosedJaxpr) -> list:
     return [result[0] for result in program([[x] for x in operands])]
 
 
-def _differentiated(primals, tangents, closed):
+def _differentiated(primals, tangents, closed, fewest):
     moving = [jnp.issubdtype(p.dtype, np.inexact) for p in primals]
     at = [p for p, moves in zip(primals, moving, strict=True) if moves]
     along = [ad.instantiate_zeros(t) for t, moves in zip(tangents, moving, strict=True) if moves]

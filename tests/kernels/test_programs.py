@@ -233,6 +233,25 @@ def test_renderings(name):
     assert off.mean() < 0.02
 
 
+def test_few_rows_are_left_to_xla(x, caplog):
+    """Counted in loops, too, and after `vmap`."""
+
+    def looped(x):
+        return lax.fori_loop(0, 40, lambda i, x: x * 1.01, x)
+
+    batch = jnp.broadcast_to(x[:100], (N // 10, 100, 3))
+    for function, array, by_kernels in (
+        (fused(looped, x.size), x, True),
+        (fused(looped, x.size), x[:100], False),
+        (jax.vmap(fused(looped, x.size)), batch, True),
+    ):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, "jaxdr.kernels"):
+            found = jax.jit(function)(array)
+        np.testing.assert_allclose(found, looped(array), rtol=1e-5)
+        assert ("kernels; left to XLA" in caplog.text) == by_kernels
+
+
 def test_where_it_is_differentiated_xla_computes(x):
     table = jnp.arange(5.0)
 
