@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from jaxdr.atomic_file import atomic_path
 from jaxdr.image_formats import exr, pfm, png, rgbe
+from jaxdr.untrusted import array_of, array_shape, check_pixels
 
 # Ends and middle of the diverging map, sRGB: blue, white, red of Moreland 2009, "Diverging Color Maps for Scientific
 # Visualization", with a lighter middle so that zero reads as empty.
@@ -46,13 +47,15 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
     which is made linear; alpha is linear already. With `raw` their numbers are not made linear and stay in [0, 1]: use
     it for normal maps, roughness and masks.
 
-    Raises ValueError for a missing or damaged file, an unknown suffix, a variant that is not supported, and EXR without
-    the package OpenEXR. The message names the file.
+    Raises ValueError for a missing or damaged file, an unknown suffix, a variant that is not supported, more than 2^27
+    pixels, and EXR without the package OpenEXR. The message names the file.
     """
     path = Path(path)
+    image_size(path)  # before pixels take memory
     image = _read(path, READERS)
     if path.suffix.lower() in ENCODED and not raw:
-        image[..., :3] = from_srgb(image[..., :3])
+        for row in image:  # one by one, since all at once take several times the memory
+            row[:, :3] = from_srgb(row[:, :3])
     return image
 
 
@@ -61,7 +64,9 @@ def image_size(path: Path) -> tuple[int, int, int]:
 
     Raises ValueError like `load_image`, for problems that the header shows.
     """
-    return _read(path, SIZES)
+    width, height, channels = _read(path, SIZES)
+    check_pixels(width, height, str(path))
+    return width, height, channels
 
 
 def _read(path: Path, functions: dict[str, Callable[[Path], Any]]) -> Any:
@@ -111,20 +116,18 @@ def save_png(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
 
 
 def _read_npy(path: Path) -> Float[np.ndarray, "H W C"]:
-    try:
-        image = np.load(path, allow_pickle=False)
-    except (EOFError, OSError) as error:
-        raise ValueError(f"not a readable NPY file ({error})") from error
-    if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
-        raise ValueError(f"expected an array of shape [H, W, 1, 3 or 4], got {list(image.shape)}")
-    return image.astype(np.float32)
+    stored = array_of(path, "the array")
+    if stored.dtype.kind not in "fiub":
+        raise ValueError(f"expected numbers, got {stored.dtype}")
+    with np.errstate(over="ignore"):  # told below
+        image = stored.astype(np.float32)
+    if np.isfinite(stored).sum() != np.isfinite(image).sum():
+        raise ValueError("it has values that are too large for float32")
+    return image
 
 
 def _npy_size(path: Path) -> tuple[int, int, int]:
-    try:
-        shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
-    except (EOFError, OSError) as error:
-        raise ValueError(f"not a readable NPY file ({error})") from error
+    shape = array_shape(path, "the array")
     if len(shape) != 3 or shape[2] not in (1, 3, 4):
         raise ValueError(f"expected an array of shape [H, W, 1, 3 or 4], got {list(shape)}")
     return shape[1], shape[0], shape[2]

@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import warnings
 import zipfile
@@ -46,7 +47,7 @@ def reason(problem: BaseException) -> str:
     if isinstance(problem, MemoryError):
         return "it asks for more memory than there is"
     words = problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem)
-    return " ".join(words.split()) or type(problem).__name__
+    return re.sub(r" ?<\S+ object at 0x\w+>", "", " ".join(words.split())) or type(problem).__name__
 
 
 def finite(value: Any, where: str, low: float | int = -LARGEST, high: float | int = LARGEST) -> float:

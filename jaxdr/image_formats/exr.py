@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxdr.untrusted import MOST_PIXELS, check_pixels, damage
+
+MOST_VALUES = 4 * MOST_PIXELS
 INSTALL = 'EXR files need OpenEXR, which is optional: pip install "jaxdr[exr]"'
 GROUPS = ("RGBA", "RGB", "Y")  # the package's names for the channels of one layer
 
@@ -23,21 +26,17 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
 
     Raises ValueError for a damaged file, for one without these channels, and if the package is missing.
     """
-    if not is_available():
-        raise ValueError(INSTALL)
+    _check_values(_headers(path))
     import OpenEXR
 
-    try:
-        with OpenEXR.File(str(path)) as file:
-            parts = [{name: c.pixels for name, c in file.channels(i).items()} for i in range(max(1, len(file.parts)))]
-    except Exception as error:  # the library raises many kinds for broken files
-        raise ValueError(f"not a readable EXR file ({error})") from error
+    with damage("not a readable EXR file"), OpenEXR.File(str(path)) as file:
+        parts = [{name: c.pixels for name, c in file.channels(i).items()} for i in range(max(1, len(file.parts)))]
     for channels in parts:
         if "RY" in channels or "BY" in channels:
             raise ValueError("luminance-chroma channels are not supported; save the file as RGB")
         for name in GROUPS:
             if name in channels:
-                pixels = channels[name].astype(np.float32)
+                pixels = np.asarray(channels[name], np.float32)
                 return pixels.reshape(*pixels.shape[:2], -1)
     found = ", ".join(name for channels in parts for name in channels)
     raise ValueError(f"there is no layer {', '.join(GROUPS)}; the file has {found or 'nothing'}")
@@ -45,21 +44,35 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
 
 def size(path: Path) -> tuple[int, int, int]:
     """(width, height, channels) of the image that `read` reads, from the header alone. Raises ValueError as `read`."""
+    headers = _headers(path)
+    for names, width, height in headers:
+        for group in GROUPS:
+            if set(group) <= names:
+                return width, height, len(group)
+    found = ", ".join(name for names, *_ in headers for name in sorted(names))
+    raise ValueError(f"there is no layer {', '.join(GROUPS)}; the file has {found or 'nothing'}")
+
+
+def _headers(path: Path) -> list[tuple[set[str], int, int]]:
+    """(names of channels, width, height) of all parts. Raises ValueError if the package is missing."""
     if not is_available():
         raise ValueError(INSTALL)
     import OpenEXR
 
-    try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            headers = [file.header(i) for i in range(max(1, len(file.parts)))]
-            found = [({c.name for c in header["channels"]}, header["dataWindow"]) for header in headers]
-    except Exception as error:  # the library raises many kinds for broken files
-        raise ValueError(f"not a readable EXR file ({error})") from error
-    for names, (low, high) in found:
-        for group in GROUPS:
-            if set(group) <= names:
-                return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1), len(group)
-    raise ValueError(f"there is no layer {', '.join(GROUPS)}")
+    with damage("not a readable EXR file"), OpenEXR.File(str(path), header_only=True) as file:
+        headers = [file.header(i) for i in range(max(1, len(file.parts)))]
+        windows = [np.array(header["dataWindow"], int) for header in headers]
+        sizes = [(high - low + 1).tolist() for low, high in windows]
+        return [({c.name for c in header["channels"]}, *size) for header, size in zip(headers, sizes, strict=True)]
+
+
+def _check_values(headers: list[tuple[set[str], int, int]]) -> None:
+    """The library reads all channels of all parts."""
+    for _, width, height in headers:
+        check_pixels(width, height)
+    values = sum(len(names) * width * height for names, width, height in headers)
+    if values > MOST_VALUES:
+        raise ValueError(f"all its channels have {values} values; at most {MOST_VALUES} are read")
 
 
 def write(path: Path, image: Float[np.ndarray, "H W C"]) -> None:

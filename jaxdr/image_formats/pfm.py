@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 # Kind, width, height, scale (negative: little-endian), then one whitespace character before the data.
-HEADER = re.compile(rb"(PF|Pf)\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s", re.ASCII)
+HEADER = re.compile(rb"(PF|Pf)\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]{1,40})\s", re.ASCII)
 LONGEST_HEADER = 1 << 10  # bytes
 
 
@@ -21,13 +21,17 @@ def read(path: Path) -> Float[np.ndarray, "H W C"]:
         scale = float(header[4])
     except ValueError:
         raise ValueError(f"the scale {header[4].decode()!r} is not a number") from None
-    if scale == 0 or not math.isfinite(scale):
+    if np.float32(scale) == 0 or not math.isfinite(np.float32(scale)):
         raise ValueError(f"the scale must not be {scale}")
     expected, found = 4 * width * height * channels, len(data) - header.end()
     if found != expected or expected == 0:
         raise ValueError(f"{width} x {height} pixels take {expected} bytes, the file has {found}")
-    pixels = np.frombuffer(data, "<f4" if scale < 0 else ">f4", offset=header.end())
-    return (abs(scale) * pixels.reshape(height, width, channels)[::-1]).astype(np.float32)
+    stored = np.frombuffer(data, "<f4" if scale < 0 else ">f4", offset=header.end())
+    with np.errstate(over="ignore"):  # told below
+        pixels = stored.astype(np.float32) * np.float32(abs(scale))
+    if np.isfinite(stored).sum() != np.isfinite(pixels).sum():
+        raise ValueError(f"its values times the scale {scale:g} are too large")
+    return pixels.reshape(height, width, channels)[::-1]
 
 
 def size(path: Path) -> tuple[int, int, int]:

@@ -7,7 +7,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageFile
 
-FORMATS = ("PNG", "JPEG", "BMP", "TGA")
+from jaxdr.untrusted import damage, opened_picture
+
+FORMATS = ("PNG", "JPEG", "BMP")
+TGA = ("TGA",)  # has no signature, so that any bytes may look like it: by name only
+DEFLATED = 1032  # bytes at most that a byte of a PNG file stands for
+JPEG_PIXELS = 1024  # at most for a byte: a block of 8 x 8 takes a bit or more; twice as many for odd sampling
 
 
 def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
@@ -15,22 +20,20 @@ def read(path: Path | BytesIO) -> Float[np.ndarray, "H W C"]:
 
     Raises ValueError for a damaged file, CMYK, and 16-bit images with grey and alpha or with one transparent colour.
     """
-    try:
-        with Image.open(path, formats=FORMATS) as image:
+    with opened_picture(path, _formats(path)) as image:
+        channels = _channels(image)
+        _check_length(path, image)
+        if image.format == "PNG":
+            _check_sums(path)
+        with damage(f"not a readable {image.format} file"):
             pixels = _pixels(image, path)
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"not a readable PNG, JPEG, BMP or TGA file ({error})") from error
-    return pixels.reshape(*pixels.shape[:2], -1)
+    return pixels.reshape(*pixels.shape[:2], channels)
 
 
 def size(path: Path) -> tuple[int, int, int]:
     """(width, height, channels) of the image that `read` reads, from the header alone. Raises ValueError as `read`."""
-    try:
-        with Image.open(path, formats=FORMATS) as image:
-            mode = image.mode if _deep(image) else _mode(image)
-            return *image.size, 1 if mode == "I;16" else len(mode)
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"not a readable PNG, JPEG, BMP or TGA file ({error})") from error
+    with opened_picture(path, _formats(path)) as image:
+        return *image.size, _channels(image)
 
 
 def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
@@ -38,18 +41,48 @@ def write(path: Path, pixels: UInt8[np.ndarray, "H W 3"]) -> None:
     Image.fromarray(pixels).save(path, format="PNG")
 
 
+def _formats(path: Path | BytesIO) -> tuple[str, ...]:
+    return FORMATS + TGA if isinstance(path, Path) and path.suffix.lower() == ".tga" else FORMATS
+
+
+def _channels(image: ImageFile.ImageFile) -> int:
+    mode = image.mode if _deep(image) else _mode(image)
+    return 1 if mode == "I;16" else len(mode)
+
+
+def _check_length(path: Path | BytesIO, image: ImageFile.ImageFile) -> None:
+    """Raises ValueError unless the file can hold its pixels. libjpeg makes grey ones of those that are missing."""
+    length = path.getbuffer().nbytes if isinstance(path, BytesIO) else path.stat().st_size
+    bits = 1 if image.mode in ("1", "L", "P") else 8 * len(image.getbands())
+    a_byte_holds = {"PNG": 8 * DEFLATED // bits, "JPEG": JPEG_PIXELS}.get(image.format or "")
+    if a_byte_holds and image.width * image.height > a_byte_holds * length:
+        raise ValueError(f"{image.width} x {image.height} pixels take more bytes, the file has {length}")
+
+
+def _check_sums(path: Path | BytesIO) -> None:
+    # Pillow looks at the check sums of pixels only when it is asked to, and can't read the file afterwards.
+    with opened_picture(path, ("PNG",)) as again, damage("not a readable PNG file"):
+        again.verify()
+
+
 def _pixels(image: ImageFile.ImageFile, path: Path | BytesIO) -> np.ndarray:
     if raw_mode := _deep(image):
         if image.mode == "I;16":
-            return np.asarray(image).astype(np.float32) / 65535
+            return _shares(np.asarray(image), 65535)
         # Pillow keeps only the first byte of each 16-bit value. Decoded in the opposite byte order, the same file gives
         # the second bytes.
         high = np.asarray(image).astype(np.uint16)
-        with Image.open(path) as again:
+        with opened_picture(path, ("PNG",)) as again:
             again.tile = [tile._replace(args=raw_mode.replace(";16B", ";16L")) for tile in again.tile]
             low = np.asarray(again)
-        return (256 * high + low).astype(np.float32) / 65535
-    return np.asarray(image.convert(_mode(image))).astype(np.float32) / 255
+        return _shares(256 * high + low, 65535)
+    return _shares(np.asarray(image.convert(_mode(image))), 255)
+
+
+def _shares(stored: np.ndarray, largest: int) -> Float[np.ndarray, "*n"]:
+    shares = stored.astype(np.float32)
+    shares /= np.float32(largest)  # in place, since pictures are large
+    return shares
 
 
 def _deep(image: ImageFile.ImageFile) -> str:

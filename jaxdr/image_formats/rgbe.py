@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-RESOLUTION = re.compile(rb"-Y (\d+) \+X (\d+)")
+from jaxdr.callers_line import warn
+
+RESOLUTION = re.compile(rb"-Y (\d{1,9}) \+X (\d{1,9})")
 LONGEST_HEADER = 1 << 16  # bytes
 RUN_LENGTH_WIDTHS = range(8, 32768)  # other scanlines can only be stored flat
 LONGEST_RUN, LONGEST_LITERAL, SHORTEST_RUN = 127, 128, 4
@@ -27,7 +29,10 @@ def read(path: Path) -> Float[np.ndarray, "H W 3"]:
     shortest = min(4 * width, 4 + 8 * math.ceil(width / LONGEST_RUN))
     if not 0 < height * shortest <= len(pixels):
         raise ValueError(f"{len(pixels)} bytes are too few for {width} x {height} pixels")
-    return _floats(_scanlines(pixels, height, width))
+    stored, end = _scanlines(pixels, height, width)
+    if end < len(pixels):
+        warn(f"{path}: the {len(pixels) - end} bytes after the last of its {height} rows are left out")
+    return _floats(stored)
 
 
 def size(path: Path) -> tuple[int, int, int]:
@@ -46,7 +51,7 @@ def _parts(data: bytes) -> tuple[bytes, int, int, bytes]:
     if not separator:
         raise ValueError("the header has no end")
     if wrong := [value for name, value in _fields(header) if name == "FORMAT" and value != "32-bit_rle_rgbe"]:
-        raise ValueError(f"FORMAT={wrong[0]} is not supported; expected 32-bit_rle_rgbe")
+        raise ValueError(f"FORMAT={wrong[0][:40]} is not supported; expected 32-bit_rle_rgbe")
     resolution = RESOLUTION.fullmatch(line)
     if resolution is None:
         raise ValueError(f"expected a size such as '-Y 512 +X 1024', got {line[:40].decode(errors='replace')!r}")
@@ -76,7 +81,8 @@ def _fields(header: bytes) -> list[tuple[str, str]]:
 def _check_exposure(path: Path, header: bytes) -> None:
     for name, value in _fields(header):
         if name == "EXPOSURE" and value not in ("1", "1.0"):
-            text = f"{path}: EXPOSURE={value}: values are taken as stored; divide by it for the radiance photographed"
+            short = value[:40]
+            text = f"{path}: EXPOSURE={short}: values are taken as stored; divide by it for the radiance photographed"
             warnings.warn(text, stacklevel=5)
 
 
@@ -95,7 +101,8 @@ def _bytes(image: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 4"]:
     return np.where(((stored > 0) & (image.max(-1) > 0))[..., None], pixels, 0).astype(np.uint8)
 
 
-def _scanlines(data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 4"]:
+def _scanlines(data: bytes, height: int, width: int) -> tuple[UInt8[np.ndarray, "H W 4"], int]:
+    """(Pixels, end of their bytes)."""
     image, position = np.empty((height, width, 4), np.uint8), 0
     for y in range(height):
         start = data[position : position + 4]
@@ -112,7 +119,7 @@ def _scanlines(data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 4
             if (image[y, :, :3] == 1).all(-1).any():
                 raise ValueError(f"row {y} has the run-length encoding of before 1991; save the file anew")
             position += 4 * width
-    return image
+    return image, position
 
 
 def _decoded(data: bytes, position: int, count: int, y: int) -> tuple[bytearray, int]:

@@ -24,6 +24,8 @@ def read_indices(document: Document, index: Any, place: str) -> np.ndarray:
     accessor = document.item("accessors", index, place)
     with document.at(f"{place}: accessor {index}"):
         _check(accessor, ("SCALAR",))
+        if not {"bufferView", "sparse"} & accessor.keys():
+            raise ValueError("has no data; an extension that is not read may hold it")
         if accessor["componentType"] not in INDEX_TYPES:
             raise ValueError(f"indices must be unsigned integers, not of componentType {accessor['componentType']}")
         return _stored(document, accessor, f"{place}: accessor {index}")[:, 0].astype(np.int64)
@@ -52,6 +54,7 @@ def _stored(document: Document, accessor: dict, place: str) -> np.ndarray:
         data = document.view(accessor["bufferView"], place)
         values = _array(data, dtype, (count, size), whole(accessor, "byteOffset", 0), view.get("byteStride"))
     else:
+        document.check_values_without_data(count)
         values = np.zeros((count, size), dtype)
     if "sparse" in accessor:
         values = _with_sparse(document, accessor["sparse"], values, f"{place}: sparse")
@@ -63,10 +66,10 @@ def _with_sparse(document: Document, sparse: dict, values: np.ndarray, place: st
     count, rows, new = whole(sparse, "count"), sparse["indices"], sparse["values"]
     if whole(rows, "componentType") not in INDEX_TYPES:
         raise ValueError(f"sparse indices must be unsigned integers, not of componentType {rows['componentType']}")
-    data = document.view(rows["bufferView"], place)
-    indices = _array(data, np.dtype(COMPONENTS[rows["componentType"]]), (count, 1), whole(rows, "byteOffset", 0), None)[
-        :, 0
-    ]
+    if count < 1:
+        raise ValueError("the count of sparse values must be at least 1")
+    data, dtype = document.view(rows["bufferView"], place), np.dtype(COMPONENTS[rows["componentType"]])
+    indices = _array(data, dtype, (count, 1), whole(rows, "byteOffset", 0), None)[:, 0]
     if indices.max() >= len(values):
         raise ValueError(f"sparse indices go up to {indices.max()}; there are {len(values)} values")
     data = document.view(new["bufferView"], place)
@@ -75,10 +78,12 @@ def _with_sparse(document: Document, sparse: dict, values: np.ndarray, place: st
     return values
 
 
-def _array(data: bytes, dtype: np.dtype, shape: tuple[int, int], offset: int, stride: int | None) -> np.ndarray:
+def _array(
+    data: bytes | memoryview, dtype: np.dtype, shape: tuple[int, int], offset: int, stride: int | None
+) -> np.ndarray:
     """Rows of a table in bytes. Raises ValueError if bytes are missing."""
     row = dtype.itemsize * shape[1]
-    step = stride or row
+    step = row if stride is None else stride
     end = offset + step * (shape[0] - 1) + row
     if offset < 0 or step < row or end > len(data):
         raise ValueError(f"its {shape[0]} values need {end} bytes, and the bufferView has {len(data)}")

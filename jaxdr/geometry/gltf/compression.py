@@ -4,9 +4,14 @@ from typing import Any
 
 import numpy as np
 
+from jaxdr.untrusted import damage, whole
+
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 FILTERS = {"OCTAHEDRAL": "decode_filter_oct", "QUATERNION": "decode_filter_quat", "EXPONENTIAL": "decode_filter_exp"}
+LONGEST_ROW = 256  # bytes of a value that meshopt compresses
+MOST_VALUES = {"TRIANGLES": 3, "INDICES": 1}  # that meshopt makes from a byte
+MOST_BYTES = 1024  # that meshopt makes from a byte in its other mode, where rows repeat
 
 
 def meshopt_extension(view: dict) -> dict | None:
@@ -24,16 +29,25 @@ def meshopt_view(extension: dict, data: bytes) -> bytes:
             f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install "jaxdr[meshopt]" '
             "(it needs a C++ compiler), or decompress the file with another tool"
         ) from error
-    count, stride = int(extension["count"]), int(extension["byteStride"])
     mode, filtered = extension["mode"], extension.get("filter", "NONE")
-    if mode in ("TRIANGLES", "INDICES"):
-        decode = meshoptimizer.decode_index_buffer if mode == "TRIANGLES" else meshoptimizer.decode_index_sequence
-        return decode(count, 4, data).astype(f"<u{stride}").tobytes()
-    if mode != "ATTRIBUTES" or filtered not in ("NONE", *FILTERS):
+    if mode not in ("ATTRIBUTES", *MOST_VALUES) or filtered not in ("NONE", *FILTERS):
         raise ValueError(f"{MESHOPT[0]}: mode {mode!r} with filter {filtered!r} is not supported")
-    decoded = meshoptimizer.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
+    count = whole(extension["count"], "count", 1)
+    stride = whole(extension["byteStride"], "byteStride", 2, LONGEST_ROW)
+    needed, most = (count, MOST_VALUES[mode]) if mode in MOST_VALUES else (count * stride, MOST_BYTES)
+    if needed > most * len(data):
+        raise ValueError(f"its {len(data)} compressed bytes can't hold {count} values of {stride} bytes")
+    with damage(f"{MESHOPT[0]}: its data can't be decoded"):
+        return _meshopt_bytes(meshoptimizer, mode, filtered, count, stride, data)
+
+
+def _meshopt_bytes(library: Any, mode: str, filtered: str, count: int, stride: int, data: bytes) -> bytes:
+    if mode in MOST_VALUES:
+        decode = library.decode_index_buffer if mode == "TRIANGLES" else library.decode_index_sequence
+        return decode(count, 4, data).astype(f"<u{stride}").tobytes()
+    decoded = library.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
     if filtered != "NONE":
-        decoded = getattr(meshoptimizer, FILTERS[filtered])(decoded, count, stride)
+        decoded = getattr(library, FILTERS[filtered])(decoded, count, stride)
     return decoded.tobytes()
 
 

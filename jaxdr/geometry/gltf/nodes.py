@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.geometry.gltf.accessors import read_accessor
-from jaxdr.geometry.gltf.document import Document, numbers
+from jaxdr.geometry.gltf.document import Document, numbers, whole
+from jaxdr.untrusted import LARGEST
 
 INSTANCING = "EXT_mesh_gpu_instancing"
+PARTS = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}  # of the transform of an instance
 VISIBILITY = "KHR_node_visibility"
 Matrix = Float[np.ndarray, "4 4"]
 
@@ -64,9 +66,19 @@ def world_matrices(document: Document) -> list[Matrix]:
         stuck = min(set(range(len(nodes))) - set(order))
         raise document.error(document.label("nodes", stuck), "it is below itself: its parents form a cycle")
     own, places = _own_matrices(document), [np.eye(4)] * len(nodes)
-    for index in order:
-        places[index] = places[parent[index]] @ own[index] if index in parent else own[index]
+    with np.errstate(all="ignore"):  # what is too large is told below
+        for index in order:
+            places[index] = places[parent[index]] @ own[index] if index in parent else own[index]
+    if places:
+        _check_sizes(document, np.stack(places))
     return places
+
+
+def _check_sizes(document: Document, places: Float[np.ndarray, "n 4 4"]) -> None:
+    wrong = np.flatnonzero(~(np.abs(places) <= LARGEST).all((1, 2)))  # NaN, too
+    if len(wrong):
+        label = document.label("nodes", int(wrong[0]))
+        raise document.error(label, f"its transform has numbers beyond {LARGEST:g}, with those of its parents")
 
 
 def instance_matrices(document: Document, node: Node) -> Float[np.ndarray, "n 4 4"]:
@@ -76,19 +88,30 @@ def instance_matrices(document: Document, node: Node) -> Float[np.ndarray, "n 4 
         return node.to_world[None]
     place = f"{node.label}: {INSTANCING}"
     with document.at(place):
+        check_instances(document, extension["attributes"])
         found = {
             name: read_accessor(document, extension["attributes"][name], f"{place}: {name}", kind).astype(float)
-            for name, kind in (("TRANSLATION", "VEC3"), ("ROTATION", "VEC4"), ("SCALE", "VEC3"))
+            for name, kind in PARTS.items()
             if name in extension["attributes"]
         }
-        counts = {len(values) for values in found.values()}
-        if len(counts) != 1:
-            raise ValueError("TRANSLATION, ROTATION and SCALE must be there for the same number of instances")
-        count = counts.pop()
+        if not all((np.abs(values) <= LARGEST).all() for values in found.values()):
+            raise ValueError(f"has numbers that are not finite, or beyond {LARGEST:g}")
+        count = len(next(iter(found.values())))
         still, upright, full = np.zeros((count, 3)), np.tile([0, 0, 0, 1.0], (count, 1)), np.ones((count, 3))
         return node.to_world @ placements(
             found.get("TRANSLATION", still), found.get("ROTATION", upright), found.get("SCALE", full)
         )
+
+
+def check_instances(document: Document, attributes: dict) -> int:
+    """The number of instances; only the JSON is read. Raises ValueError unless the attributes agree, and have data."""
+    found = [document.item("accessors", attributes[name], name) for name in PARTS if name in attributes]
+    counts = {whole(accessor, "count") for accessor in found}
+    if len(counts) != 1:
+        raise ValueError("TRANSLATION, ROTATION and SCALE must be there for the same number of instances")
+    if not any("bufferView" in accessor for accessor in found):
+        raise ValueError(f"its {counts.pop()} instances have no data: no accessor has a bufferView")
+    return counts.pop()
 
 
 def placements(

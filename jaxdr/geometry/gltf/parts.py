@@ -11,6 +11,8 @@ from jaxdr.geometry.gltf.compression import DRACO, MESHOPT
 from jaxdr.geometry.gltf.document import Document
 from jaxdr.geometry.gltf.nodes import INSTANCING, VISIBILITY, instance_matrices, named, scene_nodes, world_matrices
 from jaxdr.geometry.gltf.primitives import is_triangles, joint_matrices, read_primitive, skinned
+from jaxdr.geometry.gltf.sizes import check_size
+from jaxdr.untrusted import LARGEST
 
 QUANTIZATION = "KHR_mesh_quantization"  # needs no code: accessors of any type are read
 READ = (DRACO, *MESHOPT, INSTANCING, VISIBILITY, QUANTIZATION)
@@ -41,7 +43,9 @@ def read_stored_parts(path: Path) -> Iterator[StoredPart]:
             if name not in READ and not name.startswith(NOT_OF_MESHES):
                 raise ValueError(f"extension {name} is required, and not supported")
         places = world_matrices(document)
-        for node, index in named(scene_nodes(document, places), "mesh"):
+        nodes = scene_nodes(document, places)
+        check_size(document, nodes)
+        for node, index in named(nodes, "mesh"):
             mesh = document.item("meshes", index, node.label)
             weights = node.header.get("weights", mesh.get("weights"))
             instances = instance_matrices(document, node)
@@ -75,8 +79,11 @@ def _placed(
     used, faces = np.unique(faces, return_inverse=True)
     faces, linear, positions = faces.reshape(-1, 3), matrix[:3, :3], positions[used]
     uvs, normals = (None if name not in attributes else attributes[name][used] for name in ("TEXCOORD_0", "NORMAL"))
+    placed = positions @ linear.T + matrix[:3, 3]
+    if not (np.abs(placed) <= LARGEST).all():
+        raise ValueError(f"its vertices go beyond {LARGEST:g} where its node puts them")
     return StoredPart(
-        positions @ linear.T + matrix[:3, 3],
+        placed,
         faces[:, ::-1] if np.linalg.det(linear) < 0 else faces,
         None if uvs is None else uvs.astype(float) * (1, -1) + (0, 1),
         None if normals is None else normals.astype(float) @ np.linalg.pinv(linear),

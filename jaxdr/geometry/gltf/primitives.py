@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxdr.geometry.gltf.accessors import normalized, read_accessor, read_indices
+from jaxdr.geometry.gltf.accessors import SIZES, normalized, read_accessor, read_indices
 from jaxdr.geometry.gltf.compression import DRACO, draco_mesh, has_draco
 from jaxdr.geometry.gltf.document import Document
+from jaxdr.untrusted import LARGEST, damage, whole
 
 TRIANGLES, STRIP, FAN = 4, 5, 6  # lower modes are points and lines
 # The types of attributes, by name without its number.
@@ -34,8 +35,8 @@ class Primitive:
 
 
 def is_triangles(primitive: dict) -> bool:
-    """Whether a primitive has triangles, rather than points or lines."""
-    return primitive.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
+    """Whether a primitive has triangles, rather than points or lines. Raises ValueError for an unknown mode."""
+    return whole(primitive.get("mode", TRIANGLES), "mode", 0, FAN) in (TRIANGLES, STRIP, FAN)
 
 
 def read_primitive(
@@ -53,10 +54,12 @@ def read_primitive(
     for name, values in found.items():
         if len(values) != count:
             raise document.error(label, f"{name} has {len(values)} values for {count} vertices")
+        if not np.isfinite(values).all():
+            raise document.error(label, f"{name} has values that are not finite")
     found["POSITION"] = np.asarray(found["POSITION"], np.result_type(found["POSITION"], np.float32))
     _morph(document, primitive, found, label, weights)
-    if not np.isfinite(found["POSITION"]).all():
-        raise document.error(label, "POSITION has values that are not finite")
+    if not (np.abs(found["POSITION"]) <= LARGEST).all():
+        raise document.error(label, f"POSITION has values beyond {LARGEST:g}")
     if faces is None:
         with document.at(label):
             rows = primitive.get("indices")
@@ -107,12 +110,19 @@ def _draco(document: Document, primitive: dict, label: str) -> tuple[dict, np.nd
                 'it is compressed, and the package DracoPy is missing; pip install "jaxdr[gltf]", or decompress the '
                 "file with another tool"
             )
-        try:
-            attributes, faces = draco_mesh(extension, document.view(extension["bufferView"], label))
-        except Exception as error:  # DracoPy has its own exceptions for damaged data
-            raise ValueError(f"its data can't be decoded ({error})") from error
+        data = bytes(document.view(extension["bufferView"], label))
+        with damage("its data can't be decoded"):  # DracoPy has its own exceptions
+            attributes, faces = draco_mesh(extension, data)
         accessors = {name: document.item("accessors", primitive["attributes"][name], label) for name in attributes}
+        for name, values in attributes.items():
+            if values.ndim != 2 or values.shape[1] not in _sizes(name):
+                raise ValueError(f"its {name} has a shape of {list(values.shape)}")
         return {name: normalized(accessors[name], values) for name, values in attributes.items()}, faces
+
+
+def _sizes(name: str) -> tuple[int, ...]:
+    """How many numbers a value of this attribute may have."""
+    return tuple(SIZES[kind] for kind in TYPES.get(name.partition("_")[0], tuple(SIZES)))
 
 
 def _morph(document: Document, primitive: dict, found: dict, label: str, weights: Sequence[float | int] | None) -> None:

@@ -4,6 +4,7 @@ import os
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
@@ -98,6 +99,10 @@ class Bitmap(PixelTexture):
         alpha is dropped. Raises ValueError, with the file's name, for a file that can't be read or has no such channel.
         """
         image = load_image(path, raw=raw)
+        wrong = np.argwhere(~np.isfinite(image).all(-1))
+        if len(wrong):
+            row, column = wrong[0]
+            raise ValueError(f"{path}: pixels are not finite, the first in row {row}, column {column}; mend the image")
         if channel is None:
             return cls(image[..., :3], **settings)
         if not 0 <= channel < image.shape[-1]:

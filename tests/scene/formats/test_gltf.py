@@ -214,10 +214,10 @@ def test_bad_files_are_one_clear_error(write, tmp_path):
     check(tmp_path / "no.glb", r"there is no file .*no\.glb")
     check(tmp_path / "a.fbx", r"a\.fbx has an unknown extension; known are \.glb, \.gltf")
     for name, data, message in (
-        ("a.glb", b"", "the JSON: is damaged or cut off"),
+        ("a.glb", b"", "the JSON: is not readable JSON"),
         ("b.glb", b"glTF\2\0\0\0", "the GLB header: the file is cut off after 8 bytes"),
         ("c.gltf", b"{}", "asset: the property 'asset' is missing"),
-        ("d.gltf", b"\xff", "the JSON: is damaged or cut off"),
+        ("d.gltf", b"\xff", "the JSON: is not readable JSON"),
         ("e.gltf", b"[]", "the JSON: must be an object"),
         ("f.glb", b"glTF" + struct.pack("<IIII", 1, 20, 0, 0), "the GLB header: GLB version 1; only 2 is supported"),
     ):

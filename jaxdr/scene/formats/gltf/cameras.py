@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from jaxdr.geometry.gltf.document import Document
+from jaxdr.geometry.gltf.document import Document, number
 from jaxdr.geometry.gltf.nodes import Node, named
 from jaxdr.scene.camera import Camera, Orthographic, Perspective, look_at
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Shape
+from jaxdr.untrusted import LARGEST, check_pixels, shortened
 
+SMALLEST = 1 / LARGEST  # length, and ratio of lengths
 FRAMING_FOV = 40.0  # degrees
 FRAMING_DIRECTION = np.array([0.4, 0.3, 1.0])  # from the scene to the camera: assets face +z, and y is up
 
@@ -31,10 +33,14 @@ def read_camera(
     camera = document.item("cameras", index, node.label)
     with document.at(document.label("cameras", index)):
         matrix = node.to_world @ np.diag([-1.0, 1, -1, 1])  # glTF looks along -z with x to the right
-        matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
-        if camera["type"] == "orthographic":
-            return _orthographic(matrix, camera["orthographic"], width, height)
-        return _perspective(matrix, camera["perspective"], width, height)
+        lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+        if not (lengths > 0).all():
+            raise ValueError(f"{node.label} scales it to nothing")
+        matrix[:3, :3] /= lengths
+        kind = camera["type"]
+        if kind not in LENSES:
+            raise ValueError(f"a camera must be of type {' or '.join(LENSES)}, not {shortened(kind)}")
+        return LENSES[kind](matrix, camera[kind], width, height)
 
 
 def _number(document: Document, cameras: list[tuple[Node, int]], chosen: str | int) -> int:
@@ -53,18 +59,34 @@ def _number(document: Document, cameras: list[tuple[Node, int]], chosen: str | i
 
 
 def _perspective(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Perspective:
-    film = Film(width, height or max(1, round(width / lens.get("aspectRatio", 1.0))))
-    near = float(lens["znear"])
-    return Perspective(matrix, np.degrees(lens["yfov"]), film, "y", near, float(lens.get("zfar", 1e6 * near)))
+    aspect = _positive(lens, "aspectRatio", 1.0)
+    film = _film(width, height or max(1, round(width / aspect)))
+    near, angle = _positive(lens, "znear"), np.degrees(_positive(lens, "yfov"))
+    return Perspective(matrix, angle, film, "y", near, _positive(lens, "zfar", min(1e6 * near, LARGEST)))
 
 
 def _orthographic(matrix: np.ndarray, lens: dict, width: int, height: int | None) -> Orthographic:
     """A camera without perspective. `xmag` and `ymag` are half the width and half the height of what it shows."""
-    x, y, far = (float(lens[name]) for name in ("xmag", "ymag", "zfar"))
-    film = Film(width, height or max(1, round(width * abs(y / x))))
+    x, y = (abs(number(lens, name, -LARGEST)) for name in ("xmag", "ymag"))
+    if not x > 0 < y:
+        raise ValueError("xmag and ymag must not be zero")
+    near, far = number(lens, "znear", 0.0), _positive(lens, "zfar")
+    film = _film(width, height or max(1, round(width * (y / x))))
     # The film covers y in proportion to its height. With this scale its upper edge is at `ymag`.
-    matrix = matrix @ np.diag([abs(x), abs(y) * film.width / film.height, 1, 1])
-    return Orthographic(matrix, film, max(float(lens["znear"]), 1e-6 * far), far)
+    matrix = matrix @ np.diag([x, y * film.width / film.height, 1, 1])
+    return Orthographic(matrix, film, max(near, 1e-6 * far), far)
+
+
+def _film(width: int, height: int) -> Film:
+    check_pixels(width, height, "the film")
+    return Film(width, height)
+
+
+def _positive(lens: dict, name: str, default: float | None = None) -> float:
+    return number(lens, name, SMALLEST, default=default)
+
+
+LENSES = {"perspective": _perspective, "orthographic": _orthographic}
 
 
 def _framing(shapes: dict[str, Shape], width: int, height: int | None) -> Perspective:

@@ -34,7 +34,8 @@ def name_unread(document: Document, problems: Problems) -> None:
     for name, place in _used(document):
         places.setdefault(name, []).append(place)
     in_materials = {name for material in document.items("materials") for name in material.get("extensions", {})}
-    known = (*READ, *NAMED_ELSEWHERE, *materials.LOBES, *in_materials)
+    known = {*READ, *NAMED_ELSEWHERE, *materials.LOBES, *in_materials}
+    required = dict.fromkeys(document.header.get("extensionsRequired", []))
     for name, where in places.items():
         if name in known:
             continue
@@ -43,11 +44,12 @@ def name_unread(document: Document, problems: Problems) -> None:
             problems.note(f"{place}: extension {name} is not supported; {NO_EFFECT[name]}")
         else:
             problems.leave_out(f"{place}: extension {name} is not supported; it has no effect")
-    for name in document.header.get("extensionsRequired", []):
-        if name not in (*known, *NO_EFFECT, *places):
+    told = known | places.keys()
+    for name in required:
+        if name not in told and name not in NO_EFFECT:
             problems.leave_out(f"extension {name} is required; what it changes is left out")
     for name in document.header.get("extensionsUsed", []):
-        if name not in (*known, *places, *document.header.get("extensionsRequired", [])):
+        if name not in told and name not in required:
             problems.note(f"extension {name} is used (extensionsUsed), and not supported")
 
 

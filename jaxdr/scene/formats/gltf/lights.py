@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from jaxdr.geometry.gltf.document import Document, numbers
+from jaxdr.geometry.gltf.document import Document, number, numbers
 from jaxdr.geometry.gltf.nodes import Node
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.lights import DeltaLight, DirectionalLight, PointLight, SpotLight
 
 LIGHTS = "KHR_lights_punctual"
+QUARTER = 1.5708  # of a turn: the angles of the specification end at pi / 2, which files round
 
 
 def light_at(document: Document, node: Node) -> dict | None:
@@ -17,7 +18,7 @@ def light_at(document: Document, node: Node) -> dict | None:
     with document.at(f"{node.label}: {LIGHTS}"):
         index = node.header["extensions"][LIGHTS]["light"]
         lights = document.header.get("extensions", {}).get(LIGHTS, {}).get("lights", [])
-        if not isinstance(index, int) or not 0 <= index < len(lights):
+        if not index < len(lights):
             raise ValueError(f"refers to light {index}; there are {len(lights)}")
         return lights[index]
 
@@ -29,7 +30,7 @@ def read_light(document: Document, node: Node, light: dict, problems: Problems) 
     """
     place = f"{node.label}: {LIGHTS}"
     with document.at(place):
-        power = numbers(light, "color", (1.0, 1.0, 1.0)) * light.get("intensity", 1.0)
+        power = numbers(light, "color", (1.0, 1.0, 1.0)) * number(light, "intensity", 0.0, default=1.0)
         position, along = node.to_world[:3, 3], -node.to_world[:3, 2]
         if "range" in light:
             problems.note(f"{place}: range has no effect; its light falls off only with the squared distance")
@@ -39,6 +40,7 @@ def read_light(document: Document, node: Node, light: dict, problems: Problems) 
             return DirectionalLight(along, power)
         if light["type"] == "spot":
             cone = light.get("spot", {})
-            inner, outer = cone.get("innerConeAngle", 0.0), cone.get("outerConeAngle", np.pi / 4)
+            inner = number(cone, "innerConeAngle", 0.0, QUARTER, default=0.0)
+            outer = number(cone, "outerConeAngle", 0.0, QUARTER, default=np.pi / 4)
             return SpotLight(position, along, power, np.degrees(outer), np.degrees(inner))
         raise ValueError(f"a light must be of type point, directional or spot, not {light['type']!r}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from jaxdr.geometry.gltf.document import Document
 from jaxdr.geometry.gltf.nodes import Node, named, scene_nodes, world_matrices
 from jaxdr.geometry.gltf.primitives import is_triangles
+from jaxdr.geometry.gltf.sizes import check_size
 from jaxdr.scene.emitters import ConstantEnvironment
 from jaxdr.scene.formats.gltf.cameras import read_camera
 from jaxdr.scene.formats.gltf.extensions import name_unread
@@ -54,7 +55,12 @@ def load_gltf(
 
     Raises one ValueError that lists everything that is not supported, before anything is loaded. With
     `ignore_unsupported` these become warnings, and the rest is loaded. Raises ValueError, with the place in the file,
-    for a missing or damaged file. Raises ValueError for a camera that is not there.
+    for a missing or damaged file, and for triangles and images that take more memory than there is. Raises ValueError
+    for a camera that is not there.
+
+    A file may name others, buffers and images. Only files in its own folder and below are read, no matter how the way
+    there is written: `../`, absolute paths and links to somewhere else raise ValueError. Images are PNG, JPEG, WebP,
+    AVIF and DDS.
     """
     path = Path(path)
     if not is_gltf(path):
@@ -65,19 +71,23 @@ def load_gltf(
     with document.at("the JSON"):
         places = world_matrices(document)
         nodes = scene_nodes(document, places)
+        check_size(document, nodes)
         _find_problems(document, nodes, problems)
     problems.check(ignore_unsupported)
     reader = Shapes(document, problems, places)
-    shapes = reader.read(nodes)
+    with document.at("the meshes"):
+        shapes = reader.read(nodes)
     if not shapes:
         raise ValueError(f"load_gltf: {path} has no triangles")
-    lights = _lights(document, nodes, problems, taken=(*RESERVED, *shapes))
+    with document.at("the lights"):
+        lights = _lights(document, nodes, problems, taken=(*RESERVED, *shapes))
     with document.at("the camera"):
         view = read_camera(document, nodes, shapes, width, height, camera)
     problems.warn_notes()
     shines = lights or any(shape.emitter is not None for shape in shapes.values())
-    scene = Scene(shapes, view, None if shines else ConstantEnvironment(1.0), lights)
-    return tie_shared(scene, reader.materials.made())
+    with document.at("the scene"):
+        scene = Scene(shapes, view, None if shines else ConstantEnvironment(1.0), lights)
+        return tie_shared(scene, reader.materials.made())
 
 
 def _lights(document: Document, nodes: list[Node], problems: Problems, taken: Iterable[str]) -> dict[str, DeltaLight]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxdr.geometry.gltf.document import Document, numbers
+from jaxdr.geometry.gltf.document import Document, number, numbers
 from jaxdr.scene.bsdf import BSDF, Blend, Diffuse, Mask, NormalMap, Principled, TwoSided
 from jaxdr.scene.emitters import AreaEmitter
 from jaxdr.scene.formats.gltf.problems import Problems
@@ -24,10 +24,12 @@ from jaxdr.scene.formats.gltf.transmission import (
     VOLUME,
     glass_bsdf,
     glass_of,
+    index_of,
     unsupported_glass,
 )
 from jaxdr.scene.formats.ties import Made
 from jaxdr.scene.textures import Product, Texture, VertexColors
+from jaxdr.untrusted import LARGEST
 
 STRENGTH = "KHR_materials_emissive_strength"
 UNLIT = "KHR_materials_unlit"
@@ -142,7 +144,8 @@ class Materials:
             return self._unlit(label, material, base, opacity)
         bsdf: BSDF = self._surface(label, material, infos, base)
         if (info := infos.get("normalTexture")) is not None:
-            pixels = normals(self.textures.pixels(info, label), float(info.get("scale", 1.0)), flip)
+            strength = number(info, "scale", -LARGEST, default=1.0)
+            pixels = normals(self.textures.pixels(info, label), strength, flip)
             bsdf = NormalMap(self.textures.bitmap(info, pixels, label), bsdf)
         if not isinstance(opacity, float) or opacity < 1:
             bsdf = Mask(opacity, bsdf)
@@ -153,7 +156,9 @@ class Materials:
     def _surface(self, label: str, material: dict, infos: dict, base: Any) -> BSDF:
         """The principled BSDF of a material, or its glass, or a mixture of both."""
         factors = material.get("pbrMetallicRoughness", {})
-        metallic, roughness = float(factors.get("metallicFactor", 1.0)), float(factors.get("roughnessFactor", 1.0))
+        metallic, roughness = (
+            number(factors, name, -LARGEST, default=1.0) for name in ("metallicFactor", "roughnessFactor")
+        )
         if (info := infos.get("metallicRoughnessTexture")) is not None:
             pixels = self.textures.pixels(info, label)
             metallic, roughness = (
@@ -165,7 +170,7 @@ class Materials:
             return glass_bsdf(label, material, base, roughness, self.problems)
         if glass.there:
             metallic = glass.metallic
-        strength = material.get("extensions", {}).get(SPECULAR, {}).get("specularFactor", 1.0)
+        strength = number(material.get("extensions", {}).get(SPECULAR, {}), "specularFactor", -LARGEST, default=1.0)
         if strength not in (0, 1):
             self.problems.note(f"{label}: {SPECULAR}: specularFactor scales only the reflection at normal incidence")
         opaque = Principled(base, metallic, roughness, min(_reflectance(material) / BRIGHTEST, 1.0) * strength)
@@ -195,7 +200,7 @@ class Materials:
             return 1.0
         if mode not in ("MASK", "BLEND"):
             raise ValueError(f"alphaMode must be OPAQUE, MASK or BLEND, not {mode!r}")
-        cutoff = float(material.get("alphaCutoff", 0.5)) if mode == "MASK" else None
+        cutoff = number(material, "alphaCutoff", 0.0, default=0.5) if mode == "MASK" else None
         info, alpha = infos.get("baseColorTexture"), np.asarray(factor, np.float32)
         if info is not None:
             alpha = self.textures.pixels(info, label)[..., 3] * alpha
@@ -224,7 +229,7 @@ class Materials:
 
     def _emitter(self, label: str, material: dict, infos: dict, opacity: Any) -> AreaEmitter | None:
         """An emitter whose radiance is the product of emissive factor, strength, texture and opacity."""
-        strength = material.get("extensions", {}).get(STRENGTH, {}).get("emissiveStrength", 1.0)
+        strength = number(material.get("extensions", {}).get(STRENGTH, {}), "emissiveStrength", 0.0, default=1.0)
         radiance = strength * numbers(material, "emissiveFactor", (0.0, 0.0, 0.0))
         if not radiance.any():
             return None
@@ -243,7 +248,7 @@ class Materials:
 
 def _reflectance(material: dict) -> float:
     """Reflectance at normal incidence of the part that is not metal."""
-    index = material.get("extensions", {}).get(IOR, {}).get("ior", 1.5)
+    index = index_of(material)
     return ((index - 1) / (index + 1)) ** 2
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from jaxdr.geometry.gltf.primitives import Primitive
 from jaxdr.geometry.load import smoothing_groups
 from jaxdr.geometry.mesh import Mesh, weld
+from jaxdr.untrusted import LARGEST
 
 
 @dataclasses.dataclass
@@ -52,6 +53,8 @@ class Placer:
         """One mesh that holds the geometry at each of these places. A mirroring place turns the triangles over."""
         linear, moved = places[:, :3, :3], places[:, None, :3, 3]
         vertices = np.einsum("nkl,vl->nvk", linear, geometry.vertices) + moved
+        if not (np.abs(vertices) <= LARGEST).all():
+            raise ValueError(f"its vertices go beyond {LARGEST:g} where its node puts them")
         determinants = np.linalg.det(linear)
         flips = determinants < 0
         if len(places) > 1 or determinants[0] == 0:

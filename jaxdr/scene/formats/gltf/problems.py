@@ -11,22 +11,20 @@ class Problems:
     """`unsupported`: things that are left out with `ignore_unsupported`, and are errors without. `notes`: warnings."""
 
     path: Path
-    unsupported: list[str] = dataclasses.field(default_factory=list)
-    notes: list[str] = dataclasses.field(default_factory=list)
+    unsupported: dict[str, None] = dataclasses.field(default_factory=dict)  # in order, each once
+    notes: dict[str, None] = dataclasses.field(default_factory=dict)
 
     def leave_out(self, message: str) -> None:
         """Note, once, something that is not supported, and what happens instead."""
-        if message not in self.unsupported:
-            self.unsupported.append(message)
+        self.unsupported[message] = None
 
     def note(self, message: str) -> None:
         """Note, once, something that is read but does not look exactly as it should."""
-        if message not in self.notes:
-            self.notes.append(message)
+        self.notes[message] = None
 
     def check(self, ignore_unsupported: bool) -> None:
         """Raise one ValueError that lists what is not supported; with `ignore_unsupported` warn of each instead."""
-        found = self.unsupported
+        found = list(self.unsupported)
         if found and not ignore_unsupported:
             if len(found) == 1:
                 raise ValueError(f"{self.path}: with ignore_unsupported only: {found[0]}")

@@ -5,19 +5,20 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
-from jaxdr.geometry.gltf.document import Document
+from jaxdr.geometry.gltf.document import Document, number, numbers
 from jaxdr.image_formats import png
 from jaxdr.images import from_srgb
 from jaxdr.scene.textures import Bitmap
+from jaxdr.untrusted import LARGEST, check_memory, damage, opened_picture, shortened
 
 # The occlusion texture is not read: light paths account for occlusion.
 READ = ("baseColorTexture", "normalTexture", "metallicRoughnessTexture", "emissiveTexture", "transmissionTexture")
 TRANSFORM = "KHR_texture_transform"
 IMAGES = ("EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds")  # further image formats, which Pillow reads
+FORMATS = ("PNG", "JPEG", "WEBP", "DDS", "AVIF")  # Pillow's names for them, with those of glTF itself
 WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
-NEAREST = 9728
+NEAREST, LINEAR = 9728, 9729
 
 
 def texture_infos(material: dict) -> dict[str, dict]:
@@ -84,6 +85,7 @@ class Textures:
     def __init__(self, document: Document):
         self.document = document
         self._images: dict[int, np.ndarray] = {}
+        self._taken = 0  # bytes of all images and textures
 
     def pixels(self, info: dict, place: str) -> Float[np.ndarray, "H W 4"]:
         """The image of a texture as it is stored, in [0, 1]. Alpha is 1 if the image has none."""
@@ -91,6 +93,7 @@ class Textures:
         assert source is not None, "only usable textures are asked for"
         if source not in self._images:
             self._images[source] = self._image(source, place)
+            self._take(self._images[source])
         return self._images[source]
 
     def bitmap(self, info: dict, pixels: Float[np.ndarray, "H W *C"], place: str, nearest: bool = False) -> Bitmap:
@@ -99,13 +102,20 @@ class Textures:
         label = self.document.label("textures", info["index"])
         sampler = self.document.item("samplers", texture["sampler"], label) if "sampler" in texture else {}
         with self.document.at(label):
-            along_u, along_v = (WRAPS[sampler.get(name, 10497)] for name in ("wrapS", "wrapT"))
+            along_u, along_v = (WRAPS[_choice(sampler, name, tuple(WRAPS))] for name in ("wrapS", "wrapT"))
+            is_nearest = _choice(sampler, "magFilter", (LINEAR, NEAREST)) == NEAREST
+            self._take(pixels)
         return Bitmap(
             pixels,
-            filter="nearest" if nearest or sampler.get("magFilter") == NEAREST else "bilinear",
+            filter="nearest" if nearest or is_nearest else "bilinear",
             wrap=along_u if along_u == along_v else (along_u, along_v),
             to_uv=_to_uv(info),
         )
+
+    def _take(self, pixels: np.ndarray) -> None:
+        """Raises ValueError where all images and textures together take more memory than there is."""
+        self._taken += pixels.nbytes
+        check_memory(self._taken, "the images and textures")
 
     def _image(self, index: int, place: str) -> Float[np.ndarray, "H W 4"]:
         image, label = self.document.item("images", index, place), f"image {index}"
@@ -114,10 +124,7 @@ class Textures:
                 data = self.document.bytes_at(image["uri"], label)
             else:
                 data = self.document.view(image["bufferView"], label)
-            try:
-                stored = _decoded(data)
-            except OSError as error:
-                raise ValueError(f"it is no image in a format that is read ({error})") from error
+            stored = _decoded(bytes(data))
         if stored.shape[2] == 1:
             stored = np.repeat(stored, 3, axis=2)
         if stored.shape[2] == 3:
@@ -137,10 +144,19 @@ def normals(pixels: Float[np.ndarray, "H W 4"], strength: float, flip: bool) -> 
 
 
 def _decoded(data: bytes) -> Float[np.ndarray, "H W C"]:
-    with Image.open(io.BytesIO(data)) as image:
-        if image.format in ("PNG", "JPEG"):
-            return png.read(io.BytesIO(data))
-        return np.asarray(image.convert("RGBA"), np.float32) / 255
+    with opened_picture(io.BytesIO(data), FORMATS) as image:
+        if image.format not in ("PNG", "JPEG"):
+            with damage(f"not a readable {image.format} file"):
+                return np.asarray(image.convert("RGBA"), np.float32) / 255
+    return png.read(io.BytesIO(data))
+
+
+def _choice(sampler: dict, name: str, codes: tuple[int, ...]) -> int:
+    """A property of a sampler that is one of these; the first without it."""
+    code = sampler.get(name, codes[0])
+    if code not in codes:
+        raise ValueError(f"{name} must be one of {', '.join(map(str, codes))}, not {shortened(code)}")
+    return code
 
 
 def _to_uv(info: dict) -> Float[np.ndarray, "2 3"] | None:
@@ -148,11 +164,8 @@ def _to_uv(info: dict) -> Float[np.ndarray, "2 3"] | None:
     transform = info.get("extensions", {}).get(TRANSFORM)
     if transform is None:
         return None
-    angle, (su, sv), offset = (
-        transform.get("rotation", 0.0),
-        transform.get("scale", (1, 1)),
-        transform.get("offset", (0, 0)),
-    )
+    angle = number(transform, "rotation", -LARGEST, default=0.0)
+    (su, sv), offset = numbers(transform, "scale", (1.0, 1.0)), numbers(transform, "offset", (0.0, 0.0))
     # Anticlockwise in the image, so clockwise in glTF's coordinates, whose v goes down.
     turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) * (su, sv)
     down = np.eye(3)

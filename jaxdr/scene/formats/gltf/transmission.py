@@ -12,10 +12,12 @@ import equinox as eqx
 import numpy as np
 
 from jaxdr.arrays import as_array, on_host
+from jaxdr.geometry.gltf.document import number
 from jaxdr.scene.bsdf import BSDF, Dielectric, RoughDielectric, ThinDielectric
 from jaxdr.scene.bsdf.parameters import SMOOTHEST
 from jaxdr.scene.formats.gltf.problems import Problems
 from jaxdr.scene.formats.gltf.textures import Textures
+from jaxdr.untrusted import LARGEST
 
 IOR, SPECULAR = "KHR_materials_ior", "KHR_materials_specular"
 TRANSMISSION, VOLUME = "KHR_materials_transmission", "KHR_materials_volume"
@@ -40,7 +42,7 @@ class Glass(NamedTuple):
 def glass_of(material: dict, infos: dict, textures: Textures, label: str) -> Glass:
     """How much of a material is glass. It is none if the combination of textures is not supported."""
     factors = material.get("pbrMetallicRoughness", {})
-    metal, through = float(factors.get("metallicFactor", 1.0)), _factor(material)
+    metal, through = number(factors, "metallicFactor", -LARGEST, default=1.0), _factor(material)
     metal_info = infos.get(METAL_TEXTURE) if metal else None
     info = infos.get(TEXTURE) if through else None
     if metal_info is not None and info is not None and not _same_place(metal_info, info):
@@ -62,7 +64,7 @@ def glass_of(material: dict, infos: dict, textures: Textures, label: str) -> Gla
 
 def glass_bsdf(label: str, material: dict, base: Any, roughness: Any, problems: Problems) -> BSDF:
     """The BSDF of the glass: that of the border of a volume, or that of a thin pane."""
-    index = material["extensions"].get(IOR, {}).get("ior", 1.5)
+    index = index_of(material)
     if not _is_thick(material):
         problems.note(
             f"{label}: {TRANSMISSION}: a thin pane has two surfaces here: it reflects 2 R / (1 + R) where one "
@@ -81,7 +83,7 @@ def _smooth(model: Any, index: float, base: Any) -> BSDF:
 def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
     """Messages: what is not supported about light that goes through a material, and what happens instead."""
     factors, extensions = material.get("pbrMetallicRoughness", {}), material.get("extensions", {})
-    metal = factors.get("metallicFactor", 1.0)
+    metal = number(factors, "metallicFactor", -LARGEST, default=1.0)
     if not _factor(material) or (metal == 1 and METAL_TEXTURE not in infos):  # a metal absorbs what enters it
         return
     both = [infos[name] for name in (METAL_TEXTURE, TEXTURE) if name in infos and (name == TEXTURE or metal)]
@@ -89,7 +91,7 @@ def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
         yield f"{TRANSMISSION}: {TEXTURE} and {METAL_TEXTURE} of different images are not supported; it is opaque"
         return
     thick = _is_thick(material)
-    if not thick and (factors.get("roughnessFactor", 1.0) ** 2 > SMOOTHEST):
+    if not thick and number(factors, "roughnessFactor", -LARGEST, default=1.0) ** 2 > SMOOTHEST:
         yield f"{TRANSMISSION}: a thin rough pane is not supported; it is smooth"
     if not thick and material.get("doubleSided", False) and (_factor(material) < 1 or both or metal):
         yield f"{TRANSMISSION}: a pane that is glass in part is not supported on two sides; behind the rest is black"
@@ -101,12 +103,21 @@ def unsupported_glass(material: dict, infos: dict) -> Iterator[str]:
 
 
 def _factor(material: dict) -> float:
-    return float(material.get("extensions", {}).get(TRANSMISSION, {}).get("transmissionFactor", 0))
+    return number(_extension(material, TRANSMISSION), "transmissionFactor", 0.0, 1.0, default=0.0)
+
+
+def index_of(material: dict) -> float:
+    """The index of refraction of a material: the specification allows 0, and 1 and more."""
+    return number(_extension(material, IOR), "ior", 0.0, default=1.5)
+
+
+def _extension(material: dict, name: str) -> dict:
+    return material.get("extensions", {}).get(name, {})
 
 
 def _is_thick(material: dict) -> bool:
     """Whether the surface is the border of a volume, so that it refracts."""
-    return material.get("extensions", {}).get(VOLUME, {}).get("thicknessFactor", 0) > 0
+    return number(_extension(material, VOLUME), "thicknessFactor", 0.0, default=0.0) > 0
 
 
 def _same_place(one: dict, other: dict) -> bool:
