@@ -95,6 +95,19 @@ def json_of(content: str | bytes, where: str) -> Any:
     return found
 
 
+def json_text(value: Any) -> str:
+    """A text that `json_of` reads. JSON has no NaN and no infinity: they become null."""
+
+    def finite_or_none(part: Any) -> Any:
+        if isinstance(part, dict):
+            return {key: finite_or_none(inner) for key, inner in part.items()}
+        if isinstance(part, list | tuple):
+            return [finite_or_none(inner) for inner in part]
+        return None if isinstance(part, float) and not math.isfinite(part) else part
+
+    return json.dumps(finite_or_none(value), indent=2, allow_nan=False) + "\n"
+
+
 def read_json(path: Path) -> Any:
     """The value of a file of JSON; see `json_of`."""
     with damage(f"{path}: can't be read"):

@@ -1,7 +1,6 @@
 """The folder of a chart. Every call has a file of its own, so that an interrupted chart can go on."""
 
 import glob
-import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from jaxdr.atomic_file import atomic_path
 from jaxdr.chart.config import ChartConfig
 from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder
-from jaxdr.untrusted import array_of, arrays_of, read_json
+from jaxdr.untrusted import array_of, arrays_of, json_text, read_json
 
 KEPT = {"references": "npy", "cells": "json", "calls": "npz", "terms": "npz"}  # folders, and their kind of files
 
@@ -80,7 +79,7 @@ class ChartFolder:
     def save_status(self, name: str, values: dict) -> dict:
         """Write what is known about a cell, and return it."""
         with atomic_path(self._file("cells", f"{name}.json")) as temporary:
-            temporary.write_text(json.dumps(values))
+            temporary.write_text(json_text(values))
         return values
 
     def has_call(self, cell: Cell, number: int, kind: str = "calls") -> bool:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from jaxdr.images import diverging
+from jaxdr.web_page import content_policy
 
 STYLE = """
 body { font: 14px/1.45 sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; color: #222 }
@@ -59,7 +60,8 @@ class Section(NamedTuple):
 
 def page(title: str, about: Sequence[str], sections: Sequence[Section]) -> str:
     """The page as HTML. The colours of a scene's images end at the 99th percentile of its first image's values."""
-    parts = [f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style>"]
+    parts = [f"<!doctype html><meta charset='utf-8'>{content_policy()}<title>{html.escape(title)}</title>"]
+    parts.append(f"<style>{STYLE}</style>")
     parts.append(f"<h1>{html.escape(title)}</h1>")
     parts += [f"<p class='note'>{html.escape(line)}</p>" for line in about]
     for section in sections:

@@ -1,7 +1,5 @@
 """Runs a chart, from its config to its page."""
 
-import json
-
 import jax
 import numpy as np
 
@@ -17,6 +15,7 @@ from jaxdr.chart.scene_run import SceneRun, mean_image
 from jaxdr.chart.scenes import describe, load_case
 from jaxdr.chart.table import COLUMNS, TERM_COLUMNS, csv_text, mark_front, megabytes, row_of, term_rows
 from jaxdr.optimize.progress import Interruption, NotFinite, deferred_interrupt
+from jaxdr.untrusted import json_text
 
 
 def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False) -> dict:
@@ -50,7 +49,7 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
             "not_finite": counts["not"],
             "machine": machine(),
         }
-        folder.write_text("summary.json", json.dumps(summary, indent=2) + "\n")
+        folder.write_text("summary.json", json_text(summary))
     if counts["not"]:
         bad = [f"{r['scene']}, {r['estimator']}, {r['samples']} spp" for r in rows if r["status"].startswith("not")]
         raise NotFinite(

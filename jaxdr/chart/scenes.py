@@ -27,6 +27,7 @@ from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 from jaxdr.scene.motion import rounding_step
 from jaxdr.scene.scene import Scene, Shape
+from jaxdr.untrusted import array_of
 
 NUDGES = 61  # more than the number of acceleration structures that are cached
 

@@ -1,8 +1,7 @@
-"""Mesh files: OBJ, PLY, GLB and STL, through trimesh."""
+"""Mesh files: OBJ, PLY, GLB and STL."""
 
-import dataclasses
 import io
-import re
+import os
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -13,21 +12,27 @@ from jaxtyping import Float, Int
 
 from jaxdr.atomic_file import atomic_path
 from jaxdr.callers_line import warn
+from jaxdr.geometry.formats.obj import ObjFile, material_files, read_obj, read_text
+from jaxdr.geometry.formats.ply import read_ply
+from jaxdr.geometry.formats.stl import read_stl
+from jaxdr.geometry.formats.triangles import Triangles, unit
 from jaxdr.geometry.gltf.document import GltfError
 from jaxdr.geometry.gltf.parts import read_stored_parts
 from jaxdr.geometry.mesh import EmptyMesh, Mesh, MeshArrays, weld
+from jaxdr.untrusted import damage, shortened
 
 EXTENSIONS = (".obj", ".ply", ".glb", ".stl")
+READERS = {".ply": read_ply, ".stl": read_stl}
 SHADINGS = ("flat", "smooth", "file", "vertex")
 
 
 def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     """All triangles of a file as one mesh, in the units of the file.
 
-    Vertices at the same position are welded. UVs keep their own indices, so a seam does not split a vertex. The meshes
-    of a GLB are joined, each at the place of its node in the scene, in the default pose of the file. If only some of
-    the meshes have UVs, the others get (0, 0). A mesh has no colours: a warning says if the file has some, and which
-    function keeps them (`load_shape`, `load_gltf`).
+    Polygons become fans of triangles around their first corners. Vertices at the same position are welded. UVs keep
+    their own indices, so a seam does not split a vertex. The meshes of a GLB are joined, each at the place of its node
+    in the scene, in the default pose of the file. If only some of the meshes have UVs, the others get (0, 0). A mesh
+    has no colours: a warning says if the file has some, and which function keeps them (`load_shape`, `load_gltf`).
 
     `shading` is one of these:
 
@@ -38,8 +43,9 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     - "vertex": like "file", but meshes without stored normals have one normal per vertex of the file. So edges at which
       the file splits its vertices (UV seams of an OBJ) stay hard, as in Mitsuba.
 
-    Raises ValueError for an unknown extension or shading, a missing or unreadable file, a file without triangles, and
-    everything that `Mesh` rejects.
+    Raises ValueError, with the place in the file, for an unknown extension or shading, a missing or damaged file, one
+    that has fewer faces or vertices than it says, indices out of range, a file without triangles, and everything that
+    `Mesh` rejects.
     """
     if shading not in SHADINGS:
         raise ValueError(f"load_mesh: shading must be one of {', '.join(SHADINGS)}; got {shading!r}")
@@ -52,14 +58,14 @@ def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     return mesh
 
 
-def _warn_of_colors(path: Path, parts: Sequence["Triangles"]) -> None:
+def _warn_of_colors(path: Path, parts: Sequence[Triangles]) -> None:
     found = list(dict.fromkeys(part.colored for part in parts if part.colored is not None))
     if found:
         keeps = {".glb": "jd.load_gltf", ".stl": "no function"}.get(path.suffix.lower(), "jd.load_shape")
         warn(f"load_mesh: {path}: the colours of its {' and '.join(found)} are left out; {keeps} keeps them")
 
 
-def read_parts(path: str | PathLike, caller: str = "load_mesh") -> list["Triangles"]:
+def read_parts(path: str | PathLike, caller: str = "load_mesh") -> list[Triangles]:
     """The triangle meshes of a file, each at its place. Raises ValueError like `load_mesh`."""
     path = Path(path)
     _check_extension(caller, path)
@@ -70,7 +76,7 @@ def read_parts(path: str | PathLike, caller: str = "load_mesh") -> list["Triangl
             parts = [
                 Triangles(
                     *(part.vertices, part.faces, part.uvs),
-                    None if part.normals is None else _unit(part.normals),
+                    None if part.normals is None else unit(part.normals),
                     colored="materials" if part.colored else None,
                 )
                 for part in read_stored_parts(path)
@@ -78,61 +84,33 @@ def read_parts(path: str | PathLike, caller: str = "load_mesh") -> list["Triangl
         except GltfError as error:
             raise ValueError(f"{caller}: {error}") from error
         return _not_empty(parts, path, caller)
-    import trimesh  # imported here, because that takes longer than reading most files
-
-    is_obj = path.suffix.lower() == ".obj"
-    text = read_text(path) if is_obj else ""
-    source = io.StringIO(text) if is_obj else path
-    options = _parser_options(path, text)
-    try:
-        scene = trimesh.load_scene(source, file_type=path.suffix.lower()[1:], process=False, **options)
-    except Exception as error:  # trimesh's parsers may raise anything for a damaged file
-        reason = str(error) or type(error).__name__
-        raise ValueError(f"{caller}: {path} is not a readable {path.suffix} file ({reason})") from error
-    nodes = [(scene.geometry[name], to_world) for to_world, name in map(scene.graph.get, scene.graph.nodes_geometry)]
-    parts = [Part(geometry, to_world) for geometry, to_world in nodes if is_triangles(geometry)]
-    if is_obj:
-        _add_vertex_colors(parts, text)
-        if any(part.material is not None for part in parts) and any(map(Path.is_file, material_files(path, text))):
-            for part in parts:
-                part.colored = "materials"
+    unread: list[str] = []
+    with damage(f"{caller}: {path} is not a readable {path.suffix} file"):
+        if path.suffix.lower() == ".obj":
+            parts, unread = _read_obj(path)
+        else:
+            parts = READERS[path.suffix.lower()](path.read_bytes())
+    if unread:
+        warn(f"{caller}: {path}: what these lines say is left out: {shortened(', '.join(unread))}")
     return _not_empty(parts, path, caller)
 
 
-def _not_empty(parts: Sequence["Triangles"], path: Path, caller: str) -> list["Triangles"]:
+def _read_obj(path: Path) -> ObjFile:
+    text = read_text(path)
+    found = read_obj(text)
+    if any(part.material is not None for part in found.parts) and any(map(os.path.isfile, material_files(path, text))):
+        for part in found.parts:
+            part.colored = "materials"
+    return found
+
+
+def _not_empty(parts: Sequence[Triangles], path: Path, caller: str) -> list[Triangles]:
     if not parts:
         raise EmptyMesh(f"{caller}: {path} has no triangles")
     return list(parts)
 
 
-def _add_vertex_colors(parts: Sequence["Triangles"], text: str) -> None:
-    """Store the colours that the lines of an OBJ file have after positions. trimesh rounds them, or drops them."""
-    first = re.search(r"^v[ \t]+(.*)$", text, re.MULTILINE)
-    if first is None or len(first[1].split()) < 6:
-        return
-    lines = [words.split()[:6] for words in _statements(text, "v")]
-    for part in parts:
-        part.colored = "vertices"
-    if any(len(words) < 6 for words in lines):
-        return
-    table = np.array(lines, float) + 0.0  # +0 makes -0.0 a plain zero
-    colors = {row[:3].tobytes(): row[3:] for row in table}
-    if all(np.array_equal(colors[row[:3].tobytes()], row[3:]) for row in table):
-        for part in parts:
-            found = np.array([colors[position.tobytes()] for position in part.vertices + 0.0])
-            part.stored["vertex"] = dict(zip("rgb", found.T, strict=True))
-
-
-def read_text(path: Path) -> str:
-    """The text of a file in UTF-8, else Latin-1: only comments and names can have other characters than ASCII."""
-    content = path.read_bytes()
-    try:
-        return content.decode()
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
-
-
-def joined(parts: Sequence["Triangles"], shading: str) -> Mesh:
+def joined(parts: Sequence[Triangles], shading: str) -> Mesh:
     """One mesh of several parts; the shadings are those of `load_mesh`. Raises ValueError like `Mesh`."""
     arrays, _ = joined_arrays(parts, shading)
     mesh = Mesh(*arrays)
@@ -140,7 +118,7 @@ def joined(parts: Sequence["Triangles"], shading: str) -> Mesh:
 
 
 def joined_arrays(
-    parts: Sequence["Triangles"], shading: str, caller: str = "load_mesh"
+    parts: Sequence[Triangles], shading: str, caller: str = "load_mesh"
 ) -> tuple[MeshArrays, Int[np.ndarray, " n"]]:
     """(arrays of the joined mesh, row in its vertices of every vertex of the parts in turn).
 
@@ -193,109 +171,11 @@ def _check_extension(caller: str, path: Path) -> None:
         raise ValueError(f"{caller}: {path} has an unknown extension; known are {', '.join(EXTENSIONS)}")
 
 
-def material_files(path: Path, text: str) -> list[Path]:
-    """The MTL files that an OBJ file with this text names. They may be missing."""
-    return [path.parent / name for name in _statements(text, "mtllib")]
-
-
-def _statements(text: str, keyword: str) -> list[str]:
-    return [found.strip() for found in re.findall(rf"^[ \t]*{keyword}[ \t]+(.+)$", text, re.MULTILINE)]
-
-
-class _Materials(dict):
-    """In place of the MTL files of an OBJ file: materials of the names that it uses, of which nothing is read."""
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.text = "\n".join(f"newmtl {name}" for name in dict.fromkeys(_statements(text, "usemtl")))
-
-    def __missing__(self, name: str) -> str:
-        return self.text
-
-
-def _parser_options(path: Path, text: str) -> dict[str, Any]:
-    extension = path.suffix.lower()
-    if extension == ".obj":
-        return {"resolver": _Materials(text)}
-    if extension == ".ply":
-        # "fix_texture" splits vertices at UV seams but not their normals. So use it only for UVs stored at corners.
-        header = path.read_bytes().partition(b"end_header")[0]
-        return {"fix_texture": b"texcoord" in header}
-    return {}
-
-
 def is_triangles(geometry: Any) -> bool:
     """Whether trimesh has read triangles, rather than points or lines."""
     import trimesh
 
     return isinstance(geometry, trimesh.Trimesh) and len(geometry.faces) > 0
-
-
-@dataclasses.dataclass
-class Triangles:
-    """One mesh of a file. `uvs` and `normals` belong to the vertices, or are None.
-
-    - `stored`: further numbers of a PLY file, by element ("vertex", "face") and property.
-    - `colored`: what has colours that are no part of a mesh: "vertices", "faces" or "materials"; None if nothing has.
-    - `material`: the name of the material in an OBJ file, or None.
-    """
-
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    uvs: Float[np.ndarray, "V 2"] | None = None
-    normals: Float[np.ndarray, "V 3"] | None = None
-    stored: dict[str, dict[str, np.ndarray]] = dataclasses.field(default_factory=dict)
-    colored: str | None = None
-    material: str | None = None
-
-    def corner_normals(self) -> Float[np.ndarray, "F 3 3"]:
-        """The stored normal at each corner; without stored normals that of the face."""
-        if self.normals is not None:
-            return self.normals[self.faces]
-        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
-        return np.repeat(_unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
-
-
-class Part(Triangles):
-    """One mesh of a file that trimesh has read, in world space."""
-
-    def __init__(self, geometry: Any, to_world: Float[np.ndarray, "4 4"]):
-        linear = to_world[:3, :3]
-        uvs = getattr(geometry.visual, "uv", None)
-        # If a file has no normals, trimesh computes them on access. Only its cache tells whether they were stored.
-        stored = "vertex_normals" in geometry._cache
-        super().__init__(
-            geometry.vertices @ linear.T + to_world[:3, 3],
-            geometry.faces[:, ::-1] if np.linalg.det(linear) < 0 else geometry.faces,
-            None if uvs is None else np.asarray(uvs)[:, :2],
-            _unit(geometry.vertex_normals @ np.linalg.pinv(linear)) if stored else None,
-            _ply_properties(geometry),
-        )
-        self.material = getattr(getattr(geometry.visual, "material", None), "name", None)
-        # What trimesh has not read as colours of a PLY file (because of texture coordinates) is still in its metadata.
-        raw = geometry.metadata.get("_ply_raw", {})
-        kinds = [name for name in ("vertex", "face") if {"red", "r"} & set(raw.get(name, {}).get("properties", {}))]
-        self.colored = {"vertex": "vertices", "face": "faces"}.get((kinds or [geometry.visual.kind])[0])
-
-
-def _ply_properties(geometry: Any) -> dict[str, dict[str, np.ndarray]]:
-    """Scalar properties of a PLY file's vertices and faces, if trimesh has not split or triangulated these."""
-    found = {}
-    for element, count in (("vertex", len(geometry.vertices)), ("face", len(geometry.faces))):
-        data = geometry.metadata.get("_ply_raw", {}).get(element, {}).get("data")
-        names = () if data is None else data.keys() if isinstance(data, dict) else data.dtype.names or ()
-        columns = {name: np.asarray(data[name]) for name in names}
-        found[element] = {
-            name: column.reshape(-1)
-            for name, column in columns.items()
-            if column.dtype.kind in "fiu" and column.size == len(column) == count
-        }
-    return found
-
-
-def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
 
 
 def smoothing_groups(
@@ -317,10 +197,10 @@ def normals_apart(arrays: MeshArrays, corner_normals: Float[np.ndarray, "F 3 3"]
     to_next, to_previous = (np.roll(corners, shift, axis=1) - corners for shift in (-1, 1))
     crossed = np.cross(to_next, to_previous)
     angles = np.arctan2(np.linalg.norm(crossed, axis=2), np.sum(to_next * to_previous, axis=2))
-    weighted = _unit(crossed.reshape(-1, 3)) * angles.reshape(-1, 1)
+    weighted = unit(crossed.reshape(-1, 3)) * angles.reshape(-1, 1)
     groups = arrays.normal_faces.reshape(-1)
     summed = np.stack([np.bincount(groups, column) for column in weighted.T], axis=1)
-    cosine = np.sum(_unit(summed)[groups] * corner_normals.reshape(-1, 3), axis=1)
+    cosine = np.sum(unit(summed)[groups] * corner_normals.reshape(-1, 3), axis=1)
     return float(np.degrees(np.average(np.arccos(np.clip(cosine, -1, 1)), weights=angles.reshape(-1) + 1e-300)))
 
 

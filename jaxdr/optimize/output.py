@@ -1,6 +1,5 @@
 """The folder of a run: metrics, pictures, meshes, checkpoint."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.run_files import AGAIN, STEP_PICTURES, RunFiles
 from jaxdr.plan.report import Plan
-from jaxdr.untrusted import array_of, read_json, shortened
+from jaxdr.untrusted import array_of, json_text, read_json, shortened
 
 COLUMNS = (
     "iteration",
@@ -73,7 +72,7 @@ class RunFolder(RunFiles):
 
     def save_plan(self, plan: Plan) -> None:
         """Write `plan.json`: a resumed run does not measure again."""
-        self.write_text("plan.json", json.dumps(plan.to_dict(), indent=2) + "\n")
+        self.write_text("plan.json", json_text(plan.to_dict()))
 
     def load_plan(self, allowed: Sequence[str]) -> Plan | None:
         """The plan that the run was begun with, if one was made.

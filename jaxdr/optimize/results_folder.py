@@ -15,7 +15,7 @@ from filelock import FileLock, Timeout
 
 from jaxdr.atomic_file import PARTIAL, CannotWrite, atomic_path, remove_partial
 from jaxdr.optimize.checkpoint import differences
-from jaxdr.untrusted import is_own_file, read_json
+from jaxdr.untrusted import is_own_file, json_text, read_json
 
 MARKER, LOCK = "jaxdr.json", ".jaxdr.lock"
 VERSION = 1  # of the marker
@@ -137,7 +137,7 @@ def _open(results: Results, resume: bool) -> None:
 
 def _write(path: Path, table: dict) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(json_text(table), encoding="utf-8")
 
 
 def _entries(path: Path) -> Iterator[Path]:

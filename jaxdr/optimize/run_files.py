@@ -3,7 +3,6 @@
 import copy
 import csv
 import io
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from jaxdr.atomic_file import CannotWrite, append_text, atomic_path
 from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, load_checkpoint, save_checkpoint
 from jaxdr.optimize.progress import Stopped
 from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder, settled
-from jaxdr.untrusted import reason
+from jaxdr.untrusted import json_text, reason
 from jaxdr.views.pictures import CannotRead
 
 AGAIN = "start again with --overwrite"
@@ -109,8 +108,8 @@ class RunFiles:
         append_text(self.path / "metrics.csv", line.getvalue())
 
     def save_summary(self, summary: dict) -> None:
-        """Write `metrics.json`."""
-        self.write_text("metrics.json", json.dumps(summary, indent=2) + "\n")
+        """Write `metrics.json`; numbers that are not finite become null."""
+        self.write_text("metrics.json", json_text(summary))
 
     def write_text(self, name: str, text: str) -> None:
         """A file of text that appears complete or not at all."""

@@ -9,6 +9,7 @@ WIDTH, HEIGHT = 340.0, 210.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 12.0, 24.0, 36.0
 COLORS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22")
 MOST = 800  # points of a curve
+SMALLEST = 1e-300  # of a difference that an axis shows
 DECADES = 10.0  # positive numbers get a logarithmic axis if they differ by more than this factor
 
 
@@ -18,8 +19,10 @@ class _Axis:
     def __init__(self, values: list[float], start: float, end: float, logarithmic: bool):
         self.logarithmic = logarithmic and min(values) > 0
         low, high = self.scaled(min(values)), self.scaled(max(values))
-        if high - low <= 1e-12 * max(abs(low), abs(high)):
-            low, high = low - (abs(low) or 1.0) / 2, high + (abs(high) or 1.0) / 2
+        size = max(abs(low), abs(high))
+        if high - low <= max(1e-12 * size, SMALLEST):
+            margin = size / 2 if size > SMALLEST else 0.5
+            low, high = low - margin, high + margin
         self.low, self.high, self.start, self.end = low, high, start, end
 
     def scaled(self, value: float) -> float:
@@ -30,7 +33,7 @@ class _Axis:
 
     def ticks(self) -> list[float]:
         if self.logarithmic:
-            powers = range(math.floor(self.low), math.ceil(self.high) + 1)
+            powers = range(max(math.floor(self.low), -307), min(math.ceil(self.high), 307) + 1)  # floats end there
             stride = max(1, len(powers) // 5)
             factors = (1.0,) if self.high - self.low > 2 else (1.0, 2.0, 5.0)
             found = [factor * 10.0**power for power in powers[::stride] for factor in factors]

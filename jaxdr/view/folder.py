@@ -1,14 +1,17 @@
 """The contents of a folder of results: its kind, pictures and meshes by name and step, and paths of its tables."""
 
-import json
+import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from jaxdr.untrusted import is_own_file, read_json
 
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".exr", ".hdr", ".pfm")
 MESHES = (".glb", ".ply", ".obj", ".stl")  # of files with the same name the first kind is shown
 MARKERS = ("config.json", "chart.json")
+FOLDERS = ("", "pictures", "meshes", "test")
 
 
 class Item(NamedTuple):
@@ -20,7 +23,11 @@ class Item(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Everything that a page shows. Paths of files that the folder does not have are None."""
+    """Everything that a page shows. Paths of files that the folder does not have are None.
+
+    `left_out`: pictures, meshes and folders that are links or no regular files. A page is sent to others, and what a
+    link leads to may be private.
+    """
 
     path: Path
     kind: str
@@ -32,10 +39,14 @@ class Results(NamedTuple):
     rows: Path | None
     summary: Path | None
     config: Path
+    left_out: Sequence[Path] = ()
 
 
 def read_folder(path: Path) -> Results:
-    """The contents of the folder of a run or of a chart. Raises ValueError if it is neither, or has nothing to show."""
+    """The contents of the folder of a run or of a chart. Raises ValueError if it is neither, or has nothing to show.
+
+    The folder may be a link. Its tables must not: that is a ValueError, too. Other links are left out.
+    """
     if not path.exists():
         raise ValueError(f"{path}: there is no such folder")
     if not path.is_dir():
@@ -46,21 +57,24 @@ def read_folder(path: Path) -> Results:
     if config is None:
         raise ValueError(f"{path}: is not the folder of a run or of a chart: it has no {' or '.join(MARKERS)}")
     summary = _existing(path, "metrics.json", "summary.json")
+    files, left_out = _files(path)
     results = Results(
         path,
         _kind(config),
         summary is not None,
-        [*_items(path, PICTURES), *_items(path / "pictures", PICTURES)],
-        _one_of_each([*_items(path, MESHES), *_items(path / "meshes", MESHES)]),
-        _items(path / "test", PICTURES),
+        [*_items(files[""], PICTURES), *_items(files["pictures"], PICTURES)],
+        _one_of_each([*_items(files[""], MESHES), *_items(files["meshes"], MESHES)]),
+        _items(files["test"], PICTURES),
         _existing(path, "metrics.csv"),
         _existing(path, "rows.csv"),
         summary,
         config,
+        left_out,
     )
     shown = (results.pictures, results.meshes, results.held_out, results.metrics, results.rows, results.summary)
     if not any(shown):
-        raise ValueError(f"{path}: has nothing to show yet; run it first")
+        links = "has nothing to show but links, which are left out; put copies there"
+        raise ValueError(f"{path}: {links if left_out else 'has nothing to show yet; run it first'}")
     return results
 
 
@@ -80,30 +94,48 @@ def by_name(items: Iterable[Item]) -> dict[str, list[Item]]:
 
 
 def _kind(config: Path) -> str:
-    if config.name == "chart.json":
-        return "chart"
-    try:
-        table = json.loads(config.read_text(encoding="utf-8"))
-    except ValueError as problem:
-        raise ValueError(f"{config}: is damaged ({problem})") from None
+    table = read_json(config)
     kinds = {"unknown": "reconstruction", "scene": "recovery", "target": "optimisation"}
-    known = [kind for key, kind in kinds.items() if isinstance(table, dict) and key in table]
-    if not known:
+    known = ["chart"] if config.name == "chart.json" else [kind for key, kind in kinds.items() if _has(table, key)]
+    if not known or not isinstance(table, dict):
         raise ValueError(f"{config}: is not the config of a run")
     return known[0]
 
 
+def _has(table: Any, key: str) -> bool:
+    return isinstance(table, dict) and key in table
+
+
 def _existing(path: Path, *names: str) -> Path | None:
-    return next((path / name for name in names if (path / name).is_file()), None)
+    """The first of the files that the folder has. Raises ValueError for a link, and for what is no file."""
+    found = next((path / name for name in names if os.path.lexists(path / name)), None)
+    if found is not None and not is_own_file(found):
+        raise ValueError(f"{found}: is a link or no regular file, which is not shown to others; put a copy there")
+    return found
 
 
-def _items(folder: Path, suffixes: tuple[str, ...]) -> list[Item]:
+def _files(path: Path) -> tuple[dict[str, list[Path]], list[Path]]:
+    """(pictures and meshes by folder, those that are left out). Names that begin with a dot do not count."""
+    files: dict[str, list[Path]] = {name: [] for name in FOLDERS}
+    left_out = []
+    for name, found in files.items():
+        folder = path / name
+        if name and folder.is_symlink():
+            left_out.append(folder)
+            continue
+        for file in sorted(folder.iterdir(), key=_natural) if folder.is_dir() else []:
+            if file.suffix.lower() in (*PICTURES, *MESHES) and not file.name.startswith("."):
+                (found if is_own_file(file) else left_out).append(file)
+    return files, left_out
+
+
+def _items(files: Sequence[Path], suffixes: tuple[str, ...]) -> list[Item]:
     """Files with one of the suffixes. Pictures and meshes `NNNNN.ext` and `NNNNN.NAME.ext` belong to step NNNNN."""
     found = []
-    for path in sorted(folder.iterdir(), key=_natural) if folder.is_dir() else []:
-        if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file():
+    for path in files:
+        if path.suffix.lower() in suffixes:
             number, _, name = path.stem.partition(".")
-            is_step = number.isdecimal() and folder.name in ("pictures", "meshes")
+            is_step = number.isdecimal() and path.parent.name in ("pictures", "meshes")
             found.append(Item(name if is_step else path.stem, int(number) if is_step else None, path))
     return found
 

@@ -10,20 +10,17 @@ import numpy as np
 from PIL import Image
 
 from jaxdr.images import load_image, to_srgb
+from jaxdr.untrusted import damage, opened_picture, text_of
 from jaxdr.view.curves import svg
 from jaxdr.view.folder import Item, Results, by_name, spread
 from jaxdr.view.models import glb_bytes
 from jaxdr.view.tables import chart_diagrams, metrics_diagrams, summary_rows
+from jaxdr.web_page import content_policy
 
 HERE = Path(__file__).parent
 GENERATOR = '<meta name="generator" content="jaxdr view">'
-# With this policy the browser loads nothing that is not in the page.
-POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
-    "img-src data: blob:; connect-src data: blob:; worker-src blob:"
-)
 Z_UP = "0deg -90deg 0deg"  # roll, pitch, yaw: glTF has y up
-MIME = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".gif": "image/gif"}
+FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".gif": "GIF"}  # that browsers show, in Pillow's words
 GRIDS = {"reconstruction": "Photographs and renderings"}
 MOST = 12  # pictures of a kind
 TITLES = {
@@ -38,20 +35,31 @@ def page(results: Results) -> str:
     """The page as HTML. Raises ValueError for a mesh, a picture or a table that can't be read."""
     title = html.escape(f"{results.path.resolve().name}: {TITLES[results.kind]}")
     state = "" if results.finished else " The run is not finished."
+    viewers = _meshes(results)
     head = [
         "<!doctype html>",
         f'<html lang="en"><head><meta charset="utf-8">{GENERATOR}',
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        content_policy(viewer=bool(viewers)),
         f"<title>{title}</title><style>{_own('page.css')}</style></head><body>",
         f"<h1>{title}</h1><p class='note'>{html.escape(str(results.path))}.{state}</p>",
+        *_left_out(results),
     ]
-    viewers = _meshes(results)
     parts = [*head, *viewers, *_pictures(results), *_diagrams(results), *_summary(results), *_config(results)]
     if viewers:
         parts.append(f"<details><summary>Licences of the viewer</summary><pre>{_licences()}</pre></details>")
         parts.append(f'<script type="module">{_own("viewer/model-viewer.min.js")}</script>')
         parts.append(f'<script type="module">{_own("page.js")}</script>')
     return "\n".join([*parts, "</body></html>", ""])
+
+
+def _left_out(results: Results) -> list[str]:
+    """What says that links are not shown."""
+    if not results.left_out:
+        return []
+    names = [str(path.relative_to(results.path)) for path in results.left_out]
+    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    said = f"Left out, because they are links or no regular files: {', '.join(names[:MOST])}{more}."
+    return [f"<p class='note'>{html.escape(said)}</p>"]
 
 
 def _meshes(results: Results) -> list[str]:
@@ -122,9 +130,14 @@ def _figures(size: str, pictures: Sequence[tuple[str, Item]]) -> str:
 
 def _picture(path: Path) -> str:
     """The file itself if a browser can show it. Linear values are scaled so that their 99th percentile is white."""
-    if path.suffix.lower() in MIME:
-        return _data(MIME[path.suffix.lower()], path.read_bytes())
-    values = np.nan_to_num(np.asarray(load_image(path), float)[..., :3])
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is not None:
+        content = path.read_bytes()
+        # A file of another kind may be private: its name says that it is a picture.
+        with damage(f"{path}: can't be shown"), opened_picture(io.BytesIO(content), (kind,)) as image:
+            image.load()
+        return _data(f"image/{kind.lower()}", content)
+    values = np.nan_to_num(np.asarray(load_image(path), float)[..., :3], posinf=1e38, neginf=-1e38)
     white = max(float(np.percentile(values, 99)), 1e-12)
     stream = io.BytesIO()
     Image.fromarray(to_srgb(np.broadcast_to(values / white, (*values.shape[:2], 3)))).save(stream, format="png")
@@ -146,7 +159,7 @@ def _summary(results: Results) -> list[str]:
 
 
 def _config(results: Results) -> list[str]:
-    text = results.config.read_text(encoding="utf-8")
+    text = text_of(results.config)
     return [f"<details><summary>{results.config.name}</summary><pre>{html.escape(text)}</pre></details>"]
 
 

@@ -1,13 +1,17 @@
 """Tables of a run for its page: columns of `metrics.csv` and rows of a chart as curves, numbers of a summary."""
 
+import contextlib
 import csv
-import json
-import math
-from collections.abc import Iterator
+import io
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxdr.untrusted import damage, read_json, shortened, text_of
+
 STEPS = ("iteration", "step")
+CHART = ("scene", "estimator", "seconds", "rmse")
+LARGEST = 1e300  # of a number in a diagram: differences of two are finite
 
 
 class Curve(NamedTuple):
@@ -28,27 +32,33 @@ class Diagram(NamedTuple):
 
 
 def metrics_diagrams(path: Path) -> list[Diagram]:
-    """A diagram over the steps for each column whose numbers change."""
-    rows = _rows(path)
-    if not rows:
-        return []
-    steps = next((name for name in STEPS if name in rows[0]), None)
+    """A diagram over the steps for each column whose numbers change. Raises ValueError for a damaged file."""
+    table = _table(path)
+    steps = next((name for name in STEPS if name in table), None)
     diagrams = []
-    for name in rows[0]:
-        points = [(_number(row.get(steps)) if steps else float(i), _number(row[name])) for i, row in enumerate(rows)]
-        x, y = _both(points)
-        if name != steps and len(set(y)) > 1:
-            diagrams.append(Diagram(name, steps or "row", [Curve(name, x, y)]))
+    for name, cells in table.items():
+        y = [_number(cell) for cell in cells]
+        x = [_number(cell) for cell in table[steps]] if steps else list(map(float, range(len(cells))))
+        curve = Curve(name, *_both(zip(x, y, strict=True)))
+        if name != steps and len(set(curve.y)) > 1:
+            diagrams.append(Diagram(f"{name}{_not_shown(cells)}", steps or "row", [curve]))
     return diagrams
 
 
 def chart_diagrams(path: Path) -> list[Diagram]:
-    """A diagram of error against seconds for each scene of a chart, with a curve for each estimator."""
+    """A diagram of error against seconds for each scene of a chart, with a curve for each estimator.
+
+    Raises ValueError for a damaged file, and for one without the columns of a chart.
+    """
+    table = _table(path)
+    missing = [name for name in CHART if table and name not in table]
+    if missing:
+        raise ValueError(f"{path}: has no column {missing[0]!r}; it is not the table of a chart")
     scenes: dict[str, dict[str, list]] = {}
-    for row in _rows(path):
-        point = (_number(row.get("seconds")), _number(row.get("rmse")))
+    for scene, estimator, *cells in zip(*(table.get(name, []) for name in CHART), strict=True):
+        point = tuple(map(_number, cells))
         if None not in point:
-            scenes.setdefault(row["scene"] or "", {}).setdefault(row["estimator"] or "", []).append(point)
+            scenes.setdefault(scene, {}).setdefault(estimator, []).append(point)
     return [
         Diagram(
             f"{scene}: rmse", "seconds", [Curve(name, *_both(sorted(found))) for name, found in lines.items()], True
@@ -62,11 +72,10 @@ def summary_rows(path: Path) -> list[tuple[str, str]]:
 
     Raises ValueError for a damaged file.
     """
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as problem:
-        raise ValueError(f"{path}: is damaged ({problem})") from None
-    return list(_flat(summary)) if isinstance(summary, dict) else []
+    summary = read_json(path)
+    if not isinstance(summary, dict):
+        raise ValueError(f"{path}: expected numbers by name, got {shortened(summary)}")
+    return list(_flat(summary))
 
 
 def _flat(table: dict, prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -83,20 +92,49 @@ def _text(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _rows(path: Path) -> list[dict[str, str | None]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+def _table(path: Path) -> dict[str, list[str]]:
+    """The cells of a table by column. The last line of a running optimisation may be incomplete: it is left out.
+
+    Raises ValueError, with the line, for other lines that have another number of cells than the header, and for two
+    columns of one name.
+    """
+    reader = csv.reader(io.StringIO(text_of(path), newline=""), strict=True)
+    rows = []
+    with damage(f"{path}: is no table of comma-separated values"):
+        rows += [(reader.line_num, row) for row in reader if row]
+    if not rows:
+        return {}
+    (_, header), *rows = rows
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise ValueError(f"{path}: has two columns called {shortened(twice)}; rename one")
+    if rows and len(rows[-1][1]) < len(header):
+        rows.pop()
+    for line, row in rows:
+        if len(row) != len(header):
+            raise ValueError(f"{path}: line {line}: has {len(row)} cells, the header has {len(header)}; mend the line")
+    columns = zip(*(row for _, row in rows), strict=True) if rows else ([] for _ in header)
+    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
 
 
-def _number(text: str | None) -> float | None:
-    """A finite number, or None. Cells may be empty, and the last line of a running optimisation may be incomplete."""
+def _number(text: str) -> float | None:
+    """A number that a diagram can show, or None. Cells may be empty."""
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    return value if abs(value) <= LARGEST else None
 
 
-def _both(points: list) -> tuple[list[float], list[float]]:
+def _not_shown(cells: list[str]) -> str:
+    """What a title says of numbers that a diagram can't show."""
+    count = 0
+    for cell in cells:
+        with contextlib.suppress(ValueError):
+            count += not abs(float(cell)) <= LARGEST
+    return f" ({count} not finite or too large)" if count else ""
+
+
+def _both(points: Iterable) -> tuple[list[float], list[float]]:
     whole = [point for point in points if None not in point]
     return [x for x, _ in whole], [y for _, y in whole]

@@ -1,8 +1,10 @@
 """Writes the page of a folder. It overwrites no file but an earlier page."""
 
+import os
 from pathlib import Path
 
 from jaxdr.atomic_file import atomic_path
+from jaxdr.untrusted import is_own_file
 from jaxdr.view.folder import read_folder
 from jaxdr.view.page import GENERATOR, page
 
@@ -21,7 +23,7 @@ def write_page(folder: Path, output: Path | None = None) -> Path:
     _check_output(path)
     text = page(results)
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(text.encode("utf-8", "replace"))  # names of files may have characters that are none
     return path
 
 
@@ -32,5 +34,10 @@ def _check_output(path: Path) -> None:
         raise ValueError(f"output {path}: expected a name that ends with {' or '.join(SUFFIXES)}")
     if not path.parent.is_dir():
         raise ValueError(f"output {path}: folder {path.parent} does not exist")
-    if path.exists() and GENERATOR.encode() not in path.read_bytes()[:1000]:
+    if os.path.lexists(path) and not (is_own_file(path) and _is_page(path)):
         raise ValueError(f"output {path}: is a file that jaxdr view did not write; choose another name")
+
+
+def _is_page(path: Path) -> bool:
+    with path.open("rb") as file:
+        return GENERATOR.encode() in file.read(1000)

@@ -1,15 +1,16 @@
-"""COLMAP models, text and binary, through pycolmap."""
+"""COLMAP models, text and binary."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from jaxdr.views.colmap_tables import Camera, Image, read_tables
 from jaxdr.views.frames import Frame, checked_pose
 from jaxdr.views.pictures import find_mask, find_picture
 
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
-MODELS = ("PINHOLE", "SIMPLE_PINHOLE")
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 # From a frame with x to the right, y down, z forward to one with x to the left, y up, z forward.
 FROM_COLMAP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -25,46 +26,40 @@ def find_model(folder: Path) -> Path | None:
 def colmap_frames(folder: Path) -> list[Frame]:
     """All registered images of a model, sorted by name. Those called `test_*` are held out.
 
-    Raises ValueError, with the name of the file, and ImportError if pycolmap is missing.
+    Raises ValueError, with the name of the file.
     """
-    pycolmap = require_pycolmap()
     model = find_model(folder)
     if model is None:
-        raise ValueError(f"{folder}: has no COLMAP model; expected cameras, images and points3D in sparse/0")
-    pycolmap.logging.minloglevel = 3  # our own error says what is wrong
-    try:
-        found = pycolmap.Reconstruction(str(model))
-    except (ValueError, IndexError, RuntimeError) as problem:
-        raise ValueError(f"{model}: is not a readable COLMAP model ({problem}); export it anew") from None
-    images = sorted((image for image in found.images.values() if image.has_pose), key=lambda image: image.name)
+        raise ValueError(f"{folder}: has no COLMAP model; expected cameras and images in sparse/0")
+    cameras, images = read_tables(model)
     if not images:
         raise ValueError(f"{model}: the model has no image with a pose; register the photographs first")
-    return [_frame(folder, model, image, found.cameras[image.camera_id]) for image in images]
+    in_order = sorted(images.values(), key=lambda image: image.name)
+    return [_frame(folder, model, image, cameras[image.camera]) for image in in_order]
 
 
-def _frame(folder: Path, model: Path, image: Any, camera: Any) -> Frame:
+def _frame(folder: Path, model: Path, image: Image, camera: Camera) -> Frame:
     source = f"{model}: {image.name}"
-    if camera.model.name not in MODELS:
+    if camera.model not in PINHOLES:
         raise ValueError(
-            f"{model}: camera {camera.camera_id} is {camera.model.name}; only {' and '.join(MODELS)} are supported: "
+            f"{model}: camera {image.camera} is {camera.model}; only {' and '.join(PINHOLES)} are supported: "
             "undistort the pictures first, with `colmap image_undistorter`"
         )
     base = folder / "images" if (folder / "images").is_dir() else folder
     picture = find_picture(base, image.name, model)
-    world_to_camera = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-    pose = checked_pose(np.linalg.inv(world_to_camera), source) @ FROM_COLMAP
-    focal = (float(camera.focal_length_x), float(camera.focal_length_y))
-    centre = (float(camera.principal_point_x), float(camera.principal_point_y))
+    pose = checked_pose(np.linalg.inv(_world_to_camera(image)), source) @ FROM_COLMAP
+    *focal, x, y = camera.parameters
     held_out = Path(image.name).name.startswith("test_")
-    size = (int(camera.width), int(camera.height))
     mask = find_mask(folder, image.name)
-    return Frame(picture, mask, pose, source, focal, 0.0, centre, size, held_out)
+    size = camera.width, camera.height
+    return Frame(picture, mask, pose, source, (focal[0], focal[-1]), 0.0, (x, y), size, held_out)
 
 
-def require_pycolmap() -> Any:
-    """The package pycolmap. Raises ImportError, which says how to install it."""
-    try:
-        import pycolmap
-    except ImportError as missing:
-        raise ImportError('COLMAP models need pycolmap, which is optional: pip install "jaxdr[colmap]"') from missing
-    return pycolmap
+def _world_to_camera(image: Image) -> Float[np.ndarray, "4 4"]:
+    w, x, y, z = image.rotation
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.vstack([np.column_stack([rotation, image.translation]), [0, 0, 0, 1]])

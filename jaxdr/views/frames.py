@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxdr.scene.camera.pinhole import FOV_COMPUTED
+from jaxdr.untrusted import MOST_PIXELS, finite, shortened
+
 # Focal lengths along x and y may differ by this share: less than a tenth of a pixel at the border of a large picture.
 SQUARE = 1e-3
 
@@ -40,12 +43,13 @@ class Frame:
                     f"{self.source}: says {name} {told}, {self.path.name} has {found} pixels; "
                     "scale the pictures or the camera"
                 )
-        if self.focal is None:
-            fx = fy = 0.5 * width / np.tan(0.5 * self.angle) if 0 < self.angle < np.pi else 0.0
-        else:
-            fx, fy = self.focal
-        if not (np.isfinite([fx, fy]).all() and fx > 0 and fy > 0):
-            raise ValueError(f"{self.source}: the focal length must be positive, got {self.focal or self.angle}")
+        fx, fy = self._focal(width)
+        shortest, longest = (0.5 * width / np.tan(0.5 * np.radians(angle)) for angle in reversed(FOV_COMPUTED))
+        if not (shortest <= fx <= longest and shortest <= fy <= longest):
+            raise ValueError(
+                f"{self.source}: the focal length must be from {shortest:.3g} to {longest:.3g} pixels, got "
+                f"{shortened(self.focal or f'an angle of {self.angle}')}; give it in pixels"
+            )
         if abs(fx / fy - 1) > SQUARE:
             raise ValueError(
                 f"{self.source}: pixels that are not square (focal lengths {fx:.6g} and {fy:.6g}) are not supported; "
@@ -53,22 +57,27 @@ class Frame:
             )
         x, y = self.centre
         centre = width / 2 if x is None else float(x), height / 2 if y is None else float(y)
-        if not np.isfinite(centre).all():
-            raise ValueError(f"{self.source}: the principal point must be two numbers, got {self.centre}")
+        for value in centre:
+            finite(value, f"{self.source}: the principal point", -MOST_PIXELS, MOST_PIXELS)
         return float(np.sqrt(fx * fy)), centre
+
+    def _focal(self, width: int) -> tuple[float, float]:
+        if self.focal is not None:
+            return self.focal
+        focal = 0.5 * width / np.tan(0.5 * self.angle) if 0 < self.angle < np.pi else 0.0
+        return focal, focal
 
 
 def checked_pose(matrix, source: str) -> Float[np.ndarray, "4 4"]:
     """A camera-to-world matrix without scale, from [3, 4] or [4, 4]. Raises ValueError, with the source, otherwise."""
-    try:
-        pose = np.asarray(matrix, float)
-    except (TypeError, ValueError):
-        pose = np.empty(0)
-    if pose.shape == (3, 4):
-        pose = np.vstack([pose, [0, 0, 0, 1]])
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+    rows = matrix.tolist() if isinstance(matrix, np.ndarray) else matrix
+    if not (isinstance(rows, list) and len(rows) in (3, 4) and all(isinstance(r, list) and len(r) == 4 for r in rows)):
         raise ValueError(f"{source}: transform_matrix must be 4 x 4 finite numbers; write the pose anew")
+    pose = np.array([[finite(value, f"{source}: transform_matrix") for value in row] for row in rows])
+    if len(pose) == 3:
+        pose = np.vstack([pose, [0, 0, 0, 1]])
     axes = pose[:3, :3]
-    if not (np.allclose(axes.T @ axes, np.eye(3), atol=1e-3) and np.linalg.det(axes) > 0):
+    is_rotation = np.allclose(axes.T @ axes, np.eye(3), atol=1e-3) and np.linalg.det(axes) > 0
+    if not (is_rotation and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6)):
         raise ValueError(f"{source}: the pose must be a rotation and a translation (no scale, no mirror); normalise it")
     return pose

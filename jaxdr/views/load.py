@@ -28,6 +28,8 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: f
     - instant-ngp: `transforms.json`, with intrinsics for all frames or for each.
     - COLMAP: a model, text or binary, in `sparse/0`, `sparse` or the folder itself; pictures in `images`.
 
+    Names of pictures may lead out of the folder (`../images`), and files may be links. They must be regular files.
+
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
     under the names of the pictures, or `mask_path` names them. Without masks, alpha says where the object is.
 
@@ -39,9 +41,9 @@ def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: f
     first used. As many as fit into `keep` GiB are kept; others are read again each time.
 
     Raises ValueError, with file, fault and remedy, for a folder of another kind, missing pictures, damaged headers,
-    masks without pictures, pictures without masks, sizes that differ, lenses other than pinholes, and cameras that look
-    away from each other. Raises ImportError for a COLMAP model if pycolmap is missing. `View.image` and `View.alpha`
-    raise ValueError if pixels are damaged or not finite, or if a mask is empty.
+    damaged tables, masks without pictures, pictures without masks, sizes that differ, lenses other than pinholes, and
+    cameras that look away from each other. `View.image` and `View.alpha` raise ValueError if pixels are damaged or not
+    finite, or if a mask is empty.
     """
     folder = Path(folder)
     if not folder.is_dir():

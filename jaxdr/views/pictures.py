@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.images import READERS, image_size, load_image
+from jaxdr.untrusted import reason, shortened
 from jaxdr.views.reading import Kept
 
+LONGEST_NAME, LONGEST_PATH = 240, 2000  # bytes; with a suffix and a folder systems take 255 and 4096
 Colors = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
 
 
@@ -86,7 +88,7 @@ class PictureFile:
         except ValueError as problem:
             raise CannotRead(str(problem)) from problem
         except OSError as problem:
-            raise CannotRead(f"{self.path}: can't be read ({problem.strerror or problem})") from problem
+            raise CannotRead(f"{self.path}: can't be read ({reason(problem)})") from problem
         if image.shape[:2] != (self.height, self.width) or (self.masked and alpha is None):
             raise CannotRead(f"{self.path}: is another picture than its header said; was it changed meanwhile?")
         for pixels in (image, alpha):
@@ -96,8 +98,13 @@ class PictureFile:
 
 
 def find_picture(base: Path, name: str, said_by: Path) -> Path:
-    """The file of a picture whose name may lack its suffix. Raises ValueError, with the file that names the picture."""
+    """The file of a picture whose name may lack its suffix. Raises ValueError, with the file that names the picture.
+
+    It may be outside of `base`, and it may be a link: photographs are often shared.
+    """
     path = base / name
+    if not Path(name).name.strip(".") or not _is_possible(name):
+        raise ValueError(f"{said_by}: names a picture {shortened(name)}; expected the path of a file")
     if path.suffix.lower() in READERS:
         candidates = [path]
     else:
@@ -109,15 +116,28 @@ def find_picture(base: Path, name: str, said_by: Path) -> Path:
     raise ValueError(f"{said_by}: names a picture that is missing: {looked}; restore it or take its entry out")
 
 
+def _is_possible(name: str) -> bool:
+    """Whether a name can be that of a file. Systems raise errors for others, which do not say where they are from."""
+    try:
+        encoded = name.encode()
+    except UnicodeEncodeError:
+        return False
+    longest = max(map(len, encoded.split(b"/")))
+    return min(name, default=" ") >= " " and longest <= LONGEST_NAME and len(encoded) <= LONGEST_PATH
+
+
 def find_mask(folder: Path, name: str) -> Path | None:
     """The mask of a picture: `masks/NAME.png`, or `masks/NAME.jpg.png` as in COLMAP; None without a folder of masks.
 
-    Raises ValueError if there are masks, but none for this picture.
+    Of a picture that is elsewhere, only the last part of its name counts. Raises ValueError if there are masks, but
+    none for this picture.
     """
     masks = folder / "masks"
     if not masks.is_dir():
         return None
     relative = Path(name)
+    if relative.is_absolute() or ".." in relative.parts:
+        relative = Path(relative.name)  # else the picture could be its own mask
     for candidate in (masks / relative.with_suffix(".png"), masks / f"{relative}.png"):
         if candidate.is_file():
             return candidate

@@ -1,10 +1,10 @@
 """Reads `transforms*.json` of NeRF synthetic scenes and of instant-ngp."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 
+from jaxdr.untrusted import MOST_PIXELS, finite, read_json, shortened
 from jaxdr.views.frames import Frame, checked_pose
 from jaxdr.views.pictures import find_mask, find_picture
 
@@ -32,10 +32,7 @@ def transforms_frames(folder: Path) -> list[Frame]:
 
 
 def _frames(folder: Path, path: Path, held_out: bool) -> list[Frame]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as problem:
-        raise ValueError(f"{path}: is not readable JSON ({problem}); write it anew") from None
+    document = read_json(path)
     entries = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries:
         raise ValueError(f"{path}: has no frames; expected a list `frames` of pictures with transform_matrix")
@@ -49,10 +46,10 @@ def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_ou
     values = {**{name: value for name, value in document.items() if name != "frames"}, **entry}
     _check_lens(values, source)
     picture = find_picture(folder, entry["file_path"], path)
-    if isinstance(entry.get("mask_path"), str):
-        mask = find_picture(folder, entry["mask_path"], path)
-    else:
-        mask = find_mask(folder, picture.name)
+    mask = entry.get("mask_path")
+    if mask is not None and not isinstance(mask, str):
+        raise ValueError(f"{source}: mask_path must be the name of a file, got {shortened(mask)}")
+    mask = find_mask(folder, picture.name) if mask is None else find_picture(folder, mask, path)
     pose = checked_pose(entry.get("transform_matrix"), source) @ FROM_OPENGL
     focal, angle = None, 0.0
     if "fl_x" in values:
@@ -61,17 +58,17 @@ def _frame(folder: Path, path: Path, document: dict, entry, number: int, held_ou
         angle = _number(values, "camera_angle_x", source)
     else:
         raise ValueError(f"{source}: says neither fl_x nor camera_angle_x; the focal length is needed")
-    x, y, w, h = (_number(values, name, source) if name in values else None for name in ("cx", "cy", "w", "h"))
-    centre, size = (x, y), (None if w is None else int(w), None if h is None else int(h))
+    x, y = (_number(values, name, source) if name in values else None for name in ("cx", "cy"))
+    size = _pixels(values, "w", source), _pixels(values, "h", source)
     own = entry.get("held_out", held_out)
     if not isinstance(own, bool):
-        raise ValueError(f"{source}: held_out must be true or false, got {own!r}")
-    return Frame(picture, mask, pose, source, focal, angle, centre, size, own)
+        raise ValueError(f"{source}: held_out must be true or false, got {shortened(own)}")
+    return Frame(picture, mask, pose, source, focal, angle, (x, y), size, own)
 
 
 def _check_lens(values: dict, source: str) -> None:
     """Raises ValueError for lenses other than pinholes."""
-    bent = [name for name in DISTORTION if values.get(name)]
+    bent = [name for name in DISTORTION if name in values and _number(values, name, source)]
     if bent:
         raise ValueError(
             f"{source}: lens distortion ({', '.join(bent)}) is not supported; undistort the pictures first, "
@@ -79,11 +76,20 @@ def _check_lens(values: dict, source: str) -> None:
         )
     model = values.get("camera_model", "PINHOLE")
     if model not in MODELS or values.get("is_fisheye"):
-        raise ValueError(f"{source}: a lens {model} is not supported; undistort the pictures to PINHOLE first")
+        raise ValueError(
+            f"{source}: a lens {shortened(model)} is not supported; undistort the pictures to PINHOLE first"
+        )
 
 
 def _number(values: dict, name: str, source: str) -> float:
-    value = values[name]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ValueError(f"{source}: {name} must be a number, got {value!r}")
-    return float(value)
+    return finite(values[name], f"{source}: {name}")
+
+
+def _pixels(values: dict, name: str, source: str) -> int | None:
+    """A width or height, which some programs write with a fraction of zero."""
+    if name not in values:
+        return None
+    value = finite(values[name], f"{source}: {name}", 1, MOST_PIXELS)
+    if value % 1:
+        raise ValueError(f"{source}: {name} must be a whole number of pixels, got {shortened(values[name])}")
+    return int(value)

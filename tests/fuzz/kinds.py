@@ -1,5 +1,5 @@
 """All kinds of inputs, by name."""
 
-from tests.fuzz import gltf_and_pictures, runs
+from tests.fuzz import folders, gltf_and_pictures, meshes, mitsuba, runs
 
-KINDS = {kind.name: kind for part in (gltf_and_pictures, runs) for kind in part.kinds()}
+KINDS = {kind.name: kind for part in (meshes, gltf_and_pictures, mitsuba, folders, runs) for kind in part.kinds()}

@@ -20,6 +20,7 @@ from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, Score
 from jaxdr.views.record import View
 from jaxdr.views.rendering import render_views
+from jaxdr.web_page import content_policy
 
 DIFFERENCE = 0.25  # of encoded grey values: the ends of the colours of errors
 TURN_SPP, TURN_SIZE = 32, 256  # samples per pixel, pixels along the longer side at most
@@ -53,7 +54,8 @@ def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: b
         turning = f'<p><img src="data:image/gif;base64,{data}" alt="the object turning"></p>'
     title = html.escape(f"Reconstruction of {folder.config.folder}")
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8">{content_policy()}<title>{title}</title>'
+        f"<style>{STYLE}</style>"
         f"<h1>{title}</h1><p>Views that were {kind}. Red: the rendering is too bright; blue: too dark.{some}</p>"
         f"<table><tr><th></th><th>mean</th><th>worst</th></tr>{figures}</table>{turning}"
         f"<table><tr><th>photograph</th><th>rendering</th><th>difference</th><th></th></tr>{''.join(rows)}</table></html>\n"

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxdr.callers_line import warn
-from jaxdr.geometry.load import Triangles, joined_arrays, material_files, read_parts, read_text
+from jaxdr.geometry.formats.obj import material_files, read_text
+from jaxdr.geometry.load import Triangles, joined_arrays, read_parts
 from jaxdr.geometry.mesh import Mesh, has_area
 from jaxdr.images import from_srgb
 from jaxdr.scene.bsdf import Diffuse
@@ -42,7 +43,10 @@ def load_shape(path: str | os.PathLike, shading: str = "flat", *, raw: bool = Fa
         )
     parts = read_parts(path, "load_shape")
     arrays, rows = joined_arrays(parts, shading, "load_shape")
-    mesh = Mesh(*arrays)
+    try:
+        mesh = Mesh(*arrays)
+    except ValueError as error:
+        raise ValueError(f"load_shape: {path}: {error}") from error
     mesh = mesh.smooth() if shading == "smooth" else mesh
     kept = np.ones(len(arrays.faces), bool)
     if len(mesh.faces) < len(kept):  # `Mesh` drops faces without area
@@ -92,7 +96,7 @@ def _of_materials(path: Path, parts: list[Triangles], kept: np.ndarray) -> Any:
     """The colour of the materials of an OBJ file: a constant, an image, or colours of faces. None without materials."""
     found: dict[str, Surface] = {}
     for file in material_files(path, read_text(path)):
-        if not file.is_file():
+        if not os.path.isfile(file):  # unlike Path.is_file, this takes any name
             raise ValueError(f"load_shape: {path} names the MTL file {file}, which is missing; put it there")
         found |= read_mtl(file)
     used = list(dict.fromkeys(part.material for part in parts))

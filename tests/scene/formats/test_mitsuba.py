@@ -276,14 +276,14 @@ SENSOR_ERRORS = {
     '<transform name="to_world"><scale value="2"/></transform>': "<sensor>: to_world must not scale or shear",
     '<float name="aperture" value="1"/>': "<float>: unknown parameter 'aperture' of sensor 'perspective'",
     '<film type="specfilm"/>': "<film>: unknown type 'specfilm'; known: hdrfilm",
-    '<film type="hdrfilm"><integer name="width" value="0"/></film>': "<film>: Film: width and height must be",
+    '<film type="hdrfilm"><integer name="width" value="0"/></film>': "<film>: width and height: expected 1 to",
     '<film type="hdrfilm"><integer name="crop_width" value="900"/></film>': "<film>: Film: crop",
     '<film type="hdrfilm"><integer name="crop_offset_x" value="1"/></film>': "<film>: Film: crop",
     '<film type="hdrfilm"><string name="pixel_format" value="xyz"/></film>': "<film>: pixel_format must be rgb or rgba",
     '<film type="hdrfilm"><float name="width" value="8"/></film>': "<float>: parameter 'width' must be given",
     '<film type="hdrfilm"><rfilter type="mitchell"/></film>': "<rfilter>: unknown type 'mitchell'; known: box",
     '<film type="hdrfilm"><rfilter type="box"><float name="radius" value="1"/></rfilter></film>': "<float>: unknown",
-    '<film type="hdrfilm"><rfilter type="tent"><float name="radius" value="0"/></rfilter></film>': "<rfilter>: Tent",
+    '<film type="hdrfilm"><rfilter type="tent"><float name="radius" value="0"/></rfilter></film>': "<rfilter>: radius",
 }
 ERRORS |= {
     "no aperture": (f'{CUBE % ""}<sensor type="thinlens"/>', "2, <sensor>: aperture_radius is missing"),

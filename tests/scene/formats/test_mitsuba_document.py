@@ -99,7 +99,7 @@ def test_path_adds_a_folder_to_search_first(read, tmp_path):
         (tmp_path / name).touch()
     (shape,) = read('<shape type="obj"/><path value="meshes"/>').children
     assert shape.find_file("a.obj") == tmp_path / "meshes" / "a.obj"
-    with pytest.raises(ValueError, match="line 2, <path>: there is no folder nowhere"):
+    with pytest.raises(ValueError, match="line 2, <path>: there is no folder 'nowhere'"):
         read('<path value="nowhere"/>')
     with pytest.raises(ValueError, match="line 2, <path>: only allowed directly inside <scene>"):
         read('<shape type="obj"><path value="meshes"/></shape>')

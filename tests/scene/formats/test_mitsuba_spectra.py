@@ -61,11 +61,11 @@ WRONG = {
     'value="0.5, 0.4, 0.3"': "expected pairs of wavelength and value such as 400:0.3, 500:0.4, got '0.5'",
     'value="400:0.1"': "two or more wavelengths",
     'value="500:0.1, 400:0.2"': "increasing order",
-    'value="400:x, 500:1"': "expected numbers, got '400 x'",
-    'value="400:inf, 500:1"': "is not finite",
+    'value="400:x, 500:1"': "expected numbers, got '400:x'",
+    'value="400:inf, 500:1"': "must be a finite number from",
     'value="400:3, 700:3"': r"reflectance must be in \[0, 1\]",
     'filename="no.spd"': "there is no file .*no.spd",
-    'filename="wrong.spd"': "wrong.spd: expected pairs of wavelength and value .*, got '400:1:2'",
+    'filename="wrong.spd"': "wrong.spd, line 1: expected pairs of wavelength and value .*, got '400:1:2'",
 }
 
 

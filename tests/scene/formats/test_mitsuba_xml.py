@@ -39,7 +39,7 @@ BAD_VALUES = {
     '<integer name="p" value="1.5"/>': "<integer>: expected an integer, got '1.5'",
     '<float name="p" value="wide"/>': "<float>: expected numbers, got 'wide'",
     '<float name="p" value=""/>': "<float>: expected numbers, got ''",
-    '<float name="p" value="nan"/>': "<float>: 'nan' is not finite",
+    '<float name="p" value="nan"/>': "<float>: 'nan': must be a finite number from -1e+18 to 1e+18, got nan",
     '<float name="p" value="1, 2"/>': "<float>: expected 1 numbers, got '1, 2'",
     '<float name="p" value="1" x="2"/>': "<float>: unknown attribute 'x'; known: name, value",
     '<float name="p"/>': "<float>: attribute 'value' is missing",

@@ -1,18 +1,22 @@
 """BSDF plugins of Mitsuba 3 scene files."""
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 
 from jaxdr.scene.bsdf import BSDF, Blend, BumpMap, Diffuse, Mask, NormalMap, TwoSided
+from jaxdr.scene.formats.mitsuba.document import descendants
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.materials import MATERIALS
+from jaxdr.scene.formats.mitsuba.number import floats
 from jaxdr.scene.formats.mitsuba.textures import heights, opacity, textured_color, textured_number
-from jaxdr.scene.formats.mitsuba.values import floats
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
 from jaxdr.scene.scene import unwrap
 from jaxdr.scene.textures import Texture
+from jaxdr.untrusted import shortened
 
+MOST_BSDFS = 128  # in one: they are computed one after the other, and few references make many
 ROUNDING = 1e-5  # weights that are meant to add up to 1 may differ from it by this
 
 
@@ -97,7 +101,7 @@ def _mixture(element: Element) -> BSDF | TwoSided:
     elements, text = properties.objects("bsdf"), properties.value("weights", "string", "")
     weights = floats(text, *range(1, len(elements) + 1))
     if len(weights) != len(elements) or min(weights) < 0:
-        raise ValueError(f"needs a weight of at least 0 for each of its {len(elements)} <bsdf>, got {text!r}")
+        raise ValueError(f"needs a weight of at least 0 for each of its {len(elements)} <bsdf>, got {shortened(text)}")
     total = sum(weights)
     if total > 1 + ROUNDING:
         element.harmless(f"the weights add up to {total:g}; they are made smaller to add up to 1, as in Mitsuba 0.x")
@@ -145,5 +149,9 @@ BSDFS: dict[str, Callable[[Element], BSDF | TwoSided]] = {
 
 def read_bsdf(element: Element) -> BSDF | TwoSided:
     """The BSDF of a `<bsdf>`. If it can't be read, it is grey, and that is noted as a problem."""
+    inside = (child for _, child in descendants(element) if child.tag == "bsdf")
+    if sum(1 for _ in itertools.islice(inside, MOST_BSDFS + 1)) > MOST_BSDFS:
+        element.problems.add(element, element.place(f"more than {MOST_BSDFS} BSDFs inside; make it simpler"))
+        return Diffuse(0.5)
     bsdf = read_plugin(element, BSDFS, "a grey diffuse BSDF takes its place")
     return Diffuse(0.5) if bsdf is None else bsdf

@@ -3,11 +3,16 @@
 import contextlib
 import dataclasses
 import enum
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from jaxdr.callers_line import warn
+from jaxdr.untrusted import reason, shortened
+
+MOST_PROBLEMS = 1000  # that are listed
+LONGEST_PATH = 4096  # of Linux
 
 
 class SceneFileError(ValueError):
@@ -22,18 +27,28 @@ class Severity(enum.Enum):
     HARMLESS = 2
 
 
+Problem = tuple[str, int, str, Severity]  # file, line, message, severity
+
+
 @dataclasses.dataclass
 class Problems:
-    """The mistakes in a scene file, and what is not supported. They are collected, so that one error lists them all."""
+    """The mistakes in a scene file, and what is not supported. They are collected, so that one error lists them all.
 
-    found: list[tuple[str, int, str, Severity]] = dataclasses.field(default_factory=list)
-    told: set[tuple[str, int, str, Severity]] = dataclasses.field(default_factory=set)
+    Of each severity the list has `MOST_PROBLEMS` at most. The others are counted.
+    """
+
+    found: dict[Problem, None] = dataclasses.field(default_factory=dict)  # in the order in which they were found
+    told: set[Problem] = dataclasses.field(default_factory=set)
+    count: Counter[Severity] = dataclasses.field(default_factory=Counter)  # with those that are not in the list
 
     def add(self, element: "Element", message: str, severity: Severity = Severity.MISTAKE) -> None:
         """Note a problem, but only once: an element that others refer to may be read several times."""
         problem = (str(element.file), element.line, message, severity)
-        if problem not in self.found and problem not in self.told:
-            self.found.append(problem)
+        if problem in self.found or problem in self.told:
+            return
+        self.count[severity] += 1
+        if self.count[severity] <= MOST_PROBLEMS:
+            self.found[problem] = None
 
     def check(self, path: Path, ignore_unsupported: bool) -> None:
         """Raise one `SceneFileError` that lists all errors so far. Give warnings for the other problems.
@@ -47,15 +62,20 @@ class Problems:
             if severity in warned:
                 warn(message)
         remaining = [message for *_, message, severity in ordered if severity not in warned]
-        if len(remaining) == 1:
+        count = sum(n for severity, n in self.count.items() if severity not in warned)
+        if count == 1:
             raise SceneFileError(remaining[0])
-        if remaining:
-            raise SceneFileError("\n  ".join([f"{path} has {len(remaining)} problems:", *remaining]))
+        if count:
+            rest = [f"and {count - len(remaining)} more"] if count > len(remaining) else []
+            raise SceneFileError("\n  ".join([f"{path} has {count} problems:", *remaining, *rest]))
+        if self.count.total() > len(ordered):
+            warn(f"{path}: and {self.count.total() - len(ordered)} more warnings like these")
         self.told.update(self.found)
         self.found.clear()
+        self.count.clear()
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)  # elements that are alike are not the same
 class Element:
     """An XML element and its place in the file.
 
@@ -117,18 +137,43 @@ class Element:
 
     @contextlib.contextmanager
     def located(self) -> Iterator[None]:
-        """Add the place of this element to a `ValueError` raised inside the block, unless it names a place already."""
+        """Add the place of this element to an error raised inside the block, unless it names a place already."""
         try:
             yield
         except SceneFileError:
             raise
         except ValueError as error:
             raise self.error(str(error)) from error
+        except OSError as error:
+            raise self.error(f"can't read {error.filename}: {reason(error)}") from error
 
     def find_file(self, filename: str) -> Path:
-        """The first file of this name in `folders` or the working directory. Raises ValueError if there is none."""
-        candidates = list(dict.fromkeys(folder / filename for folder in (*self.folders, Path.cwd())))
+        """The first file of this name in `folders` or the working directory. Raises ValueError if there is none.
+
+        Folders, pipes and devices don't count: reading them may never end.
+        """
+        candidates = self._candidates(filename)
         for candidate in candidates:
-            if candidate.is_file():
+            if _is(candidate.is_file):
                 return candidate
-        raise ValueError(f"there is no file {' or '.join(map(str, candidates))}")
+        raise ValueError(f"there is no file {' or '.join(str(path) for path in candidates) or shortened(filename)}")
+
+    def find_folder(self, name: str) -> Path:
+        """The first folder of this name in `folders` or the working directory. Raises ValueError if there is none."""
+        for candidate in self._candidates(name):
+            if _is(candidate.is_dir):
+                return candidate
+        raise ValueError(f"there is no folder {shortened(name)}")
+
+    def _candidates(self, name: str) -> list[Path]:
+        if len(name) > LONGEST_PATH:
+            return []
+        return list(dict.fromkeys(folder / name for folder in (*self.folders, Path.cwd())))
+
+
+def _is(test: Callable[[], bool]) -> bool:
+    """Whether a path passes a test. A name that is too long and a folder that must not be read do not."""
+    try:
+        return test()
+    except OSError:
+        return False

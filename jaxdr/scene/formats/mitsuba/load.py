@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import equinox as eqx
+import numpy as np
 
 from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
@@ -86,7 +87,15 @@ def load_mitsuba(
         raise root.error("the scene has no <shape> that can be seen; it needs at least one")
     with root.located():
         scene = Scene(shapes=found, camera=camera, environment=environment, lights=lights)
+        _check_finite(scene)
         return tie_shared(scene, _made(root, plans.values()))
+
+
+def _check_finite(scene: Scene) -> None:
+    """Raises ValueError for a parameter that is not finite: numbers in range may overflow where they are multiplied."""
+    for name, value in scene.parameters().items():
+        if not np.isfinite(np.asarray(value)).all():
+            raise ValueError(f"{name} is not finite: numbers of the file are too large together")
 
 
 def _made(root: Element, plans: Iterable[Plan]) -> list[Made]:

@@ -128,6 +128,8 @@ def _principled(properties: Properties) -> Principled:
     if specular is not None and eta is not None:
         raise ValueError("give either specular or eta, not both")
     if eta is not None:
+        if not eta > 0:
+            raise ValueError(f"eta must be positive, got {eta}")
         specular = ((eta - 1) / (eta + 1)) ** 2 / 0.08  # as Mitsuba relates the two
     return Principled(
         textured_color(properties, "base_color", 0.5),

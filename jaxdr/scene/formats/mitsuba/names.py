@@ -1,5 +1,6 @@
 """Names of the shapes and lights of a Mitsuba 3 scene file. Names of parameters begin with them."""
 
+import itertools
 from collections.abc import Collection
 
 from jaxdr.scene.formats.mitsuba.element import Element
@@ -9,12 +10,14 @@ from jaxdr.scene.scene import RESERVED
 def object_names(elements: list[Element], others: Collection[str] = ()) -> list[str]:
     """Ids of elements; without an id, the type and the first free number (`cube`, `cube_1`, …). `others` are taken."""
     taken = {element.attributes.get("id") for element in elements} | set(others)
+    following: dict[str, int] = {}  # the next number to try, by type
     names = []
     for element in elements:
         name = element.attributes.get("id")
         if name is None:
-            candidates = (f"{element.type}_{i}" if i else element.type for i in range(len(taken) + 1))
-            name = next(candidate for candidate in candidates if candidate not in taken)
+            tried = itertools.count(following.get(element.type, 0))
+            i, name = next((i, n) for i in tried if (n := f"{element.type}_{i}" if i else element.type) not in taken)
+            following[element.type] = i + 1
             taken.add(name)
         names.append(name)
     return names

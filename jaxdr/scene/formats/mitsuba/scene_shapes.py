@@ -19,6 +19,9 @@ from jaxdr.scene.formats.mitsuba.names import object_names, parameter_name
 from jaxdr.scene.formats.mitsuba.shapes import SHAPES, Plan
 from jaxdr.scene.formats.mitsuba.xml import REASONS, Properties, read_plugin
 from jaxdr.scene.scene import Shape
+from jaxdr.untrusted import LARGEST
+
+MOST_SHAPES = 10_000  # with those that instances copy: each is a mesh of its own
 
 
 class SceneShapes:
@@ -48,6 +51,8 @@ class SceneShapes:
                     element.problems.add(element, element.place(message))
                 elif plan is not None and element.type != "shapegroup":
                     found[whole] = plan
+            if len(found) > MOST_SHAPES:
+                raise element.error(f"the scene has more than {MOST_SHAPES} shapes; join them into fewer mesh files")
         return found
 
     def shape(self, plan: Plan) -> Shape | None:
@@ -57,7 +62,7 @@ class SceneShapes:
         except EmptyMesh as error:
             plan.element.unsupported(str(error), "the shape is left out")
             return None
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             plan.element.problems.add(plan.element, plan.element.place(str(error)))
             return None
         for element in (plan.bsdf, plan.emitter):
@@ -118,6 +123,8 @@ def _mesh(plan: Plan) -> tuple[Mesh, Attributes]:
         arrays = arrays.turned()
     if plan.instance is not None:
         arrays = transformed_arrays(arrays, plan.instance)
+    if not (np.abs(arrays.vertices) <= LARGEST).all():
+        raise ValueError(f"its vertices go beyond {LARGEST:g}; repair to_world or the mesh")
     mesh = Mesh(*arrays)
     attributes = source.attributes
     if len(mesh.faces) < len(arrays.faces):  # `Mesh` drops faces without area

@@ -10,8 +10,9 @@ from jaxdr.scene.camera import Camera, Orthographic, Perspective, ThinLens
 from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP
 from jaxdr.scene.film import Box, Film, Gaussian, ReconstructionFilter, Tent
 from jaxdr.scene.formats.mitsuba.element import Element
-from jaxdr.scene.formats.mitsuba.values import floats
+from jaxdr.scene.formats.mitsuba.number import floats
 from jaxdr.scene.formats.mitsuba.xml import NUMBER, Properties, read_plugin
+from jaxdr.untrusted import check_pixels, finite
 
 SAMPLER_SETTINGS = ("sample_count", "seed", "jitter", "strength")
 # They say how Mitsuba stores the image. Our pixels at the border always see beyond the film, as with `sample_border`.
@@ -21,6 +22,8 @@ FILM_SETTINGS = (
 )
 PIXEL_FORMATS = ("rgb", "rgba")  # there is no alpha channel here; the colours are the same
 SENSOR_SETTINGS = ("shutter_open", "shutter_close")  # nothing moves in time
+NARROWEST, WIDEST = 1e-3, 1e3  # pixels, of a filter
+LISTED = 20  # sensors in a message
 FULL_FRAME_DIAGONAL = math.hypot(36.0, 24.0)  # mm; `focal_length` is meant for this film format
 
 
@@ -80,6 +83,7 @@ def field_of_view(properties: Properties) -> dict[str, Any]:
 def _hdr_film(element: Element) -> Film:
     properties = Properties(element)
     width, height = properties.value("width", "integer", 768), properties.value("height", "integer", 576)
+    check_pixels(width, height, "width and height")
     names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
     defaults = (0, 0, width, height)
     crop = tuple(properties.value(n, "integer", d) for n, d in zip(names, defaults, strict=True))
@@ -92,7 +96,7 @@ def _hdr_film(element: Element) -> Film:
 
 
 def _gaussian(element: Element) -> Gaussian:
-    return Gaussian(Properties(element).value("stddev", NUMBER, 0.5))
+    return Gaussian(_pixels(element, "stddev", 0.5))
 
 
 def _box(element: Element) -> Box:
@@ -100,7 +104,11 @@ def _box(element: Element) -> Box:
 
 
 def _tent(element: Element) -> Tent:
-    return Tent(Properties(element).value("radius", NUMBER, 1.0))
+    return Tent(_pixels(element, "radius", 1.0))
+
+
+def _pixels(element: Element, name: str, default: float) -> float:
+    return finite(float(Properties(element).value(name, NUMBER, default)), name, NARROWEST, WIDEST)
 
 
 def _sampler(element: Element) -> None:
@@ -138,7 +146,8 @@ def chosen_sensor(root: Element, sensors: list[Element], chosen: str | int | Non
     Several sensors without a choice are noted as not supported. Raises ValueError for a choice that is none of them.
     """
     ids = [sensor.attributes.get("id") for sensor in sensors]
-    listed = ", ".join(f"{i}: " + ("without id" if name is None else repr(name)) for i, name in enumerate(ids))
+    known = [f"{i}: " + ("without id" if name is None else repr(name)) for i, name in enumerate(ids)]
+    listed = ", ".join(known[:LISTED]) + (", …" if len(known) > LISTED else "")
     if chosen is None:
         for further in sensors[1:2]:
             example = next((name for name in ids if name is not None), 0)

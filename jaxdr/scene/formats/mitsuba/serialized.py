@@ -22,13 +22,15 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from jaxdr.geometry.load import Triangles
+from jaxdr.geometry.formats.triangles import Triangles, check_corners, check_numbers, unit
+from jaxdr.untrusted import check_memory, reason
 
 MAGIC = 0x041C
 OFFSET = {3: np.dtype("<u4"), 4: np.dtype("<u8")}  # type of the offsets, by version
 NORMALS, UVS, COLORS, FACE_NORMALS, DOUBLE = 0x1, 0x2, 0x8, 0x10, 0x2000
-CHUNK = 1 << 20
+CHUNK = 1 << 14
 LONGEST_NAME = 1 << 16
+SMALLEST = 1032  # zlib makes data no smaller than by this factor
 
 
 class SerializedMesh(NamedTuple):
@@ -36,6 +38,35 @@ class SerializedMesh(NamedTuple):
 
     triangles: Triangles
     face_normals: bool
+
+
+class Stream:
+    """The zlib stream of a file from the current position on. Memory is taken for what is asked for, and no more."""
+
+    def __init__(self, file: BinaryIO):
+        self.file, self.inflate, self.waiting = file, zlib.decompressobj(), b""
+        start = file.tell()
+        self.most = SMALLEST * (file.seek(0, 2) - start)
+        file.seek(start)
+
+    def read(self, size: int) -> bytearray:
+        """The next bytes, fewer at the end of the stream. Raises ValueError where the file ends before."""
+        found = bytearray()
+        while len(found) < size and not self.inflate.eof:
+            self.waiting = self.waiting or self.file.read(CHUNK)
+            if not self.waiting:
+                raise ValueError("the file ends inside of a mesh")
+            found += self.inflate.decompress(self.waiting, size - len(found))
+            self.waiting = self.inflate.unconsumed_tail
+        return found
+
+    def numbers(self, kind: np.dtype, rows: int, columns: int) -> np.ndarray:
+        """A table of numbers."""
+        size = rows * columns * kind.itemsize
+        content = self.read(size)
+        if len(content) < size:
+            raise ValueError("a mesh is shorter than its numbers of vertices and triangles say")
+        return np.frombuffer(content, kind).reshape(rows, columns)
 
 
 def read_serialized(path: Path, index: int) -> SerializedMesh:
@@ -46,9 +77,9 @@ def read_serialized(path: Path, index: int) -> SerializedMesh:
             if index:
                 file.seek(_offset(file, version, index))
                 version = _version(file)
-            return _mesh(memoryview(_decompressed(file)), version)
-        except (struct.error, zlib.error, OverflowError, UnicodeDecodeError, OSError) as error:
-            raise ValueError(f"{path}: not a readable serialized mesh ({error})") from error
+            return _mesh(Stream(file), version)
+        except (struct.error, zlib.error, OverflowError, UnicodeDecodeError, OSError, MemoryError) as error:
+            raise ValueError(f"{path}: not a readable serialized mesh ({reason(error)})") from error
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
@@ -71,44 +102,37 @@ def _offset(file: BinaryIO, version: int, index: int) -> int:
     return int(np.frombuffer(file.read(kind.itemsize), kind)[0])
 
 
-def _decompressed(file: BinaryIO) -> bytes:
-    """The content of the zlib stream that starts at the current position."""
-    stream, parts = zlib.decompressobj(), []
-    while not stream.eof:
-        chunk = file.read(CHUNK)
-        if not chunk:
-            raise ValueError("the file ends inside of a mesh")
-        parts.append(stream.decompress(chunk))
-    return b"".join(parts)
-
-
-def _mesh(content: memoryview, version: int) -> SerializedMesh:
-    (flags,) = struct.unpack_from("<I", content)
-    position = 4
+def _mesh(stream: Stream, version: int) -> SerializedMesh:
+    (flags,) = struct.unpack("<I", stream.read(4))
     if version == 4:
-        position += bytes(content[position : position + LONGEST_NAME]).index(b"\0") + 1
-    vertex_count, face_count = struct.unpack_from("<QQ", content, position)
-    position += 16
+        _skip_name(stream)
+    vertex_count, face_count = struct.unpack("<QQ", stream.read(16))
     number = np.dtype("<f8" if flags & DOUBLE else "<f4")
-
-    def take(kind: np.dtype, rows: int, columns: int) -> np.ndarray:
-        nonlocal position
-        size = rows * columns * kind.itemsize
-        if position + size > len(content):
-            raise ValueError("a mesh is shorter than its numbers of vertices and triangles say")
-        taken = np.frombuffer(content, kind, rows * columns, position).reshape(rows, columns)
-        position += size
-        return taken
-
-    vertices = take(number, vertex_count, 3).astype(np.float64)
-    normals = take(number, vertex_count, 3) if flags & NORMALS else None
-    uvs = take(number, vertex_count, 2).astype(np.float64) if flags & UVS else None
-    colors = take(number, vertex_count, 3) if flags & COLORS else None
-    faces = take(np.dtype("<u4"), face_count, 3).astype(np.int64)
-    if faces.size and faces.max() >= vertex_count:
-        raise ValueError(f"a triangle has vertex {faces.max()}, and there are {vertex_count}")
-    if normals is not None:
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = normals / np.where(length > 0, length, 1)
+    columns = 3 + 3 * bool(flags & NORMALS) + 2 * bool(flags & UVS) + 3 * bool(flags & COLORS)
+    size = vertex_count * columns * number.itemsize + 12 * face_count
+    if size > stream.most:
+        raise ValueError(f"{vertex_count} vertices and {face_count} triangles take more bytes than the file can have")
+    check_memory(2 * size, "a mesh")
+    if not vertex_count or not face_count:
+        raise ValueError("a mesh has no triangles")
+    vertices = stream.numbers(number, vertex_count, 3).astype(np.float64)
+    normals = stream.numbers(number, vertex_count, 3) if flags & NORMALS else None
+    uvs = stream.numbers(number, vertex_count, 2).astype(np.float64) if flags & UVS else None
+    colors = stream.numbers(number, vertex_count, 3) if flags & COLORS else None
+    faces = stream.numbers(np.dtype("<u4"), face_count, 3).astype(np.int64)
+    if stream.read(1):
+        raise ValueError(f"a mesh is longer than its numbers of vertices and triangles say (flags {flags:#x})")
+    for name, values in (("vertices", vertices), ("normals", normals), ("uvs", uvs), ("colours", colors)):
+        if values is not None:
+            check_numbers(name, values)
+    check_corners(faces.reshape(-1), np.full(face_count, 3), vertex_count)
     stored = {} if colors is None else {"vertex": dict(zip("rgb", colors.T, strict=True))}
-    return SerializedMesh(Triangles(vertices, faces, uvs, normals, stored), bool(flags & FACE_NORMALS))
+    triangles = Triangles(vertices, faces, uvs, None if normals is None else unit(normals), stored)
+    return SerializedMesh(triangles, bool(flags & FACE_NORMALS))
+
+
+def _skip_name(stream: Stream) -> None:
+    for _ in range(LONGEST_NAME):
+        if stream.read(1) in (b"\0", b""):
+            return
+    raise ValueError(f"the name of a mesh is longer than {LONGEST_NAME} bytes")

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.number import floats, number
+from jaxdr.untrusted import shortened, text_of
 
 TABLES = Path(__file__).with_name("cie_1931.csv")  # CIE 1931 2° observer and illuminant D65, 360 to 830 nm
 STEPS = 1000  # points of Mitsuba's quadrature, with both ends
@@ -60,30 +62,32 @@ def _color(element: Element, is_light: bool) -> Float[np.ndarray, "3"]:
     is_reflectance = not is_light and element.attributes.get("name") not in INDICES
     if "filename" in element.attributes:
         path = element.find_file(element.attributes["filename"])
-        lines = [line.split("#")[0].split() for line in path.read_text().splitlines()]
-        return _of_pairs([line for line in lines if line], f"{path}: ", is_light, is_reflectance)
+        lines = [line.split("#")[0].split() for line in text_of(path).splitlines()]
+        pairs = [(f"{path}, line {number}: ", line) for number, line in enumerate(lines, 1) if line]
+        return _of_pairs(pairs, f"{path}: ", is_light, is_reflectance)
     words = element.attributes["value"].replace(",", " ").split()
     if len(words) == 1 and ":" not in words[0]:
-        return (EQUAL_ENERGY_LIGHT if is_light else np.ones(3)) * _numbers(words, "")[0]
-    return _of_pairs([word.split(":") for word in words], "", is_light, is_reflectance)
+        return (EQUAL_ENERGY_LIGHT if is_light else np.ones(3)) * floats(words[0], 1)[0]
+    return _of_pairs([("", word.split(":")) for word in words], "", is_light, is_reflectance)
 
 
-def _of_pairs(pairs: list[list[str]], place: str, is_light: bool, is_reflectance: bool) -> Float[np.ndarray, "3"]:
-    if any(len(pair) != 2 for pair in pairs):
-        wrong = next(":".join(pair) for pair in pairs if len(pair) != 2)
-        raise ValueError(f"{place}expected pairs of wavelength and value such as 400:0.3, 500:0.4, got {wrong!r}")
-    nm, values = np.array([_numbers(pair, place) for pair in pairs]).reshape(-1, 2).T
+def _of_pairs(
+    pairs: list[tuple[str, list[str]]], place: str, is_light: bool, is_reflectance: bool
+) -> Float[np.ndarray, "3"]:
+    """RGB of pairs of wavelength and value, each with its place in a file."""
+    numbers = []
+    for at, pair in pairs:
+        text = ":".join(pair)
+        if len(pair) != 2:
+            raise ValueError(
+                f"{at}expected pairs of wavelength and value such as 400:0.3, 500:0.4, got {shortened(text)}"
+            )
+        try:
+            numbers.append([number(word, text) for word in pair])
+        except ValueError as error:
+            raise ValueError(f"{at}{error}") from error
+    nm, values = np.array(numbers).reshape(-1, 2).T
     if len(nm) < 2 or np.any(np.diff(nm) <= 0):
         raise ValueError(f"{place}a spectrum needs two or more wavelengths (nm), in increasing order")
     rgb = spectrum_to_rgb(nm, values, is_light)
     return np.minimum(rgb, 1.0) if is_reflectance and values.max() <= 1 else rgb
-
-
-def _numbers(words: list[str], place: str) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise ValueError(f"{place}expected numbers, got {' '.join(words)!r}") from None
-    if not np.isfinite(values).all():
-        raise ValueError(f"{place}{' '.join(words)!r} is not finite")
-    return values

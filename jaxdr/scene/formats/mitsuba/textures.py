@@ -97,7 +97,12 @@ def _scale(element: Element) -> ArrayLike | Texture:
     """A texture times a number (Mitsuba 0.x)."""
     properties = Properties(element)
     factor = properties.value("scale", NUMBER, 1.0)
-    return any_texture(properties).times(factor)
+    texture = any_texture(properties)
+    with np.errstate(over="ignore"):
+        scaled = texture.times(factor)
+    if not all(np.isfinite(np.asarray(array)).all() for array in scaled.data()):
+        raise ValueError(f"its values times {factor:g} are not finite")
+    return scaled
 
 
 CONSTANTS: dict[str, Callable[[Element], ArrayLike]] = {"uniform": _uniform, "d65": _d65}

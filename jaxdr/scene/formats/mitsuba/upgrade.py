@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxdr.images import from_srgb
 from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.number import floats
 
 METALS = ("conductor", "roughconductor")
 COLORS = ("rgb", "srgb", "spectrum")
@@ -107,9 +108,11 @@ def _upgrade_metal(metal: Element) -> None:
     outside = {"air": AIR, "vacuum": 1.0}.get(text)
     if outside is None:
         try:
-            outside = float(text)
+            outside = floats(text, 1)[0]
         except ValueError:
             return  # `ext_eta` is reported later, as an unknown parameter
+    if outside <= 0:
+        return
     if abs(outside - 1) < 1e-3:  # air changes the indices by 0.03 %
         metal.children.remove(around)
         return
@@ -128,6 +131,7 @@ def _upgrade_color(color: Element, owner: Element) -> None:
     """
     values = _numbers(color)
     if values is None:
+        color.tag = "rgb" if color.tag == "srgb" else color.tag  # what is wrong with it is told when it is read
         return
     name = color.attributes.get("name", "")
     if color.tag == "spectrum" and len(values) == 3:
@@ -148,7 +152,6 @@ def _numbers(element: Element) -> Float[np.ndarray, " n"] | None:
     if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
         return np.array([int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     try:
-        values = np.array([float(word) for word in text.replace(",", " ").split()])
+        return np.array(floats(text, 1, 3))
     except ValueError:
         return None
-    return values if len(values) in (1, 3) and np.isfinite(values).all() else None

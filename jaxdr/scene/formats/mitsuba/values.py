@@ -1,7 +1,6 @@
 """Typed values in Mitsuba 3 scene files: numbers, colours, points and transforms."""
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -10,23 +9,9 @@ from jaxtyping import Float
 
 from jaxdr.scene.camera import look_at
 from jaxdr.scene.formats.mitsuba.element import Element
+from jaxdr.scene.formats.mitsuba.number import floats, integer
 from jaxdr.scene.formats.mitsuba.spectra import surface_color
-
-
-def floats(text: str, *counts: int) -> list[float]:
-    """Finite numbers separated by spaces or commas; `counts` are the allowed numbers of them.
-
-    Raises ValueError for anything else.
-    """
-    try:
-        values = [float(word) for word in re.split(r"\s*,\s*|\s+", text.strip())]
-    except ValueError:
-        raise ValueError(f"expected numbers, got {text!r}") from None
-    if not all(map(math.isfinite, values)):
-        raise ValueError(f"{text!r} is not finite")
-    if len(values) not in counts:
-        raise ValueError(f"expected {' or '.join(map(str, counts))} numbers, got {text!r}")
-    return values
+from jaxdr.untrusted import LARGEST, shortened
 
 
 def tangent(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -37,17 +22,10 @@ def tangent(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return np.array([1 + sign * x * x * a, sign * x * y * a, -sign * x])
 
 
-def _integer(element: Element) -> int:
-    text = element.attributes["value"]
-    if not re.fullmatch(r"\s*[+-]?\d+\s*", text):
-        raise ValueError(f"expected an integer, got {text!r}")
-    return int(text)
-
-
 def _boolean(element: Element) -> bool:
     text = element.attributes["value"].lower()
     if text not in ("true", "false"):
-        raise ValueError(f"expected true or false, got {text!r}")
+        raise ValueError(f"expected true or false, got {shortened(text)}")
     return text == "true"
 
 
@@ -138,12 +116,14 @@ def _transform(element: Element) -> Float[np.ndarray, "4 4"]:
             raise step.error(f"unknown transform; known: {', '.join(TRANSFORMS)}")
         with step.located():
             matrix = TRANSFORMS[step.tag](step) @ matrix
+            if not (np.abs(matrix) <= LARGEST).all():
+                raise ValueError(f"with this step the transform has numbers beyond {LARGEST:g}")
     return matrix
 
 
 VALUES: dict[str, Callable[[Element], Any]] = {
     "boolean": _boolean,
-    "integer": _integer,
+    "integer": lambda element: integer(element.attributes["value"]),
     "float": lambda element: floats(element.attributes["value"], 1)[0],
     "string": lambda element: element.attributes["value"],
     "point": lambda element: _triple(element, extra=("name",)),
