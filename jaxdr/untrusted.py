@@ -156,8 +156,8 @@ def _header(file: Any, length: int) -> tuple[int, ...]:
     """The shape of an array in a file of `length` bytes, behind whose header `file` stands afterwards."""
     magic = file.read(len(NPY))
     if magic != NPY:
-        kind = "an archive of arrays (.npz)" if magic[:2] == b"PK" else "another format"
-        raise ValueError(f"it is {kind}")
+        archive = magic[:2] == b"PK"
+        raise ValueError("it is an archive of arrays (.npz)" if archive else "it is of another format")
     file.seek(0)
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
@@ -188,8 +188,9 @@ def opened_picture(source: Path | io.BytesIO, formats: tuple[str, ...]) -> Itera
 def check_pixels(width: int, height: int, where: str = "") -> None:
     """Raises ValueError for a picture or a film of more than `MOST_PIXELS`, or without any."""
     if not (width > 0 and height > 0 and width * height <= MOST_PIXELS):
-        limit = f"expected 1 to {MOST_PIXELS} pixels"
-        raise ValueError(f"{f'{where}: ' if where else ''}{limit}, got {shortened(width)} x {shortened(height)}")
+        place = f"{where}: " if where else ""
+        found = f"{shortened(width)} x {shortened(height)}"
+        raise ValueError(f"{place}expected 1 to {MOST_PIXELS} pixels, got {found}")
 
 
 def check_memory(needed: int, where: str) -> None:
