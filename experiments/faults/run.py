@@ -2,8 +2,8 @@
 
     python -m experiments.faults.run [--kind optimize] [CASE ...]
 
-Every case is a real run in a process of its own. Full and read-only disks are small file systems in memory. Only root
-may mount those; without root these cases are left out, and the report says so.
+Every case is a real run in a process of its own. A full disk is a small file system in memory. Only root may mount
+one; without root that case is left out, and the report says so.
 """
 
 import argparse
@@ -61,20 +61,6 @@ def full_disk(run: Run) -> None:
         run.found = run.result()
 
 
-def read_only(run: Run) -> None:
-    """The file system turns read-only, as broken disks do; later it can be written again."""
-    with small_disk(run.place):
-        process = run.start()
-        run.wait_for_step(process, 9)
-        # A file that is open for writing at that moment refuses it: then again.
-        while subprocess.run(["mount", "-o", "remount,ro", run.place], capture_output=True).returncode:
-            time.sleep(0.001)
-        run.ended(process)
-        subprocess.run(["mount", "-o", "remount,rw", run.place], check=True)
-        run.ended(run.start("--resume"))
-        run.found = run.result()
-
-
 def removed(run: Run) -> None:
     """The folder of the run is deleted while it goes on: nothing is left to go on from."""
     process = run.start()
@@ -118,7 +104,6 @@ CASES: dict[str, Callable[[Run], None]] = {
     "killed": killed,
     "terminated": terminated,
     "full_disk": full_disk,
-    "read_only": read_only,
     "removed": removed,
     "two_at_once": two_at_once,
     "input_changed": input_changed,
@@ -203,6 +188,8 @@ def main() -> int:
     parser.add_argument("--kind", choices=[*kinds], help="only these runs")
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join([*CASES, RANDOM])}; default: all")
     options = parser.parse_args()
+    # What a shell starts in the background ignores Ctrl-C, and so would the runs.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     wrong = 0
     for name in [options.kind] if options.kind else [*kinds]:
         with tempfile.TemporaryDirectory() as place:

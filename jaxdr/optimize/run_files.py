@@ -23,7 +23,9 @@ STEP_PICTURES = "pictures/[0-9][0-9][0-9][0-9][0-9]*.png"
 
 
 class RunFiles:
-    """A folder with `config.json`, `metrics.csv` (a line a step), `checkpoint.npz`, and in the end `metrics.json`.
+    """A folder with `jaxdr.json` (the marker), `config.json`, `metrics.csv` (a line a step), and `checkpoint.npz`.
+
+    In the end it has `metrics.json`, too.
 
     - `kind`: of run, in words; `free`: fields of the config that may differ where a run goes on, for they do not
       change the result.
