@@ -11,7 +11,7 @@ from tests.fuzz.examine import examine, example
 from tests.fuzz.kind import Kind
 from tests.fuzz.kinds import KINDS
 
-EXAMPLES = 100  # of each kind
+EXAMPLES = 50  # of each kind
 
 
 @pytest.fixture(scope="module", params=[*KINDS])
