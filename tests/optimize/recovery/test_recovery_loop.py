@@ -91,7 +91,16 @@ def test_shape_and_texture_improve_together_and_leave_everything(config, tmp_pat
     written = {str(p.relative_to(tmp_path / "run")) for p in (tmp_path / "run").rglob("*") if p.is_file()}
     numbers = (0, 20, 40)
     assert written == {
-        *("config.json", "metrics.csv", "metrics.json", "targets.npy", "checkpoint.npz", "result.npz"),
+        *(
+            "jaxdr.json",
+            ".jaxdr.lock",
+            "config.json",
+            "metrics.csv",
+            "metrics.json",
+            "targets.npy",
+            "checkpoint.npz",
+            "result.npz",
+        ),
         *(f"pictures/{i:05d}.png" for i in numbers),
         *(f"pictures/{i:05d}.object.bsdf.reflectance.png" for i in numbers),
         *(f"meshes/{i:05d}.object.glb" for i in numbers),
