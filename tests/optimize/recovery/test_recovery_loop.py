@@ -131,7 +131,7 @@ def test_ctrl_c_and_resume_end_with_the_same_bits(config, tmp_path, monkeypatch)
     assert rows(straight) == rows(config)
     with pytest.raises(ValueError, match="this run is finished"):
         recover(config, resume=True)
-    with pytest.raises(ValueError, match=r"config differs from the run's: parameters was"):
+    with pytest.raises(ValueError, match=r"config differs from the recovery's: parameters was"):
         recover(dataclasses.replace(config, parameters=config.parameters[:1]), resume=True)
 
 
