@@ -113,7 +113,6 @@ def _check(results: Results, resume: bool, overwrite: bool) -> None:
         raise ValueError(f"output {path}: holds a {marker['kind']}, this is a {kind}; choose another output")
     if resume:
         _check_config(results)
-        _check_inputs(results, {} if marker is None else marker["inputs"])
     elif marker is None and path.exists() and any(_entries(path)):
         old = "; results of an older version are not deleted: delete them yourself, or" if begun else ";"
         raise ValueError(
@@ -124,11 +123,13 @@ def _check(results: Results, resume: bool, overwrite: bool) -> None:
 
 
 def _open(results: Results, resume: bool) -> None:
-    path = results.path
+    path, marker = results.path, _marker(results.path)
+    if resume and marker is not None:
+        _check_inputs(results, marker["inputs"])  # here, once: it reads all of them
     remove_partial(path)
     if not resume:
         _delete(path, (*results.writes, results.config_file))
-    if not resume or not (path / MARKER).exists():
+    if not resume or marker is None:
         digests = {name: _digest(file) for name, file in results.inputs.items() if file.is_file()}
         head = {"jaxdr": "results", "kind": results.kind, "version": VERSION, "inputs": digests}
         _write(path / MARKER, head)
