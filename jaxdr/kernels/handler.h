@@ -1,79 +1,8 @@
-// A kernel as XLA calls it: operands, tasks, and sums in an order that does not depend on the threads.
+// The handler of one kernel. All but its rows is done by `jaxdr_run`, which is compiled once and known by address.
 
-union Sums { float* floats; int* ints; };
-static void body(const char* const* P, const int64_t* const* D, char* const* R, Sums* S, const int64_t* T,
-                 int64_t rows, int64_t start, int64_t end);
+static const Kernel KERNEL = {&body, READS, WRITES, SUMS, WIDTH, WHOLE};
 
-// Rows are divided into tasks. Tasks of kernels with sums have sums of their own, which are added in order.
-#define TASK_ROWS 2048
-#define SUM_TASKS 16
-
-struct Call {
-  const char* P[READS + 1];
-  const int64_t* D[READS + 1];
-  char* R[WRITES + 1];
-  int64_t T[SUMS + 1], size[SUMS + 1];
-  char* sums;  // of all tasks
-  int64_t task_size, rows, task_rows;
-};
-
-static void clear(char* p, int64_t bytes) { __builtin_memset(p, 0, bytes); }
-
-static void run(void* call, int64_t task) {
-  Call* c = (Call*)call;
-  const int64_t start = task * c->task_rows, end = start + c->task_rows < c->rows ? start + c->task_rows : c->rows;
-  Sums own[SUMS + 1];
-  if (SUMS) {
-    char* p = c->sums + task * c->task_size;
-    clear(p, c->task_size);
-    for (int k = 0; k < SUMS; k++) {
-      own[k].floats = (float*)p;
-      p += 4 * c->size[k];
-    }
-  }
-  body(c->P, c->D, c->R, own, c->T, c->rows, start, end);
-}
-
-extern "C" XLA_FFI_Error* jaxdr_handler(XLA_FFI_CallFrame* f) {
-  if (is_question(f)) return nullptr;
-  Call c;
-  for (int i = 0; i < READS; i++) {
-    c.P[i] = (const char*)argument(f, i)->data;
-    c.D[i] = argument(f, i)->dims;
-  }
-  for (int i = 0; i < WRITES; i++) c.R[i] = (char*)result(f, i)->data;
-  // The only attribute: the number of rows.
-  c.rows = *(int64_t*)((XLA_FFI_Scalar*)f->attrs.attrs[0])->value;
-  c.task_rows = TASK_ROWS;
-  c.sums = nullptr;
-  c.task_size = 0;
-  if (SUMS) {
-    const int64_t share = (c.rows + SUM_TASKS - 1) / SUM_TASKS;
-    c.task_rows = (share + WIDTH - 1) / WIDTH * WIDTH;
-    for (int k = 0; k < SUMS; k++) {
-      XLA_FFI_Buffer* b = result(f, WRITES + k);
-      c.size[k] = 1;
-      for (int64_t d = 0; d < b->rank; d++) c.size[k] *= b->dims[d];
-      c.T[k] = b->rank ? b->dims[0] : 1;
-      c.task_size += 4 * c.size[k];
-    }
-  }
-  const int64_t tasks = (c.rows + c.task_rows - 1) / c.task_rows;
-  if (SUMS) c.sums = (char*)malloc(c.task_size * tasks);
-  in_parallel(f, tasks, &run, &c);
-  int64_t place = 0;
-  for (int k = 0; k < SUMS; k++) {
-    char* out = (char*)result(f, WRITES + k)->data;
-    clear(out, 4 * c.size[k]);
-    for (int64_t task = 0; task < tasks; task++) {
-      const char* part = c.sums + task * c.task_size + place;
-      if (WHOLE[k])
-        for (int64_t i = 0; i < c.size[k]; i++) ((int*)out)[i] += ((const int*)part)[i];
-      else
-        for (int64_t i = 0; i < c.size[k]; i++) ((float*)out)[i] += ((const float*)part)[i];
-    }
-    place += 4 * c.size[k];
-  }
-  free(c.sums);
-  return nullptr;
+extern "C" {
+void* (*jaxdr_shared)(void* call, const Kernel* kernel) = nullptr;
+void* jaxdr_handler(void* call) { return jaxdr_shared(call, &KERNEL); }
 }

@@ -19,6 +19,11 @@ from jaxdr.program_cache import user_folder
 FLAGS = "-march=native -fno-slp-vectorize -fno-vectorize -ffp-contract=off -w"
 KEPT = 4096  # objects on disk; beyond, those that were not used for longest are deleted
 SYMBOL = "jaxdr_handler"
+SHARED = "jaxdr_shared"  # of a kernel: where the address of `jaxdr_run` goes
+TYPES = (
+    "typedef __SIZE_TYPE__ size_t; typedef __INT64_TYPE__ int64_t; typedef __INT32_TYPE__ int32_t;\n"
+    "typedef __UINT32_TYPE__ uint32_t; typedef __UINT64_TYPE__ uint64_t;\n"
+)
 
 
 class CompilerError(RuntimeError):
@@ -73,25 +78,21 @@ def library_text(name: str) -> str:
 def declarations() -> str:
     """XLA's own declarations, without other headers, and what handlers share: a text to begin with."""
     header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
-    types = (
-        "typedef __SIZE_TYPE__ size_t; typedef __INT64_TYPE__ int64_t; typedef __INT32_TYPE__ int32_t;\n"
-        "typedef __UINT32_TYPE__ uint32_t; typedef __UINT64_TYPE__ uint64_t;\n"
-        "#define offsetof(type, field) __builtin_offsetof(type, field)\n"
-    )
+    offset = "#define offsetof(type, field) __builtin_offsetof(type, field)\n"
     lines = [line for line in header.splitlines() if not line.startswith("#include")]
-    return "\n".join([types, *lines, library_text("parallel.h")])
+    return "\n".join([TYPES, offset, *lines, library_text("parallel.h")])
 
 
 _targets: dict[str, Future] = {}
 _lock = threading.Lock()
 
 
-def target(text: str) -> str:
-    """The name of XLA's call of a kernel; compiling begins in the background. See `ready`."""
+def target(text: str, kernel: bool = True) -> str:
+    """The name of XLA's call of a kernel, or a handler; compiling begins in the background. See `ready`."""
     name = _name(text)
     with _lock:
         if name not in _targets:
-            _targets[name] = _workers().submit(_register, name, text)
+            _targets[name] = _workers().submit(_register, name, text, kernel)
     return name
 
 
@@ -101,8 +102,25 @@ def ready(names: list[str]) -> None:
         _targets[name].result()
 
 
-def _register(name: str, text: str) -> None:
-    register(name, _loaded(name, text)(SYMBOL))
+def _register(name: str, text: str, kernel: bool) -> None:
+    address = _loaded(name, text)
+    if kernel:
+        ctypes.c_void_p.from_address(address(SHARED)).value = _run_address()
+    register(name, address(SYMBOL))
+
+
+def _run_address() -> int:
+    """Of what all kernels share: to compile it with each of them would take longer than most kernels themselves."""
+    with _linking:
+        return _run_addresses()["jaxdr_run"]
+
+
+@cache
+def _run_addresses() -> dict[str, int]:
+    return addresses(declarations() + library_text("kernel.h") + library_text("call.h"), ["jaxdr_run"])
+
+
+_linking = threading.Lock()
 
 
 def register(name: str, address: int) -> None:

@@ -96,7 +96,7 @@ class Program:
                 continue
             if step.name in HANDLERS:
                 text = machine.declarations() + machine.library_text(HANDLERS[step.name])
-                counts.targets.append(machine.target(text))
+                counts.targets.append(machine.target(text, kernel=False))
                 steps.append(_Handled(counts.targets[-1], step))
                 continue
             counts.left[step.name] = counts.left.get(step.name, 0) + 1

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxdr.kernels.flatten import Equation, Value
-from jaxdr.kernels.machine import declarations, library_text
+from jaxdr.kernels.machine import TYPES, library_text
 from jaxdr.kernels.operations import SCALARS, VECTORS, Components, computed, literal, rearranged
 from jaxdr.kernels.rows import components, is_sum, row_axis, width
 
@@ -288,13 +288,13 @@ class KernelWriter:
         kinds = [*("true" if e.outputs[0].kind == "int32" else "false" for e in self.sums), "false"]
         return "\n".join(
             [
-                declarations(),
+                TYPES,
+                library_text("kernel.h"),
                 library_text("vector.h"),
                 f"#define READS {len(self.reads)}",
                 f"#define WRITES {writes}",
                 f"#define SUMS {len(self.sums)}",
                 f"static const bool WHOLE[SUMS + 1] = {{{', '.join(kinds)}}};",
-                library_text("handler.h"),
                 "static void body(const char* const* P, const int64_t* const* D, char* const* R, Sums* S,",
                 "                 const int64_t* T, int64_t rows, int64_t start, int64_t end) {",
                 *self.before,
@@ -305,7 +305,7 @@ class KernelWriter:
                 "}",
                 *self.after,
                 "}",
-                "",
+                library_text("handler.h"),
             ]
         )
 
