@@ -47,6 +47,8 @@ def reason(problem: BaseException) -> str:
     if isinstance(problem, MemoryError):
         return "it asks for more memory than there is"
     words = problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem)
+    if "sys.set_int_max_str_digits" in words:  # Python's remedy is none for the reader of a file
+        return "a whole number of thousands of digits"
     return re.sub(r" ?<\S+ object at 0x\w+>", "", " ".join(words.split())) or type(problem).__name__
 
 

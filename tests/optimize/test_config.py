@@ -117,6 +117,8 @@ def test_overrides(write, override, read):
         ("[samples]\nimage = 0", r"samples\.image: must be at least 1, got 0"),
         ("seed = -1", r"seed: must be between 0"),
         ("this is not toml", r"is not valid TOML: .*line 1"),
+        ("seed = " + "9" * 5000, "is not valid TOML: a whole number of thousands of digits$"),
+        ("seed = " + "[" * 3000, "is not valid TOML: it is nested too deeply$"),
     ],
 )
 def test_mistakes_in_the_file(write, text, message):
