@@ -327,3 +327,19 @@ def test_module_runs_as_a_program():
     assert (
         done.stderr == "jaxdr: error: nothing.toml: can't be read (No such file or directory); expected a TOML file\n"
     )
+
+
+def test_ctrl_c_after_the_end_prints_no_traceback():
+    """The process is interrupted while it cleans up behind a command that has ended."""
+    code = (
+        "import atexit, os, signal\n"
+        # What a shell starts in the background ignores Ctrl-C, and so do its children.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from jaxdr import __main__\n"
+        "__main__.main = lambda: 7\n"
+        "atexit.register(os.kill, os.getpid(), signal.SIGINT)\n"
+        "__main__.run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGINT
+    assert "Traceback" not in done.stderr

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -30,21 +31,20 @@ TURNS, BODY = 32, 80  # a loop of so many turns and equations is written out
 class Value:
     """What an equation reads or makes. An array or key that is known has its `constant`."""
 
-    __slots__ = ("aval", "constant")
-
     def __init__(self, aval: Any, constant: Any = None):
         self.aval = aval
         self.constant = constant
 
-    @property
+    # Asked some ten times of each value: a large part of the time to plan a program.
+    @cached_property
     def shape(self) -> tuple[int, ...]:
         return self.aval.shape
 
-    @property
+    @cached_property
     def size(self) -> int:
         return math.prod(self.shape)
 
-    @property
+    @cached_property
     def kind(self) -> str:
         return str(self.aval.dtype)
 

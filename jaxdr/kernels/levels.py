@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxdr.kernels.flatten import Equation, Value
-from jaxdr.kernels.operations import computed
-from jaxdr.kernels.rows import is_sum, row_axis, rows_of, width
+from jaxdr.kernels.operations import has_rule
+from jaxdr.kernels.rows import is_sum, row_axis, rows_of
 
 
 class Cluster(NamedTuple):
@@ -59,9 +59,7 @@ def _rows(equation: Equation) -> int:
     rows = rows_of(equation)
     if not rows or is_sum(equation) or equation.name in ("gather", "iota", "random_bits"):
         return rows
-    # Operations are looked up by their names and kinds, so a trial with any components tells whether there is a rule.
-    trial = [[""] * width(v, rows) for v in equation.inputs]
-    return rows if computed(equation, rows, trial) is not None else 0
+    return rows if has_rule(equation) else 0
 
 
 def _is_free(equation: Equation, rows: int) -> bool:

@@ -44,8 +44,14 @@ def indices(value: Value, rows: int) -> np.ndarray:
     return np.arange(math.prod(shape)).reshape(shape)
 
 
-def computed(equation: Equation, rows: int, given: Sequence[Components]) -> list[Components] | None:
-    """Expressions for the components of every output; None for an operation without a rule."""
+def has_rule(equation: Equation) -> bool:
+    """Whether `computed` knows an operation on these kinds of numbers."""
+    name = equation.name
+    return name in STRUCTURAL or name in REDUCTION_FORMS or name == "dot_general" or _rule(equation) is not None
+
+
+def computed(equation: Equation, rows: int, given: Sequence[Components]) -> list[Components]:
+    """Expressions for the components of every output, of an operation that has a rule."""
     name, out = equation.name, equation.outputs[0]
     if name in STRUCTURAL:
         return rearranged(equation, rows, given)
@@ -54,8 +60,7 @@ def computed(equation: Equation, rows: int, given: Sequence[Components]) -> list
     if name == "dot_general":
         return [_products(equation, rows, *given)]
     rule = _rule(equation)
-    if rule is None:
-        return None
+    assert rule is not None
     shape = components(out, rows)
     spread = [
         [part[i] for i in np.broadcast_to(indices(v, rows), shape).ravel()]

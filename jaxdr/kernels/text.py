@@ -157,9 +157,7 @@ class KernelWriter:
             results = [self.drawn(equation)]
         else:
             given = [self.components_of(v) for v in equation.inputs]
-            found = computed(equation, self.rows, given)
-            assert found is not None
-            results = found
+            results = computed(equation, self.rows, given)
         for value, expressions in zip(equation.outputs, results, strict=True):
             vector = VECTORS[value.kind]
             self.known[value] = [self.named(vector, e) for e in expressions]
