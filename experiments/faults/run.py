@@ -117,12 +117,9 @@ def at_random(kind: type[Run], place: Path, expected: dict, seconds: float) -> i
     for sent in SIGNALS:
         good = reached = 0
         while reached < MOMENTS:
-            run, begin, moment = (
-                kind(place / f"random_{number}", place),
-                time.monotonic(),
-                moments.uniform(0.0, seconds),
-            )
+            run = kind(place / f"random_{number}", place)
             number += 1
+            moment, begin = moments.uniform(0.0, seconds), time.monotonic()
             process = run.start()
             try:
                 process.wait(moment)

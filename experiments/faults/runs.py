@@ -117,7 +117,7 @@ class Run:
     def end(self, process: subprocess.Popen) -> tuple[int, list[str]]:
         """(exit code, lines that the user sees) when the process has ended.
 
-        A traceback is an error of ours, except one of Python for Ctrl-C before a run has begun: while it imports.
+        A traceback is an error of ours, except one of Ctrl-C, as while Python imports: this one is told.
         """
         code = process.wait(timeout=900)
         self.said.seek(0)
@@ -125,7 +125,7 @@ class Run:
         tracebacks, interrupted = text.count("Traceback"), len(re.findall("^KeyboardInterrupt", text, re.MULTILINE))
         assert tracebacks == interrupted, text
         if tracebacks:
-            print("    a traceback of Python, which was interrupted before the run had begun")
+            print("    a traceback of KeyboardInterrupt")
         return code, [line for line in text.splitlines() if "Warp" not in line and "kept in" not in line]
 
     def ended(self, process: subprocess.Popen) -> tuple[int, list[str]]:

@@ -40,6 +40,11 @@ def text(name: str, content: bytes):
     return lambda run: (run / name).write_bytes(content)
 
 
+def contents(run: Path) -> dict[Path, bytes]:
+    """All files of a run."""
+    return {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+
 DAMAGES = {
     "a config that is a list": (text("config.json", b"[]"), "config.json"),
     "a config in no encoding": (text("config.json", b"\xff\xfe"), "config.json"),
@@ -64,10 +69,9 @@ def test_one_error_names_the_file(tmp_path, name):
     write_run(tmp_path)
     read_run(tmp_path)
     damage(tmp_path / "run")
-    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    before = contents(tmp_path / "run")
     with pytest.raises(ValueError) as caught:
         read_run(tmp_path)
     assert str(tmp_path / "run" / file) in str(caught.value), caught.value
     assert "\n" not in str(caught.value)
-    after = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    assert after == before, "nothing is lost"
+    assert contents(tmp_path / "run") == before, "nothing is lost"
