@@ -51,7 +51,7 @@ def _albedo(packed: PackedScene, primary: PrimarySamples) -> Float[Array, "N 3"]
 FLOATS: dict[str, Callable[[PackedScene, PrimarySamples], Float[Array, "N C"]]] = {
     "alpha": _alpha,
     "depth": _depth,
-    "position": lambda packed, primary: primary.first.position,
+    "position": lambda packed, primary: primary.first.position + packed.centre,
     "shading_normal": lambda packed, primary: primary.first.shading_normal,
     "albedo": _albedo,
 }

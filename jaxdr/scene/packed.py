@@ -101,6 +101,7 @@ class PackedScene(eqx.Module):
     - `first_face[i]` to `first_face[i + 1]` are the faces of shape i. Its vertices start at `first_vertex[i]`, and it
       has `edge_counts[i]` edges.
     - `table`: all `Triangles`; `size`: the diagonal of the scene's bounding box.
+    - `centre`: the world position of the origin, see `centre_of`. All positions here are relative to it.
     - `uv_faces`: 0 on all faces of shapes that use no UVs.
     - `radiance`: that of emitters without a texture; `glow`: that of emitters with one.
     - `emitter_cdf`, `emitter_density` (per area, zero on other faces): how emitting faces are chosen by their power.
@@ -114,6 +115,7 @@ class PackedScene(eqx.Module):
     faces: Int[Array, "F 3"]
     table: Float[Array, "F 14"]
     size: Float[Array, ""]
+    centre: Float[Array, "3"]
     face_shape: Int[Array, " F"]
     edges: PackedEdges
     bsdfs: tuple[BSDFGroup, ...]
@@ -243,6 +245,19 @@ class PackedScene(eqx.Module):
         """Number of lights without area."""
         return self.lights[0].row.shape[0] if self.lights else 0
 
+    def place_of(self, group: LightGroup, number: Int[Array, " N"]) -> Float[Array, "*#n 3"]:
+        """Positions of the lights of a group by number; unit directions towards them if they are infinitely far."""
+        place = group.at(number).place()
+        return place if group.light.infinite else place - self.centre
+
+    def borders_of(self, group: LightGroup) -> Float[Array, "K 3 3"] | None:
+        """Where the light of a group ends abruptly, see `DeltaLight.borders`; None if it has no such lines.
+
+        The points are relative to the origin, not to the light.
+        """
+        borders = None if group.stacked else group.light.borders()
+        return None if borders is None else borders + (group.light.place() - self.centre)
+
     def texture_point(self, face: Int[Array, " N"], on_face: Float[Array, "N 3"]) -> TexturePoint:
         """The points, by face and barycentric coordinates, as textures are looked up at them."""
         uv = None
@@ -282,6 +297,26 @@ def _size(vertices) -> Float[Array, ""]:
     """Bounding-box diagonal (scene units), detached."""
     points = stop_gradient(vertices)
     return norm(points.max(0) - points.min(0))
+
+
+def centre_of(vertices: Float[Array, "V 3"]) -> Float[Array, "3"]:
+    """The point of a coarse grid that is next to the middle of a scene: where packing puts its origin; detached.
+
+    Rounding grows with coordinates, and distances that stand for it, such as `queries.BESIDE`, grow as well. So a scene
+    of a city's coordinates is traced at the origin. The grid has two to four times the scene's size. So nearby scenes
+    keep their coordinates, and the difference of a coordinate and the centre is exact.
+    """
+    points = stop_gradient(vertices)
+    lower, upper = points.min(0), points.max(0)
+    _, exponent = jnp.frexp(norm(upper - lower))
+    spacing = jnp.ldexp(jnp.ones_like(points[0, 0]), exponent + 1)
+    return spacing * jnp.round(0.5 * (lower + upper) / spacing)
+
+
+def _seen_from(pose: Float[Array, "4 4"], centre: Float[Array, "3"]) -> Float[Array, "4 4"]:
+    """A pose in the world as a pose relative to a centre."""
+    shift = jnp.pad(centre[:, None], ((0, 1), (3, 0)))
+    return pose - shift.astype(pose.dtype)
 
 
 def _emitter_tables(packed: PackedScene):
@@ -331,12 +366,15 @@ def pack(scene: Scene) -> PackedScene:
         radiance = _constant_radiance(glows, meshes[0].vertices.dtype)
         emitter_faces = jnp.asarray(np.concatenate([np.arange(first_face[i], first_face[i + 1]) for i in emitting]))
     vertices = jnp.concatenate([m.vertices for m in meshes])
+    centre = centre_of(vertices)
+    vertices = vertices - centre
     faces = _numbered([m.faces for m in meshes], first_vertex)
     packed = PackedScene(
         vertices=vertices,
         faces=faces,
         table=_face_table(vertices, faces),
         size=_size(vertices),
+        centre=centre,
         face_shape=jnp.asarray(np.repeat(np.arange(len(shapes)), counts), jnp.int32),
         edges=_pack_edges(meshes, first_vertex, first_face),
         bsdfs=group_bsdfs(bsdfs),
@@ -356,7 +394,7 @@ def pack(scene: Scene) -> PackedScene:
         emitter_density=None,
         clusters=None,
         glow=_group_glow(glows),
-        camera=scene.camera,
+        camera=eqx.tree_at(lambda camera: camera.to_world, scene.camera, _seen_from(scene.camera.to_world, centre)),
         environment=scene.environment,
         environment_sampler=scene.environment and scene.environment.sampler(),
         lights=group_lights(list(scene.lights.values())),

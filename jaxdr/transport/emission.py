@@ -122,7 +122,7 @@ def _with_lights(packed: PackedScene, sample: EmitterSample, light, shares: Shar
     position, direction, infinite = sample.point.position, sample.direction, sample.infinite & ~chosen
     for group in packed.lights:
         here = chosen & group.member[number]
-        place = group.at(number).place()
+        place = packed.place_of(group, number)
         if group.light.infinite:
             infinite = infinite | here
             direction = jnp.where(here[:, None], place, direction)
@@ -153,7 +153,7 @@ def light_places(packed: PackedScene) -> tuple[Float[Array, "D 3"], Bool[Array, 
     number = jnp.arange(packed.light_count)
     place, infinite = jnp.zeros((packed.light_count, 3), packed.vertices.dtype), jnp.zeros(packed.light_count, bool)
     for group in packed.lights:
-        place = jnp.where(group.member[:, None], group.at(number).place(), place)
+        place = jnp.where(group.member[:, None], packed.place_of(group, number), place)
         infinite = jnp.where(group.member, group.light.infinite, infinite)
     return place, infinite
 

@@ -156,7 +156,7 @@ class _Borders(NamedTuple):
 def _borders(packed: PackedScene) -> _Borders | None:
     found = []
     for group in packed.lights:
-        if group.stacked or (lines := group.light.borders()) is None:
+        if (lines := packed.borders_of(group)) is None:
             continue
         light = jnp.full(lines.shape[0], jnp.argmax(group.member))
         found.append(_Borders(light, lines[:, :2], stop_gradient(lines[:, 2])))

@@ -55,9 +55,10 @@ class DeltaLight(Parametric, eqx.Module):
 
     @abc.abstractmethod
     def borders(self) -> Float[Array, "K 3 3"] | None:
-        """Where the light ends abruptly: K triples of world points, the two ends of a border line and a point inside.
+        """Where the light ends abruptly: K triples of points, the two ends of a border line and a point inside.
 
-        None for a light that fades out, or that shines in all directions.
+        The points are in the world, relative to `place`. None for a light that fades out, that shines in all
+        directions, or that is `infinite`.
         """
 
 

@@ -120,7 +120,7 @@ class Projector(DeltaLight):
         film = jnp.asarray([[0, 0], [0, height], [width, height], [width, 0], [width / 2, height / 2]])
         tangent = (film[4] - film.astype(self.fov.dtype)) / self.camera.pixels_per_tangent
         local = jnp.concatenate([tangent, jnp.ones_like(tangent[:, :1])], -1)
-        points = self.to_world[:3, 3] + local @ self.to_world[:3, :3].T
+        points = local @ self.to_world[:3, :3].T
         corners, centre = points[:4], points[4:]
         return jnp.stack([corners, jnp.roll(corners, -1, axis=0), jnp.broadcast_to(centre, (4, 3))], 1)
 
