@@ -34,7 +34,7 @@ def placed(at) -> jd.Scene:
         },
         camera=jd.Perspective(pose((0, -4, 2.5), (0, 0, 0.5), (0, 0, 1)), 35.0, jd.Film(24, 24)),
         lights={
-            "bulb": jd.PointLight(at + (1.0, -1.0, 3.0), 5.0),
+            "bulb": jd.PointLight(at + np.array([1.0, -1.0, 3.0]), 5.0),
             "sun": jd.DirectionalLight((0.2, 0.3, -1.0), 0.5),
             "slide": jd.Projector(picture, pose((-2, -2, 3), (0, 0, 0), (0, 0, 1)), 30.0),
         },
