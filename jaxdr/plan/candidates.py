@@ -9,9 +9,9 @@ from jaxdr.boundary.baselines.redner_was import RednerWAS
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
+from jaxdr.boundary.shared.traits import known_failure
 from jaxdr.integrators import PathTracer
 from jaxdr.integrators.base import edge_points_per_sample
-from jaxdr.integrators.known_failures import known_failure
 from jaxdr.plan.static_look import StaticLook
 
 # Tried in this order; of two equal ones the first wins. A wider kernel finds more edges, each with less weight.

@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import NamedTuple
 
-from jaxdr.integrators.known_failures import Traits, traits
+from jaxdr.boundary.shared.traits import Traits, traits
 from jaxdr.moving import Moving
 from jaxdr.scene.scene import Scene, textures_of, unwrap
 

@@ -12,8 +12,9 @@ from jaxdr.boundary.baselines.on_directions import direct_light_refusals, warped
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.refusals import Asked, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits
 from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
-from jaxdr.boundary.warped_area.divergence import WarpedTerm, check_options, hidden_velocities
+from jaxdr.boundary.warped_area.divergence import WarpedTerm, check_options, hidden_velocities, reaches_no_boundary
 
 
 class RednerWAS(WarpedTerm):
@@ -53,6 +54,19 @@ class RednerWAS(WarpedTerm):
 
     def __check_init__(self):
         check_options(self, ("samples",))
+
+    def known_failure(self, found: Traits) -> str:
+        """See `jaxdr.boundary.shared.traits`."""
+        del found  # on every scene
+        if self.distance == "path_space" and not self.normal_edges:
+            return (
+                "with normal_edges=False the motion of silhouettes between two faces is missing; take "
+                "normal_edges=True, or LineSampling"
+            )
+        return reaches_no_boundary(self) or (
+            "up to half of a derivative is missing under small lights and behind narrow blockers (docs/stability.md); "
+            "take LineSampling"
+        )
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""

@@ -23,6 +23,7 @@ from jaxdr.boundary.guided_edges.seen_segments import DrawnSegments, ask_sources
 from jaxdr.boundary.shared.blocks import map_over_blocks
 from jaxdr.boundary.shared.refusals import Asked, edge_refusals, perspective_refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits, too_fine
 from jaxdr.geometry.vector import scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
@@ -99,6 +100,10 @@ class GuidedEdges(eqx.Module):
         if by_direction or indirect:
             plans.append(StrategyPlan(DirectionSampling, by_direction, indirect))
         return tuple(plans) if settings.max_depth > 1 and has_emitters(packed) else ()
+
+    def known_failure(self, found: Traits) -> str | None:
+        """See `jaxdr.boundary.shared.traits`."""
+        return too_fine(found)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
         """Edges and guides. Raises ValueError for scenes that the estimator does not cover."""

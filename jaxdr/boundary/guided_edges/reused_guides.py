@@ -15,6 +15,7 @@ from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder
 from jaxdr.boundary.guided_edges.estimator import GuidedEdges, GuidedEdgesState
 from jaxdr.boundary.guided_edges.primary_guides import Defended
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits
 from jaxdr.compilation import unfolded
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
@@ -34,6 +35,10 @@ class ReusedGuides(eqx.Module):
     edges: int = eqx.field(static=True)
 
     name = "boundary"
+
+    def known_failure(self, found: Traits) -> str | None:
+        """See `jaxdr.boundary.shared.traits`."""
+        return self.boundary.known_failure(found)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
         """Edges of the current scene, with these guides.

@@ -28,10 +28,12 @@ from jaxdr.boundary.shared.projection import (
     project_edges,
 )
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits, too_fine
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
 from jaxdr.geometry.vector import dot, norm, normalize, scale
 from jaxdr.safe_divide import safe_divide
+from jaxdr.scene.emitter_clusters import FEW_FACES
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.interaction import SurfacePoint
@@ -171,6 +173,15 @@ class KernelDensity(eqx.Module):
     def radius_schedule(self) -> list[float]:
         """Radius of every iteration relative to the first (Eq. 21)."""
         return shrinking_radii(self.alpha, self.iterations)
+
+    def known_failure(self, found: Traits) -> str | None:
+        """See `jaxdr.boundary.shared.traits`."""
+        if found.fine is not None or not found.mesh_lamps:
+            return too_fine(found)
+        return (
+            f"it is too small under area emitters of more than {FEW_FACES} faces if the faces are smaller than its "
+            "kernel (by 5 % under a tiny lamp); take LineSampling"
+        )
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> KernelDensityState:
         """Kernel radii (scene units; zero leaves an edge out) and the tree over the edges."""

@@ -65,6 +65,16 @@ def check_options(estimator, counts: tuple[str, ...]) -> None:
             raise ValueError(f"{name}: {option} must be a whole number of at least 1, got {value}")
 
 
+def reaches_no_boundary(estimator) -> str | None:
+    """The failure of the distance function of Eq. 57; None with the other one."""
+    if estimator.distance != "exponential":
+        return None
+    return (
+        'with distance="exponential" (Eq. 57) half of a derivative or more is missing, because its velocity does '
+        'not reach that of the boundary; take distance="path_space", or LineSampling'
+    )
+
+
 class WarpedTerm(eqx.Module):
     """Terms that request no radiance: they differentiate the contributions that the paths found.
 

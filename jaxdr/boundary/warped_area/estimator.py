@@ -14,6 +14,7 @@ from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_
 from jaxdr.boundary.shared.projection import affine_coordinates
 from jaxdr.boundary.shared.refusals import Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits
 from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import (
     Measure,
@@ -23,6 +24,7 @@ from jaxdr.boundary.warped_area.divergence import (
     check_options,
     displacement,
     divergence_term,
+    reaches_no_boundary,
 )
 from jaxdr.geometry.vector import dot, interpolate, normalize, scale, triangle_normals, vanishes
 from jaxdr.safe_divide import safe_divide
@@ -41,6 +43,10 @@ def _deep_hard_shadows(asked: Asked) -> str | None:
         "WarpedArea: indirect light of lights without area has no boundary term here; take lights with an "
         "area, max_depth=2, or another boundary estimator"
     )
+
+
+# With fewer auxiliary points a clear part of a boundary's velocity is missing (experiments/warped_area).
+ENOUGH_POINTS = 6
 
 
 class WarpedArea(WarpedTerm):
@@ -101,6 +107,16 @@ class WarpedArea(WarpedTerm):
         kernel = Kernel(self.distance, self.sigma0, self.power, self.boundary_power, self.spread)
         room = min(self.projections, packed.faces.shape[0]) if finite else 1
         return Convolution(kernel, self.samples, room, self.debias, finite, infinite, rays=rays)
+
+    def known_failure(self, found: Traits) -> str | None:
+        """See `jaxdr.boundary.shared.traits`."""
+        del found  # on every scene
+        if self.samples >= ENOUGH_POINTS:
+            return reaches_no_boundary(self)
+        return reaches_no_boundary(self) or (
+            f"with {self.samples} auxiliary points 5 to 30 % of a derivative are missing; take samples=16, or "
+            "LineSampling"
+        )
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> Faces:
         """Normals and neighbours of all faces, once for a whole image. Raises ValueError for what is not covered."""

@@ -20,6 +20,7 @@ from jaxdr.boundary.guided_edges.seen_segments import DrawnSegments, ask_sources
 from jaxdr.boundary.shared.blocks import map_over_blocks
 from jaxdr.boundary.shared.refusals import Asked, edge_refusals, perspective_refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
+from jaxdr.boundary.shared.traits import Traits, too_fine
 from jaxdr.geometry.vector import norm, scale
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
@@ -69,6 +70,10 @@ class MarkovChains(eqx.Module):
             raise ValueError("MarkovChains: samples, seeds and length must be positive")
         if not 0 <= self.large <= 1:
             raise ValueError(f"MarkovChains: large must be a probability, got {self.large}")
+
+    def known_failure(self, found: Traits) -> str | None:
+        """See `jaxdr.boundary.shared.traits`."""
+        return too_fine(found)
 
     def prepare(self, context: Context, key: PRNGKeyArray) -> MarkovChainsState | None:
         """Edges, and maps for indirect light. Raises ValueError for scenes that the estimator does not cover."""
