@@ -29,7 +29,6 @@ from jaxdr.images import load_image as load_image
 from jaxdr.images import write_image as write_image
 from jaxdr.integrators import BidirectionalPathTracer as BidirectionalPathTracer
 from jaxdr.integrators import PathTracer as PathTracer
-from jaxdr.integrators.defaults import EstimatorChoice as EstimatorChoice
 from jaxdr.integrators.known_failures import EstimatorWarning as EstimatorWarning
 from jaxdr.moving import Moving as Moving
 from jaxdr.optimize import losses as losses

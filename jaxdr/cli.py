@@ -34,7 +34,7 @@ from jaxdr.compilation import jit
 from jaxdr.image_formats.exr import is_available as has_openexr
 from jaxdr.images import SUFFIXES, check_image_path, save_png, signed_picture, write_image
 from jaxdr.integrators import INTEGRATORS, Integrator, PathTracer
-from jaxdr.integrators.defaults import default_integrator, default_reason
+from jaxdr.integrators.choice import choose
 from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
@@ -46,7 +46,7 @@ from jaxdr.optimize.recovery.recover import recover
 from jaxdr.optimize.shape import optimize
 from jaxdr.optimize.strict_toml import override_table, read_toml, split_assignment
 from jaxdr.plan.directions import moving_along
-from jaxdr.plan.plan import AUTO, DEPTH_TOLERANCE, plan
+from jaxdr.plan.plan import DEPTH_TOLERANCE, MEASURED, plan
 from jaxdr.program_cache import keep_programs, leave_out, user_folder
 from jaxdr.render import render
 from jaxdr.scene.formats.gltf.load import is_gltf, load_gltf
@@ -172,14 +172,13 @@ def _aov_names(text: str) -> list[str]:
 
 
 def _gradient_tracer(scene: Scene, name: str, depth: int, boundary: Callable[[], Any] | None) -> PathTracer:
-    """A path tracer with the given estimator or the default one. Prints the reason if that is not the usual one."""
+    """A path tracer with the given estimator, or with the one that the rules choose. Prints the reason of a choice."""
     if boundary is not None:
         return PathTracer(max_depth=depth, boundary=boundary())
-    moving = moving_along(scene, (name,))
-    reason = default_reason(scene, moving)
-    if reason is not None and moving.any and depth > 1:
-        print(f"jaxdr: {reason} (--boundary chooses)", file=sys.stderr)
-    return default_integrator(scene, moving, depth)
+    chosen = choose(scene)
+    if moving_along(scene, (name,)).any and depth > 1:
+        print(f"jaxdr: boundary estimator: {chosen.reason} (--boundary chooses)", file=sys.stderr)
+    return PathTracer(max_depth=depth, boundary=chosen.estimator)
 
 
 def _gradient(options) -> int:
@@ -239,7 +238,7 @@ def _color_limit(options, result: np.ndarray) -> float:
 
 def _plan(options) -> int:
     scene = _load_scene(options)
-    boundary = AUTO if options.boundary == AUTO else options.boundary()
+    boundary = MEASURED if options.boundary == MEASURED else options.boundary()
     found = plan(
         scene,
         options.wrt or None,
@@ -452,7 +451,7 @@ def _parser() -> argparse.ArgumentParser:
         if name == "gradient":
             what = "spot.translate.x, spot.rotate.z, camera.translate.x, spot.bsdf.reflectance, …"
             command.add_argument("--wrt", required=True, metavar="NAME", help=what)
-            what = f"boundary estimator (default: as jaxdr.render chooses): {', '.join(ESTIMATORS)}, {OUTSIDE}"
+            what = f"boundary estimator (default: chosen for the scene): {', '.join(ESTIMATORS)}, {OUTSIDE}"
             command.add_argument("--boundary", type=_estimator, metavar="NAME", help=what)
             command.add_argument("--limit", type=_positive(float), help="value at the ends of the colour bar")
         if name == "plan":
@@ -515,8 +514,8 @@ def _add_plan_options(command) -> None:
     command.add_argument("--wrt", action="append", default=[], metavar="NAME", help=what)
     what = "time for a derivative image in seconds (default 1)"
     command.add_argument("--budget", type=_positive(float), default=1.0, metavar="SECONDS", help=what)
-    what = f"boundary estimator (default: measured): {AUTO}, {', '.join(ESTIMATORS)}, {OUTSIDE}"
-    command.add_argument("--boundary", type=_estimator_or_auto, default=AUTO, metavar="NAME", help=what)
+    what = f"boundary estimator (default: measured): {MEASURED}, {', '.join(ESTIMATORS)}, {OUTSIDE}"
+    command.add_argument("--boundary", type=_estimator_or_auto, default=MEASURED, metavar="NAME", help=what)
     what = f"share of light and derivative that longer paths may carry (default {DEPTH_TOLERANCE})"
     command.add_argument("--depth-tolerance", type=_positive(float), default=DEPTH_TOLERANCE, help=what)
     command.add_argument("--json", action="store_true", help="print the plan as JSON, with all figures")
@@ -531,7 +530,7 @@ def _estimator(name: str, others: tuple[str, ...] = ()) -> Callable[..., Any]:
 
 
 def _estimator_or_auto(name: str) -> Any:
-    return AUTO if name == AUTO else _estimator(name, (AUTO,))
+    return MEASURED if name == MEASURED else _estimator(name, (MEASURED,))
 
 
 def _positive(kind):

@@ -19,9 +19,9 @@ from jaxdr.boundary.shared.refusals import refuse
 from jaxdr.boundary.shared.texture_jumps import MOVED_MAPS
 from jaxdr.chunked_sum import chunked_derivative, dependent, first_only
 from jaxdr.compilation import unfolded
-from jaxdr.integrators import Integrator
+from jaxdr.integrators import Integrator, PathTracer
 from jaxdr.integrators.base import Batch
-from jaxdr.integrators.defaults import default_integrator, say_default
+from jaxdr.integrators.choice import settled
 from jaxdr.integrators.known_failures import warn_of_known_failure, warn_of_turning_away
 from jaxdr.kernels import computed
 from jaxdr.moving import Moving, moving_in
@@ -38,7 +38,6 @@ class Program(NamedTuple):
     is_float: tuple[bool, ...]
     spp: int
     integrator: Integrator
-    by_default: bool  # whether the user gave no integrator
     compute: str  # see `PathTracer`
 
 
@@ -50,12 +49,8 @@ def render(
     - `key`: a JAX random key. The same key and arguments give the same image, bit for bit on CPU. Image and derivative
       use independent keys that are split from it.
     - `spp`: samples per pixel.
-    - `integrator`: the default is `PathTracer()` with `KernelDensity` or, where that fails, another estimator. It fails
-      under area emitters of more than 16 faces, with meshes of 300,000 faces or more, and if an environment map turns.
-      Then the estimator is `LineSampling`. Under such emitters it is `GuidedEdges` if all surfaces are diffuse and
-      flat, the camera is a `Perspective`, and there is no environment. An `EstimatorChoice` warning says so once. Only
-      the structure of the scene and what is differentiated decide, never values. `jaxdr.plan` measures which estimator
-      suits.
+    - `integrator`: the default is `PathTracer()`. Its boundary estimator is chosen for the scene, by structure alone
+      ([rules](choosing.md)). `jaxdr.plan` measures which estimator suits.
 
     Works under jit, grad, vjp, jvp, and vmap over keys. Which parameters are differentiated is known when the program
     is traced, and only the terms that they need are compiled.
@@ -64,9 +59,7 @@ def render(
     estimator fails by nature on the scene.
     """
     _check("render", scene, spp, integrator)
-    by_default = integrator is None
-    integrator = default_integrator(scene) if integrator is None else integrator
-    program, floats, others, arrays = _program(scene, spp, integrator, by_default)
+    program, floats, others, arrays = _program(scene, spp, PathTracer() if integrator is None else integrator)
     return _render(program, floats, others, arrays, inner_key(key))
 
 
@@ -89,12 +82,10 @@ def derivative_terms(
     _check("derivative_terms", scene, spp, integrator)
     moving = _everything(scene) if moving is None else moving
     _check_moving(scene, moving)
-    if integrator is None:
-        integrator = default_integrator(scene, moving)
-        _say_default(scene, integrator, moving)
-    program, floats, others, _ = _program(scene, spp, integrator, False)
+    taken = settled(PathTracer() if integrator is None else integrator, scene)
+    program, floats, others, _ = _program(scene, spp, taken)
     floats = _watched((program, moving), floats, others)
-    return _estimate(_join(program, floats, unfolded(others)), inner_key(key), spp, integrator, moving)
+    return _estimate(_join(program, floats, unfolded(others)), inner_key(key), spp, taken, moving)
 
 
 def _check(caller: str, scene, spp, integrator) -> None:
@@ -107,7 +98,7 @@ def _check(caller: str, scene, spp, integrator) -> None:
             f"{caller}: expected an integrator such as jaxdr.PathTracer(), got {type(integrator).__name__}"
         )
     check_spp(caller, spp)
-    (default_integrator(scene) if integrator is None else integrator).check(scene)
+    (PathTracer() if integrator is None else integrator).check(scene)
 
 
 def _everything(scene: Scene) -> Moving:
@@ -148,14 +139,14 @@ def _check_still(scene: Scene, found: Moving, moving: Moving) -> None:
             )
 
 
-def _program(scene: Scene, spp: int, integrator: Integrator, by_default: bool):
+def _program(scene: Scene, spp: int, integrator: Integrator):
     """(static part of a rendering, float leaves of the scene, its other leaves, arrays of the integrator)."""
     leaves, structure = jax.tree.flatten(scene)
     is_float = tuple(jnp.issubdtype(jnp.result_type(leaf), jnp.floating) for leaf in leaves)
     floats, others = _split(leaves, is_float)
     arrays, static = eqx.partition(integrator, eqx.is_array)
     compute = getattr(integrator, "compute", "auto")  # foreign integrators may have no choice
-    return Program(structure, is_float, int(spp), static, by_default, compute), floats, others, arrays
+    return Program(structure, is_float, int(spp), static, compute), floats, others, arrays
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -215,12 +206,9 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     floats = tuple(map(first_only, floats))
     flags = _flags(program, active)
     moving = moving_in(_join(program, floats, others), flags)
-    if program.by_default:
-        scene = _join(program, floats, others)
-        arrays, static = eqx.partition(default_integrator(scene, moving), eqx.is_array)
-        program = program._replace(integrator=static)
-        _say_default(scene, static, moving)
-    integrator = eqx.combine(program.integrator, arrays)
+    integrator = settled(eqx.combine(program.integrator, arrays), _join(program, floats, others))
+    arrays, static = eqx.partition(integrator, eqx.is_array)
+    program = program._replace(integrator=static)
     _check_derivative(integrator, flags, moving)
     still, others, arrays = unfolded((floats, *jax.lax.stop_gradient((others, arrays))))
 
@@ -289,11 +277,6 @@ def _prepare(scene: Scene, packed: PackedScene, integrator: Integrator, moving: 
 
 def _has_boundary_term(integrator: Integrator, moving: Moving) -> bool:
     return integrator.max_depth > 1 and (any(moving.seen) or moving.environment)
-
-
-def _say_default(scene: Scene, integrator: Integrator, moving: Moving) -> None:
-    if _has_boundary_term(integrator, moving):
-        say_default(scene, moving)
 
 
 def _chunks(packed: PackedScene, integrator: Integrator, spp: int, differentiated: bool) -> tuple[int, int]:

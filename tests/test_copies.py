@@ -68,7 +68,6 @@ MADE = {
     "Diffuse": jd.Diffuse,
     "DirectionalLight": lambda: jd.DirectionalLight((0, 0, 1)),
     "EnvironmentMap": lambda: jd.EnvironmentMap(PICTURE),
-    "EstimatorChoice": lambda: jd.EstimatorChoice("words"),
     "EstimatorWarning": lambda: jd.EstimatorWarning("words"),
     "FaceColors": lambda: jd.FaceColors(np.ones((20, 3))),
     "Film": lambda: FILM,

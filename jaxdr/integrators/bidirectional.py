@@ -20,6 +20,7 @@ from jaxdr.integrators.base import (
     prepare_terms,
     term_images,
 )
+from jaxdr.integrators.choice import Automatic, automatic
 from jaxdr.kernels import CHOICES as COMPUTE
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
@@ -104,8 +105,8 @@ class BidirectionalPathTracer(eqx.Module):
 
     - `max_depth`: longest path in segments, as in `PathTracer`.
     - `heuristic`: "balance" or "power" (2) combination of all ways to find a path.
-    - `boundary`: `KernelDensity` or `WarpedArea`, for visibility changes behind the first hit, or None for the interior
-      term only. Silhouettes in the image are explicit, as in `PathTracer`.
+    - `boundary`: `KernelDensity` ("auto") or `WarpedArea`, for visibility changes behind the first hit, or None for the
+      interior term only. Silhouettes in the image are explicit, as in `PathTracer`.
     - `edge_samples`, `rays`, `compute`: as in `PathTracer`.
     - `chunk_size`: connections made at once, (max_depth - 1) (max_depth + 2) / 2 for every sample. Memory is
       proportional to it, and independent of the samples per pixel. A chunk has at least one sample of every pixel.
@@ -117,7 +118,7 @@ class BidirectionalPathTracer(eqx.Module):
 
     max_depth: int = eqx.field(static=True, default=3)
     heuristic: Literal["balance", "power"] = eqx.field(static=True, default="power")
-    boundary: ConnectedEstimator | Term | None = eqx.field(static=True, default=None)
+    boundary: ConnectedEstimator | Term | Automatic | None = eqx.field(static=True, default="auto", converter=automatic)
     edge_samples: float | None = eqx.field(static=True, default=None)
     chunk_size: int | None = eqx.field(static=True, default=None)
     rays: str = eqx.field(static=True, default="auto")
@@ -139,11 +140,12 @@ class BidirectionalPathTracer(eqx.Module):
         for field, known in (("heuristic", tuple(HEURISTICS)), ("rays", CHOICES), ("compute", COMPUTE)):
             if getattr(self, field) not in known:
                 raise ValueError(f"{name}: {field} must be one of {', '.join(known)}; got {getattr(self, field)!r}")
-        if self.boundary is not None and not isinstance(self.boundary, ConnectedEstimator):
+        connected = isinstance(self.boundary, ConnectedEstimator | Automatic | None)
+        if isinstance(self.boundary, type) or not connected:
             estimator = type(self.boundary).__name__
             raise ValueError(
-                f"{name}: boundary must be KernelDensity(...), WarpedArea(...) or None; {estimator} has no form for "
-                f"connected subpaths: for it take PathTracer(boundary={estimator}(...))"
+                f'{name}: boundary must be "auto", KernelDensity(...), WarpedArea(...) or None; {estimator} has no '
+                f"form for connected subpaths: for it take PathTracer(boundary={estimator}(...))"
             )
         if self.edge_samples is not None and not self.edge_samples > 0:
             raise ValueError(f"{name}: edge_samples must be positive")

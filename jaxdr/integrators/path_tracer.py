@@ -13,7 +13,6 @@ from jaxdr.boundary.film.film_chains import FilmChains
 from jaxdr.boundary.film.film_edges import FilmEdges
 from jaxdr.boundary.film.hard_shadows import HardShadows
 from jaxdr.boundary.film.pixel_borders import PixelBorders
-from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, Term, pixel_sums
 from jaxdr.boundary.shared.texture_jumps import MOVED_JUMPS
@@ -28,6 +27,7 @@ from jaxdr.integrators.base import (
     prepare_terms,
     term_images,
 )
+from jaxdr.integrators.choice import Automatic, automatic
 from jaxdr.integrators.known_failures import warn_of_cuts
 from jaxdr.kernels import CHOICES as COMPUTE
 from jaxdr.moving import Moving
@@ -79,8 +79,9 @@ class PathTracer(eqx.Module):
     """Path tracing from the camera, with next-event estimation. All fields are static, except a `ReusedGuides`.
 
     - `max_depth`: longest path in segments, as Mitsuba counts: 1 is emitters seen directly, 2 is direct light.
-    - `boundary`: estimator of visibility changes behind the first hit. None gives the interior term only: the
-      derivative lacks these changes, *and* silhouettes and creases in the image.
+    - `boundary`: estimator of visibility changes behind the first hit. "auto" chooses it for the scene, when a
+      derivative is traced ([rules](choosing.md)). None gives the interior term only: the derivative lacks these
+      changes, *and* silhouettes and creases in the image.
     - `primary`: how first hits move. "fixed_ray": camera rays stay fixed, and edges that move in the image have a term.
       "material": first hits move with their surfaces, and the Gaussian pixel filter is differentiated; for textures
       that jump. "warp": like "material", but with warped areas for silhouettes; needs `boundary=WarpedArea(...)`.
@@ -100,7 +101,7 @@ class PathTracer(eqx.Module):
     """
 
     max_depth: int = eqx.field(static=True, default=3)
-    boundary: Term | None = KernelDensity()
+    boundary: Term | Automatic | None = eqx.field(default="auto", converter=automatic)
     primary: Literal["fixed_ray", "material", "warp"] = eqx.field(static=True, default="fixed_ray")
     sampling: Literal["mis", "emitter"] = eqx.field(static=True, default="mis")
     edge_samples: float | None = eqx.field(static=True, default=None)
@@ -134,15 +135,15 @@ class PathTracer(eqx.Module):
         ):
             if getattr(self, name) not in known:
                 raise ValueError(f"PathTracer: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
-        if self.primary == "warp" and not isinstance(self.boundary, WarpedArea | None):
+        if self.primary == "warp" and not isinstance(self.boundary, WarpedArea | Automatic | None):
             raise ValueError(
                 'PathTracer: primary="warp" needs boundary=WarpedArea(...) (or None), got '
                 f'{type(self.boundary).__name__}; or take primary="fixed_ray"'
             )
-        if not isinstance(self.boundary, Term | None):
+        if isinstance(self.boundary, type) or not isinstance(self.boundary, Term | Automatic | None):
             raise ValueError(
-                f"PathTracer: boundary must be an estimator such as jaxdr.KernelDensity(), or None, got "
-                f"{type(self.boundary).__name__}; estimators have name, prepare, draw and image (jaxdr.Term)"
+                f'PathTracer: boundary must be "auto", an estimator such as jaxdr.LineSampling(), or None, got '
+                f"{self.boundary!r}; estimators have name, prepare, draw and image (jaxdr.Term)"
             )
         if any(size is not None and not size > 0 for size in (self.edge_samples, self.chunk_size)):
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")
@@ -186,7 +187,7 @@ class PathTracer(eqx.Module):
 
     def _terms(self, moving: Moving, apart: bool) -> list[Term]:
         """The boundary terms; `apart`: silhouettes and creases as two terms."""
-        assert self.boundary is not None  # else nothing is prepared
+        assert isinstance(self.boundary, Term)  # else nothing is prepared; `render` settles "auto"
         edges: list[Term] = [FilmEdges("silhouettes"), FilmEdges("creases")] if apart else [FilmEdges()]
         if self.primary == "warp":
             assert isinstance(self.boundary, WarpedArea)  # `__check_init__` has checked it

@@ -23,7 +23,6 @@ from jaxdr.optimize.config_checks import (
 from jaxdr.optimize.field_aligned import LEAST
 from jaxdr.optimize.strict_toml import build, read_toml
 from jaxdr.optimize.surroundings import FixedShape, material_of
-from jaxdr.plan.plan import AUTO
 from jaxdr.untrusted import check_memory, check_pixels
 
 Color = float | tuple[float, float, float]
@@ -156,46 +155,51 @@ class Floor:
         positive(self, "size")
 
 
+AUTO, PLAN = "auto", "plan"  # chosen for the scene by rules; measured before the run begins
+
+
 @dataclass(frozen=True)
 class Integrator:
     """The path tracer: see `jaxdr.PathTracer`; with `kind` "bdpt" the bidirectional one. `boundary` names an estimator,
-    also "FILE.py:CLASS" or "MODULE:CLASS", or is "none" (interior term only); `boundary_options` are the estimator's
-    arguments. With "auto" for `max_depth`, `boundary` or both `jaxdr.plan` measures before the run begins; so it does
-    for both where a file says nothing about the integrator."""
+    also "FILE.py:CLASS" or "MODULE:CLASS", or is "auto" (chosen for the scene) or "none" (interior term only);
+    `boundary_options` are the estimator's arguments. With "plan" for `max_depth`, `boundary` or both `jaxdr.plan`
+    measures before the run begins; so it does for both where a file says nothing about the integrator."""
 
-    max_depth: int | Literal["auto"] = 2
+    max_depth: int | Literal["plan"] = 2
     primary: Literal["fixed_ray", "material", "warp"] = "fixed_ray"
     sampling: Literal["mis", "emitter"] = "mis"
-    boundary: str = "KernelDensity"
+    boundary: str = AUTO
     boundary_options: dict[str, Any] = field(default_factory=dict)
     kind: Literal["path", "bdpt"] = "path"
 
     def __post_init__(self):
         only = "" if self.kind == "path" else f'with kind "{self.kind}"'
-        only = 'with max_depth or boundary "auto"' if self.planned else only
+        only = 'with max_depth or boundary "plan"' if self.planned else only
         for key, default in (("primary", "fixed_ray"), ("sampling", "mis")) if only else ():
             rule = f"must be {default!r} {only}"
             require(getattr(self, key) == default, key, rule, getattr(self, key))
         if not self.planned:
             self.build()
             return
-        require(self.kind == "path", "kind", 'must be "path" with max_depth or boundary "auto"', self.kind)
-        if self.boundary == AUTO:
-            require(not self.boundary_options, "boundary_options", 'boundary "auto" has none', self.boundary_options)
-        else:
+        require(self.kind == "path", "kind", 'must be "path" with max_depth or boundary "plan"', self.kind)
+        if self.boundary != PLAN:
             self.estimator()
-        if self.max_depth != AUTO:
+        self._check_options()
+        if self.max_depth != PLAN:
             self._check_depth()
 
     @property
     def planned(self) -> bool:
         """Whether anything is left to `jaxdr.plan`."""
-        return AUTO in (self.max_depth, self.boundary)
+        return PLAN in (self.max_depth, self.boundary)
 
     def estimator(self) -> Any:
-        """The boundary estimator; ValueErrors start with the key that is wrong."""
+        """The boundary estimator or "auto"; ValueErrors start with the key that is wrong."""
+        if self.boundary == AUTO:
+            self._check_options()
+            return AUTO
         try:
-            made = estimator_class(self.boundary, (AUTO,))
+            made = estimator_class(self.boundary, (AUTO, PLAN))
         except ValueError as problem:
             raise ValueError(f"boundary: {problem}") from None
         check_options("boundary_options", made, self.boundary_options, self.boundary, "parameter")
@@ -215,6 +219,11 @@ class Integrator:
             return INTEGRATORS[self.kind](depth, boundary=boundary)
         except ValueError as problem:
             raise ValueError(f"boundary: {problem}") from None
+
+    def _check_options(self) -> None:
+        if self.boundary in (AUTO, PLAN):
+            rule = f'boundary "{self.boundary}" has none'
+            require(not self.boundary_options, "boundary_options", rule, self.boundary_options)
 
     def _check_depth(self) -> None:
         require(int(self.max_depth) >= 1, "max_depth", "must be at least 1", self.max_depth)
@@ -431,4 +440,4 @@ def optimize_config(table: dict, path: Path) -> OptimizeConfig:
 
 def with_integrator(table: dict) -> dict:
     """The table of a config file, whose integrator is left to `jaxdr.plan` if it has none."""
-    return {"integrator": {"max_depth": AUTO, "boundary": AUTO}} | table
+    return {"integrator": {"max_depth": PLAN, "boundary": PLAN}} | table

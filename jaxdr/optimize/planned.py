@@ -3,15 +3,17 @@
 import json
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from jaxdr.boundary.named import estimator_name
-from jaxdr.optimize.config import Integrator
+from jaxdr.integrators.choice import choose
+from jaxdr.optimize.config import AUTO, PLAN, Integrator
 from jaxdr.optimize.output import RunFolder
 from jaxdr.optimize.processes import of_writer
-from jaxdr.plan.plan import AUTO, plan
+from jaxdr.plan.plan import MEASURED, plan
 from jaxdr.plan.report import Plan
 from jaxdr.scene.scene import Scene
 
@@ -41,8 +43,8 @@ def planned(
             scene,
             params,
             key=key,
-            max_depth=None if options.max_depth == AUTO else int(options.max_depth),
-            boundary=AUTO if options.boundary == AUTO else options.estimator(),
+            max_depth=None if options.max_depth == PLAN else int(options.max_depth),
+            boundary=_boundary(options, scene),
             spp=spp,
         )
         for line in found.lines:
@@ -54,7 +56,14 @@ def planned(
     return Plan.from_dict(json.loads(str(of_writer(measured)["plan"])))
 
 
+def _boundary(options: Integrator, scene: Scene) -> Any:
+    """The estimator that the plan keeps, or `MEASURED`."""
+    if options.boundary == PLAN:
+        return MEASURED
+    return choose(scene).estimator if options.boundary == AUTO else options.estimator()
+
+
 def _named(options: Integrator) -> list[str]:
-    """The name of the estimator that the config names, where it is not left to the plan."""
-    estimator = None if options.boundary == AUTO else options.estimator()
+    """The name of the estimator that the config names, where it is not left to rules or to the plan."""
+    estimator = None if options.boundary in (AUTO, PLAN) else options.estimator()
     return [] if estimator is None else [estimator_name(type(estimator))]

@@ -9,6 +9,7 @@ from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
 from jaxdr.integrators import Integrator, PathTracer
+from jaxdr.integrators.choice import settled
 from jaxdr.plan.candidates import candidates, splits
 from jaxdr.plan.depth import DepthChoice, choose_depth
 from jaxdr.plan.directions import direction, moving_along
@@ -21,7 +22,7 @@ from jaxdr.whole_numbers import whole
 
 PIXELS = 48 * 48  # most pixels of the pilots' film
 DEPTH_TOLERANCE = 0.02
-AUTO: Any = "auto"
+MEASURED: Any = "auto"  # the estimator is to be chosen
 NOTHING = (
     "nothing was measured: all derivatives are the same in every call; is the picture dark (a lamp shines to the side "
     "that its normals point to), and does what moves change it?"
@@ -36,7 +37,7 @@ def plan(
     key: PRNGKeyArray | None = None,
     integrator: Integrator | None = None,
     max_depth: int | None = None,
-    boundary: Any = AUTO,
+    boundary: Any = MEASURED,
     spp: int | None = None,
     depth_tolerance: float = DEPTH_TOLERANCE,
 ) -> Plan:
@@ -54,6 +55,7 @@ def plan(
     """
     _check(scene, budget, max_depth, spp, integrator, boundary)
     key_direction, key_depth, key_pilot = jax.random.split(jax.random.key(0) if key is None else key, 3)
+    integrator = None if integrator is None else settled(integrator, scene)
     along = direction(scene, params, key_direction)
     moving = moving_along(scene, tuple(along.values))
     look = static_look(scene, moving)
@@ -115,7 +117,7 @@ def small_film(scene: Scene) -> tuple[Scene, float]:
 
 
 def _automatic(boundary: Any) -> bool:
-    return isinstance(boundary, str) and boundary == AUTO
+    return isinstance(boundary, str) and boundary == MEASURED
 
 
 def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
@@ -132,7 +134,7 @@ def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
         raise ValueError(
             f"plan: integrator must be one such as jaxdr.PathTracer(), or None, got {type(integrator).__name__}"
         )
-    if isinstance(boundary, str) and boundary != AUTO:
+    if isinstance(boundary, str) and boundary != MEASURED:
         raise ValueError(f"plan: boundary must be an estimator such as jaxdr.LineSampling(), or None, got {boundary!r}")
     if integrator is not None and (max_depth is not None or not _automatic(boundary)):
         raise ValueError("plan: an integrator that is given has its own max_depth and boundary; leave those out")

@@ -8,6 +8,7 @@ import equinox as eqx
 
 from jaxdr.boundary.named import estimator_class, estimator_name
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
+from jaxdr.integrators.choice import Automatic
 from jaxdr.untrusted import damage
 
 INTEGRATORS: dict[str, Any] = {"PathTracer": PathTracer, "BidirectionalPathTracer": BidirectionalPathTracer}
@@ -65,15 +66,17 @@ def integrator(table: dict[str, Any]) -> Integrator:
     """The integrator of a table that `settings` made."""
     options = {name: value for name, value in table.items() if name != "kind"}
     estimator = options["boundary"]
-    if estimator is not None:
+    if isinstance(estimator, dict):
         fields = {name: _value(value) for name, value in estimator.items() if name != "kind"}
         options["boundary"] = estimator_class(estimator["kind"])(**fields)
     return INTEGRATORS[table["kind"]](**options)
 
 
-def _estimator_settings(estimator: Any) -> dict[str, Any] | None:
+def _estimator_settings(estimator: Any) -> dict[str, Any] | str | None:
     if estimator is None:
         return None
+    if isinstance(estimator, Automatic):
+        return "auto"
     if not isinstance(estimator, eqx.Module):
         raise ValueError(f"a plan can keep the fields of an equinox.Module, which {type(estimator).__name__} is not")
     return {"kind": estimator_name(type(estimator))} | {

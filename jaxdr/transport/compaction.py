@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend import core
 from jax.interpreters import batching, mlir
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr import loops
 
@@ -19,6 +19,22 @@ def rows_where(mask: Bool[Array, " n"], size: int | None = None, fill_value: int
     """
     size = mask.shape[0] if size is None else size
     return _rows_where.bind(loops.varying(mask), size=int(size), fill=int(fill_value))
+
+
+def kept_rows(
+    mask: Bool[Array, " n"], room: int, key: PRNGKeyArray
+) -> tuple[Int[Array, " room"], Int[Array, ""], Float[Array, ""]]:
+    """(numbers of rows where `mask` is true, how many there are, the weight of each).
+
+    If there are more rows than room, as many are kept at even distances from a random start. So every row has the same
+    chance, and the weight is its inverse: a sum over the kept rows has no bias.
+    """
+    every, found = rows_where(mask), mask.sum()
+    thinned = jnp.maximum(found / room, 1.0)
+    rank = (jnp.arange(room) + jax.random.uniform(key)) * thinned
+    first = jnp.arange(room)
+    rank = jnp.where(found > room, jnp.minimum(rank.astype(jnp.int32), found - 1), first)
+    return every[rank], jnp.minimum(found, room), thinned
 
 
 def _by_xla(mask, size: int, fill: int):

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator, PathTracer
 from jaxdr.integrators.aov import AovImage
-from jaxdr.integrators.defaults import default_integrator
 from jaxdr.render import render
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
@@ -94,7 +93,7 @@ def each_rendered(
 ) -> Iterator[Float[np.ndarray, "H W 4"]]:
     """The pictures of `render_views` one by one, so that they need not all be in memory."""
     check_spp("render_views", spp)
-    integrator = integrator or _without_boundary(default_integrator(scene))
+    integrator = integrator or PathTracer(boundary=None)
     key = jax.random.key(seed)
     for i, view in enumerate(views):
         program = _program(view.width, view.height, int(spp), integrator)

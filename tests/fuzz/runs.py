@@ -18,7 +18,7 @@ QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
 def config(folder: Path) -> OptimizeConfig:
     """The config of the run in a folder. What it says of the folder's place does not count."""
     target = Target(shape="sphere", parameters={"subdivisions": 1})
-    return OptimizeConfig(output=str(folder / "run"), target=target, integrator=Integrator(boundary="auto"))
+    return OptimizeConfig(output=str(folder / "run"), target=target, integrator=Integrator(boundary="plan"))
 
 
 def write_run(folder: Path) -> None:

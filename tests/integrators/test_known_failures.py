@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.boundary.shared import traits as of_scenes
+from jaxdr.boundary.shared.traits import known_failure, traits
 from jaxdr.geometry.shapes import box, rectangle, sphere
-from jaxdr.integrators import known_failures
-from jaxdr.integrators.defaults import default_integrator
-from jaxdr.integrators.known_failures import known_failure, traits, turning_away
+from jaxdr.integrators.choice import choose
+from jaxdr.integrators.known_failures import turning_away
 from jaxdr.moving import Moving, moving_in
 from jaxdr.plan.candidates import candidates
 from jaxdr.plan.static_look import static_look
@@ -83,7 +84,7 @@ def test_nothing_is_said_of_what_is_right(boundary):
 
 def test_fine_meshes(monkeypatch):
     assert known_failure(jd.KernelDensity(), traits(scene())) is None
-    monkeypatch.setattr(known_failures, "FINE", 12)
+    monkeypatch.setattr(of_scenes, "FINE", 12)
     for boundary in (jd.KernelDensity(), jd.GuidedEdges(), jd.MarkovChains()):
         assert "such as box" in (known_failure(boundary, traits(scene())) or "")
     assert known_failure(RIGHT, traits(scene())) is None
@@ -145,8 +146,7 @@ def test_plans_and_defaults_go_by_the_same_rules(made):
     assert not [name for name, boundary in found.tried.items() if known_failure(boundary, traits(of))]
     fails = known_failure(jd.KernelDensity(), traits(of))
     assert found.left_out.get("KernelDensity") == fails
-    assert known_failure(default_integrator(of).boundary, traits(of)) is None
-    assert (default_integrator(of) == jd.PathTracer()) == (fails is None)
+    assert known_failure(choose(of).estimator, traits(of)) is None
 
 
 HEIGHTS = jd.Bitmap(np.random.default_rng(0).uniform(size=(4, 4)))

@@ -18,7 +18,7 @@ from .fake import render as fake_render
 PLAN = Plan(jd.PathTracer(4, jd.LineSampling(chords=2.0)), 4, ("depth: 4", "estimator: LineSampling"), {"a": [1.5]})
 
 
-PLANNED = Integrator(max_depth="auto", boundary="auto")
+PLANNED = Integrator(max_depth="plan", boundary="plan")
 
 
 @pytest.fixture
@@ -96,9 +96,9 @@ def test_an_integrator_that_is_named_is_not_planned(asked, tmp_path):
 
 
 def test_what_is_named_is_kept(asked, tmp_path):
-    optimize(config(tmp_path / "one", Integrator(max_depth=3, boundary="auto")))
+    optimize(config(tmp_path / "one", Integrator(max_depth=3, boundary="plan")))
     options = {"radius": 0.05}
-    optimize(config(tmp_path / "two", Integrator("auto", boundary="KernelDensity", boundary_options=options)))
+    optimize(config(tmp_path / "two", Integrator("plan", boundary="KernelDensity", boundary_options=options)))
     one, two = asked["plans"]
     assert one["max_depth"] == 3 and one["boundary"] == "auto"
     assert two["max_depth"] is None and two["boundary"] == jd.KernelDensity(0.05)
@@ -113,14 +113,14 @@ def test_configs(tmp_path):
     file.write_text(MINIMAL)
     assert read(file).integrator == PLANNED and read(file).integrator.planned
     assert read(file, ["integrator.max_depth=2"]).integrator == Integrator()
-    half = read(file, ["integrator.max_depth=auto"]).integrator
-    assert half.planned and half.estimator() == jd.KernelDensity()
+    half = read(file, ["integrator.max_depth=plan"]).integrator
+    assert half.planned and half.estimator() == "auto"
     for overrides, message in (
-        (["integrator.boundary=auto", "integrator.max_depth=0"], "max_depth: must be at least 1"),
-        (["integrator.boundary=auto", "integrator.primary=material"], "primary: must be 'fixed_ray'"),
-        (["integrator.boundary=auto", "integrator.boundary_options.radius=1"], 'boundary "auto" has none'),
-        (["integrator.max_depth=deep"], r"max_depth: expected an integer or one of 'auto'"),
-        (["integrator.max_depth=auto", "integrator.boundary_options.radius=0.0"], "radius must be positive"),
+        (["integrator.boundary=plan", "integrator.max_depth=0"], "max_depth: must be at least 1"),
+        (["integrator.boundary=plan", "integrator.primary=material"], "primary: must be 'fixed_ray'"),
+        (["integrator.boundary=plan", "integrator.boundary_options.radius=1"], 'boundary "plan" has none'),
+        (["integrator.max_depth=deep"], r"max_depth: expected an integer or one of 'plan'"),
+        (["integrator.max_depth=plan", "integrator.boundary_options.radius=0.0"], 'boundary "auto" has none'),
     ):
         with pytest.raises(ValueError, match=message):
             read(file, overrides)

@@ -275,7 +275,7 @@ def test_code_is_not_run_because_a_folder_names_it(tmp_path, monkeypatch, kind):
     """A folder of results that somebody sends must not run a program when it goes on."""
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text("raise SystemExit('it ran')")
-    folder = RunFolder(dataclasses.replace(small_config(tmp_path / "run"), integrator=Integrator(boundary="auto")))
+    folder = RunFolder(dataclasses.replace(small_config(tmp_path / "run"), integrator=Integrator(boundary="plan")))
     with folder.opened(False, False):
         estimator = {"kind": "PathTracer", "max_depth": 2, "boundary": {"kind": kind}}
         folder.write_text("plan.json", json.dumps({"integrator": estimator, "spp": 1, "lines": [], "figures": {}}))

@@ -60,7 +60,7 @@ def test_bidirectional_paths_take_what_they_know():
     for options, words in (
         ({"boundary": "LineSampling"}, "boundary: BidirectionalPathTracer"),
         ({"primary": "material"}, 'primary: must be .fixed_ray. with kind "bdpt"'),
-        ({"boundary": "auto"}, 'kind: must be "path" with max_depth or boundary "auto"'),
+        ({"boundary": "plan"}, 'kind: must be "path" with max_depth or boundary "plan"'),
     ):
         with pytest.raises(ValueError, match=words):
             Integrator(kind="bdpt", **options)

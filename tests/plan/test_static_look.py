@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.boundary.shared import traits as of_scenes
 from jaxdr.geometry.shapes import box, rectangle, sphere
-from jaxdr.integrators import known_failures
-from jaxdr.integrators.defaults import default_integrator
 from jaxdr.plan.candidates import candidates, splits
 from jaxdr.plan.directions import direction, moving_along
 from jaxdr.plan.static_look import static_look
@@ -83,9 +82,7 @@ def test_estimators_by_nature():
 
 
 def test_fine_meshes(monkeypatch):
-    assert default_integrator(scene()) == jd.PathTracer()
-    monkeypatch.setattr(known_failures, "FINE", 12)
-    assert default_integrator(scene()) == jd.PathTracer(boundary=jd.LineSampling())
+    monkeypatch.setattr(of_scenes, "FINE", 12)
     found = candidates(look(scene(), "floor.vertices"), 2)
     assert "box" in found.left_out["KernelDensity"]
 

@@ -147,6 +147,17 @@ def edge_number(lunes: EdgeLunes, points: LunePoints) -> Float[Array, " n"]:
     return before + points.along * (lunes.cdf[points.row] - before)
 
 
+def acceptance(lunes: EdgeLunes, row: Int[Array, " n"], tried: float) -> Float[Array, " n"]:
+    """Probabilities with which silhouettes are kept, if `tried` lines are drawn for every segment.
+
+    Of lines in random directions, a share of width / pi passes an edge as a silhouette. Sharp edges and borders need no
+    tries: without this choice they would get nearly all segments.
+    """
+    if tried <= 1:
+        return jnp.ones_like(lunes.width[row])
+    return jnp.minimum(1.0, math.pi / (tried * jnp.maximum(lunes.width[row], 1e-3)))
+
+
 def passing(lunes: EdgeLunes, row: Int[Array, " n"], direction: Float[Array, "n 3"]) -> Passing:
     """How unit directions pass the edges of some rows."""
     x, y = dot(direction, lunes.first[row]), dot(direction, lunes.second[row])

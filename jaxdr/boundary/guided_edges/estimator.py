@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxdr.boundary.guided_edges.beam import detect, moves
 from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
-from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
+from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, acceptance, edge_lunes
 from jaxdr.boundary.guided_edges.flux_maps import flux_maps
 from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
@@ -27,12 +27,18 @@ from jaxdr.boundary.shared.traits import Traits, too_fine
 from jaxdr.geometry.vector import scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
-from jaxdr.transport.compaction import rows_where
+from jaxdr.transport.compaction import kept_rows
 from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined
 from jaxdr.transport.sampler import lattice
+
+# Lines that are tried towards emitters for one segment: the share of silhouettes among edges falls with the square root
+# of their number. From a tenth of the root on, twice as many tries gain nothing (experiments/default_choice).
+TRIED, MOST_TRIED = 0.1, 16.0
+# Segments by direction for direct light, relative to `samples`.
+BESIDES = 0.125
 
 
 class GuidedEdgesState(NamedTuple):
@@ -55,7 +61,9 @@ class GuidedEdges(eqx.Module):
       segments is drawn without it.
     - `sampling`: "emitter" draws segments towards emitters for their light, and segments by direction for other light.
       "direction" draws all by direction. "mis" draws segments for the emitters' light by both (Yan et al. 2022, 4.2).
-    - `samples`: segments per path sample and strategy.
+    - `samples`: segments per path sample and strategy. Without a guide most lines towards emitters pass edges that are
+      no silhouettes, and cost little. So there are more of them, the more edges a scene has (`TRIED`). With "mis",
+      direct light has fewer segments by direction (`BESIDES`): they only help where an emitter is large and near.
     - `cells`: numbers of cells of a grid along the edges and along both numbers of the direction.
     - `leaves`: about how many leaves all kd-trees of a strategy have together. A projective guide has about a quarter
       of that, rounded to a power of two.
@@ -229,9 +237,9 @@ class GuidedEdges(eqx.Module):
         self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, list[DrawnSegments]]:
         """Segments of all strategies, and requests for what their sources scatter."""
-        count, drawn, asked = max(1, round(chunk.paths * self.samples)), [], []
+        drawn, asked = [], []
         for number in range(len(self.plans(context.packed, context.settings))):
-            requests, found = self._draw(context, state, number, count, jax.random.fold_in(key, number))
+            requests, found = self._draw(context, state, number, chunk.paths, jax.random.fold_in(key, number))
             asked += requests
             drawn.append(found)
         return joined(asked) if asked else None, drawn
@@ -253,21 +261,33 @@ class GuidedEdges(eqx.Module):
             total += segments_image(packed, state.lunes, drawn, scattered, context.form)
         return chunk.share * total
 
+    def _tried(self, packed: PackedScene, plan: StrategyPlan) -> float:
+        """Lines that a plan draws for one segment."""
+        if self.guide != "none":
+            return 1.0
+        if plan.strategy.samples_emitters:
+            return min(max(TRIED * packed.edges.vertices.shape[0] ** 0.5, 1.0), MOST_TRIED)
+        return BESIDES if self.sampling == "mis" and not plan.gathered else 1.0
+
     def _draw(
-        self, context: Context, prepared: GuidedEdgesState, number: int, count: int, key
+        self, context: Context, prepared: GuidedEdgesState, number: int, paths: int, key
     ) -> tuple[list[Requests], DrawnSegments]:
         """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
         packed, settings, lunes = context.packed, context.settings, prepared.lunes
         plans = self.plans(packed, settings)
         plan, guide = plans[number], prepared.guides[number]
-        key_segments, key_detector, key_source = jax.random.split(key, 3)
+        tried = [self._tried(packed, p) for p in plans]
+        counts = [max(1, round(paths * self.samples * t)) for t in tried]
+        count, room = counts[number], max(1, round(paths * self.samples * min(tried[number], 1.0)))
+        key_segments, key_detector, key_source, key_kept = jax.random.split(key, 4)
         # A lattice in four dimensions: the lattice in three has gaps into which shadows can fall.
-        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)[:, :3]
-        primary = guide.sample(u)
+        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)
+        primary = guide.sample(u[:, :3])
         # For most lines towards emitters the edge is not a silhouette. The other lines are moved to the front.
         drawn = plan.strategy.segments(packed, lunes, primary)
-        used = drawn.silhouette.sum()
-        slots = rows_where(drawn.silhouette, count)
+        taken = drawn.silhouette & (u[:, 3] < acceptance(lunes, drawn.point.row, tried[number]))
+        slots, used, thinned = kept_rows(taken, room, key_kept)
+        one = thinned / count
 
         def rows(slot, place):
             active = place < used
@@ -275,11 +295,12 @@ class GuidedEdges(eqx.Module):
             ends = segment_ends(packed, segments, active, settings.rays)
             ends = ends._replace(valid=ends.valid & moves(packed, prepared.moving, lunes, segments, ends))
             pdf = []
-            for p, g in zip(plans, prepared.guides, strict=True):
+            for p, g, t, n in zip(plans, prepared.guides, tried, counts, strict=True):
                 own = p.strategy is plan.strategy
                 u = primary[slot] if own else p.strategy.numbers(packed, lunes, segments, ends)
-                pdf.append(p.strategy.density(packed, lunes, segments, ends) * g.pdf(u, count))
-            seen = detect(packed, segments, ends, jnp.full(slot.shape, 1.0 / count), slot, key_detector, settings)
+                taken = g.pdf(u, n) * acceptance(lunes, segments.point.row, t) * (n / count)
+                pdf.append(p.strategy.density(packed, lunes, segments, ends) * taken)
+            seen = detect(packed, segments, ends, jnp.full(slot.shape, one), slot, key_detector, settings)
             share, lit = lunes.share[segments.point.row], (seen.value != 0).any((0, 2))
             sent = jnp.zeros_like(segments.towards)
             if plan.emission:

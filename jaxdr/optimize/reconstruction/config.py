@@ -167,7 +167,7 @@ class ReconstructConfig:
         "light",
     )
     start: Start = Start()
-    integrator: Integrator = field(default_factory=Integrator)
+    integrator: Integrator = field(default_factory=lambda: Integrator(boundary="KernelDensity"))
     samples: Samples = Samples()
     priors: Priors = Priors()
     rates: Rates = Rates()
