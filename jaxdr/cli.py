@@ -326,6 +326,8 @@ def _chart(options) -> int:
         summary = chart(config, resume=options.resume, overwrite=options.overwrite)
     left = f"{summary['over_budget']} over the budget, {summary['refused']} refused"
     print(f"{Path(config.output) / 'index.html'}: {summary['measured']} points, {left}")
+    for scene, said in summary["default"].items():
+        print(f"{scene}: {said}")
     return 0
 
 

@@ -6,23 +6,10 @@ python -m experiments.charts.table
 import csv
 
 from experiments import common
-from jaxdr.chart.statistics import error_of_mean
+from jaxdr.chart.default import error_after
 
 STUDY = "charts"
 BUDGETS = (1.0, 10.0, 60.0)  # seconds
-
-
-def error_after(rows: list[dict], budget: float) -> float | None:
-    """The least error of a method within so many seconds: the mean of as many calls of one rung as fit.
-
-    None if not even one call fits.
-    """
-    errors = []
-    for row in rows:
-        calls = budget / float(row["seconds"])
-        if calls >= 1:
-            errors.append(error_of_mean(float(row["bias2"]), float(row["deviation"]) ** 2, calls))
-    return min(errors, default=None)
 
 
 def cell(rows: list[dict]) -> str:

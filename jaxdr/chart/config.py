@@ -8,7 +8,7 @@ from typing import Any, Literal
 from jaxdr.boundary.named import estimator_class
 from jaxdr.chart.scenes import check_scene_options
 from jaxdr.integrators import INTEGRATORS, Integrator
-from jaxdr.optimize.config import Vector
+from jaxdr.optimize.config import AUTO, Vector
 from jaxdr.optimize.config_checks import check_options, found_file, require
 from jaxdr.optimize.strict_toml import build
 
@@ -115,8 +115,8 @@ class ChartScene:
 class Estimator:
     """A line of the chart: a `boundary` estimator with `options`, in an `integrator` with `integrator_options`.
 
-    `boundary` is the name of an estimator of this library, "none", "FILE.py:CLASS" (from the current folder), or
-    "MODULE:CLASS". `samples`: a ladder of samples per pixel of its own, in place of the common one.
+    `boundary` is the name of an estimator of this library, "auto" (the default, chosen for the scene), "none",
+    "FILE.py:CLASS" (from the current folder), or "MODULE:CLASS". `samples`: a ladder of samples per pixel of its own, in place of the common one.
     """
 
     boundary: str
@@ -127,17 +127,25 @@ class Estimator:
     samples: tuple[int, ...] = ()
 
     def __post_init__(self):
-        try:
-            made = estimator_class(self.boundary)
-        except ValueError as problem:
-            raise ValueError(f"boundary: {problem}") from None
-        check_options("options", made, self.options, self.boundary)
+        if self.by_default:
+            require(not self.options, "options", 'boundary "auto" has none', self.options)
+        else:
+            try:
+                made = estimator_class(self.boundary, (AUTO,))
+            except ValueError as problem:
+                raise ValueError(f"boundary: {problem}") from None
+            check_options("options", made, self.options, self.boundary)
         check_options("integrator_options", INTEGRATORS[self.integrator], self.integrator_options, self.integrator)
         for name in ("max_depth", "boundary"):
             if name in self.integrator_options:
                 raise ValueError(f"integrator_options.{name}: is set by the scene's max_depth, and by boundary")
         _check_ladder(self.samples)
         self.build(2)
+
+    @property
+    def by_default(self) -> bool:
+        """Whether rules choose the estimator."""
+        return self.boundary == AUTO
 
     @property
     def name(self) -> str:
@@ -150,7 +158,7 @@ class Estimator:
     def build(self, max_depth: int) -> Integrator:
         """The integrator. Raises ValueError, which starts with the wrong key."""
         try:
-            boundary = estimator_class(self.boundary)(**self.options)
+            boundary = AUTO if self.by_default else estimator_class(self.boundary)(**self.options)
             return INTEGRATORS[self.integrator](max_depth, boundary=boundary, **self.integrator_options)
         except (TypeError, ValueError) as problem:
             raise ValueError(f"options: {problem}") from None

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from jaxdr.chart.config import ChartConfig, Stored
+from jaxdr.chart.default import line, times_as_long
 from jaxdr.chart.figure import chart_png, require_matplotlib
 from jaxdr.chart.folder import ChartFolder
 from jaxdr.chart.machine import machine
@@ -37,7 +38,7 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
             stored_reference(scene, case)  # a mistake shows before anything is written
     folder = ChartFolder(config)
     with folder.opened(resume, overwrite):
-        rows = _measured(config, cases, folder)
+        rows, default = _measured(config, cases, folder)
         counts = {
             kind: sum(row["status"].startswith(kind) for row in rows) for kind in ("ok", "over", "refused", "not")
         }
@@ -47,6 +48,7 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
             "over_budget": counts["over"],
             "refused": counts["refused"],
             "not_finite": counts["not"],
+            "default": default,
             "machine": machine(),
         }
         folder.write_text("summary.json", json_text(summary))
@@ -58,14 +60,17 @@ def chart(config: ChartConfig, *, resume: bool = False, overwrite: bool = False)
     return summary
 
 
-def _measured(config: ChartConfig, cases, folder: ChartFolder) -> list[dict]:
-    """The rows of all scenes. Tables, pictures and page are written anew after each scene."""
-    rows, terms, sections = [], [], []
+def _measured(config: ChartConfig, cases, folder: ChartFolder) -> tuple[list[dict], dict[str, str]]:
+    """(the rows of all scenes, a line about the default by scene). All files are written anew after each scene."""
+    rows, terms, sections, default = [], [], [], {}
     with deferred_interrupt() as interruption:
         for scene, case in zip(config.scenes, cases, strict=True):
             scene_rows, scene_terms, section = _scene(config, scene, case, folder, interruption)
             rows += scene_rows
             terms += scene_terms
+            if (said := _about_default(config, scene_rows)) is not None:
+                default[scene.name] = said
+                section = section._replace(about=[*section.about, f"{said}."])
             sections.append(section)
             folder.write_text("rows.csv", csv_text(rows, COLUMNS))
             folder.write_text("terms.csv", csv_text(terms, TERM_COLUMNS))
@@ -75,7 +80,15 @@ def _measured(config: ChartConfig, cases, folder: ChartFolder) -> list[dict]:
                 folder.write_bytes(f"{scene.name}_{suffix}.png", png_of(pixels))
             folder.write_text("index.html", page("Speed against accuracy", _about(config), sections))
             jax.clear_caches()
-    return rows
+    return rows, default
+
+
+def _about_default(config: ChartConfig, rows: list[dict]) -> str | None:
+    """How far the default is from the best of this library's estimators on a scene; None if it was not measured."""
+    own = [estimator.name for estimator in config.estimators]
+    names = [estimator.name for estimator in config.estimators if estimator.by_default]
+    found = times_as_long([row for row in rows if row["estimator"] in own], names[0]) if names else {}
+    return line(found) if found else None
 
 
 def _scene(config: ChartConfig, scene, case, folder: ChartFolder, interruption: Interruption):
