@@ -116,7 +116,8 @@ class Estimator:
     """A line of the chart: a `boundary` estimator with `options`, in an `integrator` with `integrator_options`.
 
     `boundary` is the name of an estimator of this library, "auto" (the default, chosen for the scene), "none",
-    "FILE.py:CLASS" (from the current folder), or "MODULE:CLASS". `samples`: a ladder of samples per pixel of its own, in place of the common one.
+    "FILE.py:CLASS" (from the current folder), or "MODULE:CLASS". `samples`: a ladder of samples per pixel of its own,
+    in place of the common one.
     """
 
     boundary: str
