@@ -8,8 +8,8 @@ import pytest
 import jaxdr as jd
 from jaxdr.scene.packed import centre_of, pack
 
-GRID = 2.0**-8  # of all coordinates, so that rounding moves nothing at the furthest place
-PLACES = ((1024.0, 2048.0, 0.0), (-16384.0, 0.0, 16384.0))
+GRID = 2.0**-6  # of all coordinates, so that rounding moves nothing at the furthest place
+PLACES = ((1024.0, 2048.0, 0.0), (-131072.0, 0.0, 131072.0))
 
 
 def placed(at) -> jd.Scene:
