@@ -86,7 +86,7 @@ class RunFolder(RunFiles):
         try:
             plan = read_json(path)
             named = plan["integrator"]["boundary"]
-            kind = None if named is None else named["kind"]
+            kind = None if named in (None, "auto") else named["kind"]
         except ValueError as problem:
             raise ValueError(f"{problem}; {AGAIN}") from None
         except (TypeError, KeyError):

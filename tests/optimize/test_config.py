@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxdr.integrators import PathTracer
 from jaxdr.optimize.config import OptimizeConfig, Remesh, read_config
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery
 from jaxdr.optimize.strict_toml import build, split_assignment
@@ -63,7 +64,7 @@ def test_is_frozen_and_hashable_where_it_has_no_tables(write):
         ('output="a b"', lambda c: c.output == "a b"),
         ("cameras.elevation=[1, 2]", lambda c: c.cameras.elevation == (1.0, 2.0)),
         ("floor.size=3", lambda c: c.floor.size == 3.0),  # a table that the file lacks
-        ("integrator.boundary_options.radius=0.05", lambda c: c.integrator.build().boundary.radius == 0.05),
+        ("integrator.boundary=auto", lambda c: c.integrator.build() == PathTracer(2)),
         ("integrator.boundary=none", lambda c: c.integrator.build().boundary is None),
     ],
 )
@@ -108,10 +109,10 @@ def test_overrides(write, override, read):
         ("lights = []", r"lights: the scene is dark"),
         (
             '[integrator]\nboundary = "Kernel"',
-            r"integrator\.boundary: expected one of AllSilhouettes, .*WarpedArea, none, auto, got 'Kernel'",
+            r"integrator\.boundary: expected one of AllSilhouettes, .*WarpedArea, none, auto, plan, got 'Kernel'",
         ),
         (
-            "[integrator.boundary_options]\nradios = 1",
+            '[integrator]\nboundary = "KernelDensity"\nboundary_options = { radios = 1 }',
             r"integrator\.boundary_options\.radios: KernelDensity has no such",
         ),
         ("[samples]\nimage = 0", r"samples\.image: must be at least 1, got 0"),
