@@ -37,6 +37,7 @@ from jaxdr.transport.sampler import lattice
 # Lines that are tried towards emitters for one segment: the share of silhouettes among edges falls with the square root
 # of their number. From a tenth of the root on, twice as many tries gain nothing (experiments/default_choice).
 TRIED, MOST_TRIED = 0.1, 16.0
+MOST_LINES = 1 << 22  # in a chunk: they are tried at once, and take some hundred bytes each
 # Segments by direction for direct light, relative to `samples`.
 BESIDES = 0.125
 
@@ -261,12 +262,13 @@ class GuidedEdges(eqx.Module):
             total += segments_image(packed, state.lunes, drawn, scattered, context.form)
         return chunk.share * total
 
-    def _tried(self, packed: PackedScene, plan: StrategyPlan) -> float:
+    def _tried(self, packed: PackedScene, plan: StrategyPlan, paths: int) -> float:
         """Lines that a plan draws for one segment."""
         if self.guide != "none":
             return 1.0
         if plan.strategy.samples_emitters:
-            return min(max(TRIED * packed.edges.vertices.shape[0] ** 0.5, 1.0), MOST_TRIED)
+            edges = packed.edges.vertices.shape[0]
+            return max(min(TRIED * edges**0.5, MOST_TRIED, MOST_LINES / (paths * self.samples)), 1.0)
         return BESIDES if self.sampling == "mis" and not plan.gathered else 1.0
 
     def _draw(
@@ -276,7 +278,7 @@ class GuidedEdges(eqx.Module):
         packed, settings, lunes = context.packed, context.settings, prepared.lunes
         plans = self.plans(packed, settings)
         plan, guide = plans[number], prepared.guides[number]
-        tried = [self._tried(packed, p) for p in plans]
+        tried = [self._tried(packed, p, paths) for p in plans]
         counts = [max(1, round(paths * self.samples * t)) for t in tried]
         count, room = counts[number], max(1, round(paths * self.samples * min(tried[number], 1.0)))
         key_segments, key_detector, key_source, key_kept = jax.random.split(key, 4)
