@@ -9,6 +9,7 @@ import pytest
 
 import jaxdr as jd
 from experiments import one_term
+from jaxdr.boundary.guided_edges import estimator
 from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.guided_edges.edge_lunes import edge_lunes
 from jaxdr.geometry.shapes import sphere
@@ -144,6 +145,12 @@ def test_derivatives_are_the_closed_form(boundary):
     assert deviation.max() < 0.03, deviation
     wrong = np.abs(rows.mean(0) - truth / scale)
     assert np.all(wrong < 4.5 * deviation + 1e-6), (wrong, deviation)
+
+
+def test_many_tries_for_a_segment_are_the_closed_form(monkeypatch):
+    """So few edges have one try for a segment. Here it is 16, and borders are kept with a probability of 1 / 16."""
+    monkeypatch.setattr(estimator, "TRIED", 10.0)
+    test_derivatives_are_the_closed_form(jd.GuidedEdges(samples=0.5))  # no other test compiles this one
 
 
 def test_bad_options():
