@@ -134,23 +134,27 @@ def derivatives(of, boundary, count, keys):
     return jax.lax.map(lambda key: jax.grad(mean)(vertices, key), keys)
 
 
-@pytest.mark.parametrize("boundary", GUIDES, ids=lambda b: f"{b.guide}, {b.sampling}")
-def test_derivatives_are_the_closed_form(boundary):
-    """Every vertex of the blocker, in reverse mode, without any bias allowed for."""
+def check_derivatives(boundary, most: float):
+    """Every vertex of the blocker, in reverse mode, without any bias allowed for. `most`: of the mean's deviation."""
     truth = exact(BLOCKER)
     scale = np.abs(truth).max()
     keys = jax.random.split(jax.random.key(1), 48)  # so many that their own deviation is known well
     rows = np.asarray(derivatives(patch_scene(BLOCKER), boundary, 1 << 13, keys), float) / scale
     deviation = rows.std(0, ddof=1) / len(keys) ** 0.5
-    assert deviation.max() < 0.03, deviation
+    assert deviation.max() < most, deviation
     wrong = np.abs(rows.mean(0) - truth / scale)
     assert np.all(wrong < 4.5 * deviation + 1e-6), (wrong, deviation)
+
+
+@pytest.mark.parametrize("boundary", GUIDES, ids=lambda b: f"{b.guide}, {b.sampling}")
+def test_derivatives_are_the_closed_form(boundary):
+    check_derivatives(boundary, 0.03)
 
 
 def test_many_tries_for_a_segment_are_the_closed_form(monkeypatch):
     """So few edges have one try for a segment. Here it is 16, and borders are kept with a probability of 1 / 16."""
     monkeypatch.setattr(estimator, "TRIED", 10.0)
-    test_derivatives_are_the_closed_form(jd.GuidedEdges(samples=0.5))  # no other test compiles this one
+    check_derivatives(jd.GuidedEdges(samples=1.003), 0.05)  # options that no other test compiles
 
 
 def test_bad_options():
