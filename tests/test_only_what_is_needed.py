@@ -74,7 +74,8 @@ def program(of: jd.Scene) -> str:
 
     def run(vertices, key):
         def image(v):
-            return jd.render(of.replace({"ball.vertices": v}), key, spp=2, integrator=jd.PathTracer(max_depth=2))
+            tracer = jd.PathTracer(max_depth=2, boundary=jd.LineSampling())  # rules would choose by the ball's BSDF
+            return jd.render(of.replace({"ball.vertices": v}), key, spp=2, integrator=tracer)
 
         return jax.jvp(image, (vertices,), (jnp.ones_like(vertices),))
 
