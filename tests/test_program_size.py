@@ -8,7 +8,9 @@ import jaxdr as jd
 from experiments import program_size
 from experiments.compilation import scenes
 
-MOST_EQUATIONS = 16_350  # 16,225 when it was set
+# 18,620 when it was set, with `GuidedEdges`, which rules choose there. It was 16,225 with `KernelDensity`; both compile
+# in about the same time (experiments/default_choice).
+MOST_EQUATIONS = 18_750
 
 
 @pytest.fixture(scope="module")

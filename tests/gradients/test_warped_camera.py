@@ -181,7 +181,7 @@ def test_same_derivative_as_with_fixed_rays(max_depth):
 
 def test_what_is_not_covered():
     with pytest.raises(ValueError, match=r'primary="warp" needs boundary=WarpedArea\(\.\.\.\) .*got KernelDensity'):
-        jd.PathTracer(primary="warp")
+        jd.PathTracer(primary="warp", boundary=jd.KernelDensity())
     of = film.scene({"quad": film.SQUARE})
     with pytest.raises(ValueError, match='primary="warp" differentiates the pixel filter, and a Box'):
         jd.render(of, jax.random.key(0), 1, SEEN)

@@ -347,7 +347,7 @@ def test_derivative_by_what_moves():
     @jax.jit
     def derivative(key):
         def image(step):
-            return jd.render(moved(step), key, 1024, jd.BidirectionalPathTracer(2))
+            return jd.render(moved(step), key, 1024, jd.BidirectionalPathTracer(2, boundary=None))
 
         return jax.jvp(image, (0.0,), (1.0,))[1].mean(-1)
 
