@@ -205,8 +205,9 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
     """Derivative of the sum of interior and boundary terms along `moved`, of the `active` floats."""
     floats = tuple(map(first_only, floats))
     flags = _flags(program, active)
-    moving = moving_in(_join(program, floats, others), flags)
-    integrator = settled(eqx.combine(program.integrator, arrays), _join(program, floats, others))
+    scene = _join(program, floats, others)
+    moving = moving_in(scene, flags)
+    integrator = settled(eqx.combine(program.integrator, arrays), scene)
     arrays, static = eqx.partition(integrator, eqx.is_array)
     program = program._replace(integrator=static)
     _check_derivative(integrator, flags, moving)

@@ -56,7 +56,7 @@ def _few_flat_and_diffuse(scene: Scene, primary: str) -> bool:
     return diffuse and isinstance(scene.camera, Perspective) and edges <= FEW_EDGES
 
 
-# The first rule that holds decides. The numbers are seconds to the same error (docs/choosing.md).
+# The first rule that holds decides. They come from the rows of docs/choosing.md and of experiments/default_choice.
 RULES = (
     Rule(
         '`primary="warp"`',

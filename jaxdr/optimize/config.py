@@ -182,9 +182,10 @@ class Integrator:
             self.build()
             return
         require(self.kind == "path", "kind", 'must be "path" with max_depth or boundary "plan"', self.kind)
-        if self.boundary != PLAN:
+        if self.boundary == PLAN:
+            self._check_options()
+        else:
             self.estimator()
-        self._check_options()
         if self.max_depth != PLAN:
             self._check_depth()
 

@@ -24,11 +24,13 @@ def rows_where(mask: Bool[Array, " n"], size: int | None = None, fill_value: int
 def kept_rows(
     mask: Bool[Array, " n"], room: int, key: PRNGKeyArray
 ) -> tuple[Int[Array, " room"], Int[Array, ""], Float[Array, ""]]:
-    """(numbers of rows where `mask` is true, how many there are, the weight of each).
+    """(numbers of rows where `mask` is true, how many are kept, the weight of each).
 
     If there are more rows than room, as many are kept at even distances from a random start. So every row has the same
     chance, and the weight is its inverse: a sum over the kept rows has no bias.
     """
+    if room >= mask.shape[0]:
+        return rows_where(mask, room), mask.sum(), jnp.ones(())
     every, found = rows_where(mask), mask.sum()
     thinned = jnp.maximum(found / room, 1.0)
     rank = (jnp.arange(room) + jax.random.uniform(key)) * thinned

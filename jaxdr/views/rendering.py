@@ -1,6 +1,5 @@
 """Renderings of a scene like photographs: the object, cut out as it is there, and its coverage."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple, cast
@@ -118,7 +117,3 @@ def _like(view: View, parts: Layers) -> Float[np.ndarray, "H W 4"]:
 def _program(width: int, height: int, spp: int, integrator: Integrator) -> Callable:
     film = Film(width, height, Box())
     return jit(lambda scene, pinhole, key: layers(scene, pinhole.camera(film), key, spp, integrator))
-
-
-def _without_boundary(integrator: Integrator) -> Integrator:
-    return dataclasses.replace(integrator, boundary=None) if isinstance(integrator, PathTracer) else integrator

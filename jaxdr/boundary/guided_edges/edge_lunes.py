@@ -155,7 +155,7 @@ def acceptance(lunes: EdgeLunes, row: Int[Array, " n"], tried: float) -> Float[A
     """
     if tried <= 1:
         return jnp.ones_like(lunes.width[row])
-    return jnp.minimum(1.0, math.pi / (tried * jnp.maximum(lunes.width[row], 1e-3)))
+    return math.pi / jnp.maximum(tried * lunes.width[row], math.pi)
 
 
 def passing(lunes: EdgeLunes, row: Int[Array, " n"], direction: Float[Array, "n 3"]) -> Passing:
