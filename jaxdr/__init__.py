@@ -9,6 +9,7 @@ from jaxdr.boundary.baselines.markov_chains import MarkovChains as MarkovChains
 from jaxdr.boundary.baselines.quadric_sampling import QuadricSampling as QuadricSampling
 from jaxdr.boundary.baselines.redner_was import RednerWAS as RednerWAS
 from jaxdr.boundary.baselines.walk_on_caps import WalkOnCaps as WalkOnCaps
+from jaxdr.boundary.by_kind import ByKind as ByKind
 from jaxdr.boundary.guided_edges import GuidedEdges as GuidedEdges
 from jaxdr.boundary.guided_edges.guide_report import guide_report as guide_report
 from jaxdr.boundary.guided_edges.reused_guides import ReusedGuides as ReusedGuides

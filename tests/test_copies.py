@@ -63,6 +63,7 @@ MADE = {
     "Checkerboard": lambda: jd.Checkerboard(0.1, 0.8),
     "Conductor": lambda: jd.Conductor(material="Au"),
     "ConstantEnvironment": lambda: jd.ConstantEnvironment(1.0),
+    "ByKind": jd.ByKind,
     "Context": lambda: jd.Context(jax.jit(pack)(small()), jd.Moving((True,), False), SETTINGS, Form.FIXED, 1.0),
     "Dielectric": jd.Dielectric,
     "Diffuse": jd.Diffuse,

@@ -11,6 +11,7 @@ import time
 import numpy as np
 
 from experiments import common
+from experiments.roughness.scenes import write_ball
 
 STUDY, SIZE, SPP, KEYS = "default_choice", 64, 16, 8
 REFERENCE = ("direct_spot", "shadow_goathead", "environment_penguin", "cornell_indirect", "mirror_spot")
@@ -49,6 +50,13 @@ def cases(oracle):
     def readme(depth, **options):
         return lambda: (made_scene(**options), "ball.translate.x", depth)
 
+    def in_mirror(roughness):
+        def made():
+            path = write_ball(roughness, common.scratch(STUDY) / f"mirror_{roughness}")
+            return jd.load_mitsuba(str(path)), "ball.translate.x", 2
+
+        return made
+
     def reference(name):
         motion, depth = {
             "direct_spot": ("spot.translate.x", 2),
@@ -73,6 +81,13 @@ def cases(oracle):
         "smooth normals": readme(2, smooth=True),
         "glossy floor, indirect": readme(3, floor=jd.RoughConductor(alpha=0.2)),
         "principled, indirect": readme(3, floor=jd.Principled(roughness=0.3), bsdf=jd.Principled(roughness=0.4)),
+        "glossy floor": readme(2, floor=jd.RoughConductor(alpha=0.2)),
+        "glossy floor, a sky": readme(2, lamp=None, sky=sky, floor=jd.RoughConductor(alpha=0.2)),
+        "glossy floor, a lamp x 1/8": readme(2, lamp=0.125, floor=jd.RoughConductor(alpha=0.2)),
+        "narrow lobes, indirect": readme(3, floor=jd.RoughConductor(alpha=0.05)),
+        "glossy ball, indirect": readme(3, bsdf=jd.RoughConductor(alpha=0.05)),
+        "a mirror of roughness 0.05": in_mirror(0.05),
+        "a mirror of roughness 0.3": in_mirror(0.3),
         **{name: reference(name) for name in REFERENCE},
     }
 
@@ -93,7 +108,9 @@ def measure(case: str, made, keys: int) -> list[dict]:
         "KernelDensity": jd.KernelDensity(),
         "GuidedEdges": jd.GuidedEdges(),
     }
-    taken = type(choose(scene).estimator).__name__
+    chosen = choose(scene).estimator
+    taken = type(chosen).__name__
+    estimators |= {} if taken in estimators else {taken: chosen}
     rows, functions = [], {}
     for what, boundary in estimators.items():
         tracer = jd.PathTracer(depth, boundary)

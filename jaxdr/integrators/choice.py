@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from jaxdr.boundary.by_kind import ByKind
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
 from jaxdr.boundary.shared.traits import known_failure, traits
 from jaxdr.boundary.warped_area import WarpedArea
 from jaxdr.scene.bsdf import Diffuse
+from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.scene import Scene, unwrap
 
@@ -48,12 +50,19 @@ class Choice(NamedTuple):
     reason: str
 
 
-def _few_flat_and_diffuse(scene: Scene, primary: str) -> bool:
-    """Whether `GuidedEdges` covers the scene, nothing shows mirror images, and enough of the edges are silhouettes."""
+def _few_and_flat(scene: Scene, primary: str) -> bool:
+    """Whether `GuidedEdges` covers the scene, and enough of the edges are silhouettes."""
     shapes = scene.shapes.values()
-    diffuse = all(isinstance(unwrap(shape.bsdf), Diffuse) and shape.mesh.normal_faces is None for shape in shapes)
+    models = [unwrap(shape.bsdf) for shape in shapes]
+    covered = not any(model.delta or spreads_through(model) for model in models)
+    flat = all(shape.mesh.normal_faces is None for shape in shapes)
     edges = sum(shape.mesh.edges.vertices.shape[0] for shape in shapes)
-    return diffuse and isinstance(scene.camera, Perspective) and edges <= FEW_EDGES
+    return covered and flat and isinstance(scene.camera, Perspective) and edges <= FEW_EDGES
+
+
+def _diffuse(scene: Scene, primary: str) -> bool:
+    """The same, and all surfaces are diffuse."""
+    return _few_and_flat(scene, primary) and all(isinstance(unwrap(s.bsdf), Diffuse) for s in scene.shapes.values())
 
 
 # The first rule that holds decides. They come from the rows of docs/choosing.md and of experiments/default_choice.
@@ -68,7 +77,13 @@ RULES = (
         f"flat, diffuse surfaces of up to {FEW_EDGES:,} edges, seen by a `Perspective`",
         GuidedEdges(),
         "its segments begin at edges, so contacts and lamps of any kind make little noise",
-        _few_flat_and_diffuse,
+        _diffuse,
+    ),
+    Rule(
+        "the same, with other BSDFs; but no mirror and no glass",
+        ByKind(),
+        "`GuidedEdges`, and `LineSampling` for what glossy lobes reflect, which is seldom found from edges",
+        _few_and_flat,
     ),
     Rule(
         "all others",

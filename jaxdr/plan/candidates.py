@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 
 from jaxdr.boundary.baselines.redner_was import RednerWAS
+from jaxdr.boundary.by_kind import ByKind
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
@@ -13,6 +14,7 @@ from jaxdr.boundary.shared.traits import known_failure
 from jaxdr.integrators import PathTracer
 from jaxdr.integrators.base import edge_points_per_sample
 from jaxdr.plan.static_look import StaticLook
+from jaxdr.scene.bsdf import Diffuse
 
 # Tried in this order; of two equal ones the first wins. A wider kernel finds more edges, each with less weight.
 ESTIMATORS: dict[str, Any] = {
@@ -45,6 +47,8 @@ def candidates(look: StaticLook, max_depth: int) -> Candidates:
     if not look.moving.any or max_depth == 1:
         return Candidates({"KernelDensity": KernelDensity()}, {})  # no boundary term is in the program
     tried, left_out = dict(ESTIMATORS), dict(LEFT_OUT)
+    if set(look.lobes) - {Diffuse.__name__}:
+        tried["ByKind"] = ByKind()
     left_out["RednerWAS"] = known_failure(RednerWAS(), look.traits) or ""
     for name, made in list(tried.items()):
         reason = known_failure(made, look.traits)

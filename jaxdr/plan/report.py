@@ -65,14 +65,12 @@ def settings(integrator: Any) -> dict[str, Any]:
 def integrator(table: dict[str, Any]) -> Integrator:
     """The integrator of a table that `settings` made."""
     options = {name: value for name, value in table.items() if name != "kind"}
-    estimator = options["boundary"]
-    if isinstance(estimator, dict):
-        fields = {name: _value(value) for name, value in estimator.items() if name != "kind"}
-        options["boundary"] = estimator_class(estimator["kind"])(**fields)
+    options["boundary"] = _value(options["boundary"])
     return INTEGRATORS[table["kind"]](**options)
 
 
 def _estimator_settings(estimator: Any) -> dict[str, Any] | str | None:
+    """The class and the fields of an estimator; those inside a `ByKind` alike."""
     if estimator is None:
         return None
     if isinstance(estimator, Automatic):
@@ -80,9 +78,14 @@ def _estimator_settings(estimator: Any) -> dict[str, Any] | str | None:
     if not isinstance(estimator, eqx.Module):
         raise ValueError(f"a plan can keep the fields of an equinox.Module, which {type(estimator).__name__} is not")
     return {"kind": estimator_name(type(estimator))} | {
-        entry.name: getattr(estimator, entry.name) for entry in dataclasses.fields(estimator)
+        entry.name: _estimator_settings(value) if value is None or isinstance(value, eqx.Module) else value
+        for entry in dataclasses.fields(estimator)
+        for value in [getattr(estimator, entry.name)]
     }
 
 
 def _value(value: Any) -> Any:
+    """A field of an integrator or estimator, which may be an estimator."""
+    if isinstance(value, dict):
+        return estimator_class(value["kind"])(**{name: _value(v) for name, v in value.items() if name != "kind"})
     return tuple(value) if isinstance(value, list) else value

@@ -113,4 +113,4 @@ def test_light_that_the_source_scatters(guide, options):
 @pytest.mark.parametrize(("guide", "options"), GUIDED)
 def test_shadows_seen_on_a_wall(guide, options):
     """The floor is not in the picture: what its shadow takes away is light on the wall."""
-    check(wall_scene(), wall_exact(), jd.GuidedEdges(guide, "mis", **options), 1 << 20)
+    check(wall_scene(), wall_exact(), jd.GuidedEdges(guide, "mis", **options), 1 << 20, calls=24)

@@ -42,7 +42,9 @@ CHOSEN = {
     "a constant sky": (lambda: outdoors(jd.ConstantEnvironment(1.0)), jd.GuidedEdges),
     "a map": (lambda: outdoors(SKY), jd.GuidedEdges),
     "two sides": (lambda: with_ball(jd.TwoSided(jd.Diffuse(0.5))), jd.GuidedEdges),
-    "metal": (lambda: with_ball(jd.RoughConductor(0.1)), jd.LineSampling),
+    "metal": (lambda: with_ball(jd.RoughConductor(0.1)), jd.ByKind),
+    "plastic": (lambda: with_ball(jd.TwoSided(jd.RoughPlastic())), jd.ByKind),
+    "rough glass": (lambda: with_ball(jd.RoughDielectric()), jd.LineSampling),
     "a mirror": (lambda: with_ball(jd.Conductor()), jd.LineSampling),
     "glass": (lambda: with_ball(jd.Dielectric()), jd.LineSampling),
     "interpolated normals": (lambda: with_ball(mesh=sphere(1).smooth()), jd.LineSampling),
@@ -86,7 +88,7 @@ def test_a_depth_or_a_chunk_size_does_not_switch_the_choice_off():
     tracers = jd.PathTracer(2), jd.PathTracer(4, chunk_size=99), jd.PathTracer(rays="jax"), jd.PathTracer(2, "auto")
     for given in tracers:
         assert settled(given, of).boundary == jd.GuidedEdges()
-        assert settled(given, metal).boundary == jd.LineSampling()
+        assert settled(given, metal).boundary == jd.ByKind()
         assert settled(given, of).max_depth == given.max_depth
     assert settled(jd.PathTracer(primary="warp"), of).boundary == jd.WarpedArea()
     assert settled(jd.BidirectionalPathTracer(2), of).boundary == jd.KernelDensity()

@@ -78,6 +78,8 @@ def test_it_can_be_kept(scene, pilots):
     assert again == found and again.integrator == found.integrator
     guided = Plan(jd.PathTracer(2, jd.GuidedEdges(cells=(8, 4, 4))), 3, ("x",))
     assert Plan.from_dict(json.loads(json.dumps(guided.to_dict()))) == guided
+    parts = Plan(jd.PathTracer(2, jd.ByKind(jd.LineSampling(chords=2.0), environment_diffuse=jd.GuidedEdges())), 3, ())
+    assert Plan.from_dict(json.loads(json.dumps(parts.to_dict()))) == parts
     interior = Plan(jd.BidirectionalPathTracer(5), 3, ())
     assert Plan.from_dict(json.loads(json.dumps(interior.to_dict()))) == interior
     other = {"integrator": {"kind": "Other", "boundary": None}, "spp": 1, "lines": [], "figures": {}}

@@ -75,6 +75,7 @@ def test_estimators_by_nature():
     baselines = {"RednerWAS", "WarpedArea", "QuadricSampling", "MarkovChains", "WalkOnCaps"}
     assert baselines | {"AllSilhouettes"} == direct.left_out.keys()
     assert candidates(look(scene(), "box.vertices"), 5).tried.keys() == direct.tried.keys()
+    assert ("ByKind" in direct.tried) == any(lobe != "Diffuse" for lobe in look(scene(), "box.vertices").lobes)
     round_lamp = candidates(look(scene(sphere(1, radius=0.3, center=(0.0, 0.0, 3.0))), "box.vertices"), 2)
     assert "KernelDensity" in round_lamp.left_out and "LineSampling" in round_lamp.tried
     assert not any(isinstance(made, jd.KernelDensity) for made in round_lamp.tried.values())

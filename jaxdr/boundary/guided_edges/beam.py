@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
+from jaxdr.boundary.shared.kinds import any_above, glossy_at, lobes_along
 from jaxdr.boundary.shared.path_segments import on_face
 from jaxdr.geometry import queries
 from jaxdr.geometry.vector import dot, norm, scale
@@ -46,12 +47,13 @@ class Detected(NamedTuple):
     """Detector subpaths of n segments as the camera sees them, by the number of bounces before the camera: [B, n, ...].
 
     `value`: what the film receives per square pixel, per radiance of the source; zero if the camera does not see the
-    subpath. Detached.
+    subpath. `lobe`: numbers among `kinds.LOBES`, None once they have been looked at. Detached.
     """
 
     value: Float[Array, "B n 3"]
     film_point: Float[Array, "B n 2"]
     lens: Float[Array, "n 2"] | None
+    lobe: Int[Array, "B n"] | None = None
 
 
 def detect(
@@ -93,7 +95,11 @@ def detect(
     offset = joined.end - joined.start
     seen = carries & ~queries.occluded(packed.geometry, queries.Rays(joined.start, offset, reach), settings.rays)
     value = jnp.where(seen[:, None], joined.value, 0.0).reshape(bounces, -1, 3)
-    return Detected(value, film_point.reshape(bounces, -1, 2), lens)
+    # Behind the first vertex the camera is reached over the others.
+    glossy = glossy_at(packed, subpath.point.face)
+    over = any_above(jnp.roll(glossy, -1, axis=0))
+    lobe = lobes_along(jnp.broadcast_to(glossy[:1], glossy.shape), over)
+    return Detected(value, film_point.reshape(bounces, -1, 2), lens, lobe)
 
 
 def moves(

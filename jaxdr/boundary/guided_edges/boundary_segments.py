@@ -5,10 +5,12 @@ x_D to the source's end x_S. Densities are per length of edge and solid angle at
 Jacobian J_B (Eq. 5). Both maps have inverses. So each strategy knows its exact density of the other's samples (Eq. 15).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.guided_edges.edge_lunes import (
     EdgeLunes,
@@ -42,7 +44,7 @@ class BoundarySegments(NamedTuple):
     - `pole`: unit normal of the plane through edge and line, towards the faces.
     - `scale`: the edge's largest coordinate. `sine`: of the angle between edge and line.
     - `silhouette`: the edge is a silhouette in this direction.
-    - `emitter`: the emitter's point that was drawn, valid where it is on a surface; None if only a direction was drawn.
+    - `aim`: the emitter's points that were drawn; None if all lines have only a direction.
     """
 
     point: LunePoints
@@ -52,7 +54,20 @@ class BoundarySegments(NamedTuple):
     scale: Float[Array, " n"]
     sine: Float[Array, " n"]
     silhouette: Bool[Array, " n"]
-    emitter: SurfacePoint | None
+    aim: "Aim | None"
+
+
+class Aim(NamedTuple):
+    """Emitters' points that lines go to.
+
+    - `emitter`: the points, valid where they are on a surface.
+    - `there`: whether a line goes to such a point; None if all do. The others have only a direction.
+    - `shines`: whether the point emits light against the line.
+    """
+
+    emitter: SurfacePoint
+    there: Bool[Array, " n"] | None
+    shines: Bool[Array, " n"]
 
 
 class BoundaryEnds(NamedTuple):
@@ -73,10 +88,11 @@ class DirectionSampling:
     samples_emitters = False
 
     @staticmethod
-    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> BoundarySegments:
-        """Lines from primary numbers."""
-        point = edge_points(lunes, u[:, 0])
-        return lines_past(lunes, point, lune_directions(lunes, point.row, u[:, 1:]), None)
+    def directions(
+        packed: PackedScene, lunes: EdgeLunes, point: LunePoints, u: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n 3"], None]:
+        """Unit directions from the last two primary numbers, and nothing that they aim at."""
+        return lune_directions(lunes, point.row, u), None
 
     @staticmethod
     def density(
@@ -101,13 +117,13 @@ class EmitterSampling:
     samples_emitters = True
 
     @staticmethod
-    def segments(packed: PackedScene, lunes: EdgeLunes, u: Float[Array, "n 3"]) -> BoundarySegments:
-        """Lines from primary numbers; those towards lights without area do not count."""
-        point = edge_points(lunes, u[:, 0])
-        sample = sample_emitter(packed, u[:, 1:])
+    def directions(
+        packed: PackedScene, lunes: EdgeLunes, point: LunePoints, u: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n 3"], Aim]:
+        """Unit directions from the last two primary numbers, and emitters' points. Lights without area do not shine."""
+        sample = sample_emitter(packed, u)
         towards = sample.direction_from(point.position(lunes))
-        drawn = lines_past(lunes, point, towards, sample.point)
-        return drawn._replace(silhouette=drawn.silhouette & sample.shines_on(towards))
+        return towards, Aim(sample.point, None, sample.shines_on(towards))
 
     @staticmethod
     def density(
@@ -133,8 +149,25 @@ class EmitterSampling:
 Strategy = type[DirectionSampling] | type[EmitterSampling]
 
 
+def segments(
+    packed: PackedScene,
+    lunes: EdgeLunes,
+    strategies: Sequence[Strategy],
+    u: Float[Array, "n 3"],
+    by: Int[Array, " n"] | None = None,
+) -> BoundarySegments:
+    """Lines from primary numbers. If there are two strategies, each line is drawn by that of number `by`."""
+    point = edge_points(lunes, u[:, 0])
+    found = [strategy.directions(packed, lunes, point, u[:, 1:]) for strategy in strategies]
+    if len(found) == 1:
+        return lines_past(lunes, point, *found[0])
+    towards = jnp.where((by == 0)[:, None], found[0][0], found[1][0])
+    (aimed,) = (number for number, strategy in enumerate(strategies) if strategy.samples_emitters)
+    return lines_past(lunes, point, towards, found[aimed][1]._replace(there=by == aimed))
+
+
 def lines_past(
-    lunes: EdgeLunes, point: LunePoints, towards: Float[Array, "n 3"], emitter: SurfacePoint | None
+    lunes: EdgeLunes, point: LunePoints, towards: Float[Array, "n 3"], aim: Aim | None = None
 ) -> BoundarySegments:
     """Lines in unit directions past points on edges."""
     passed = passing(lunes, point.row, towards)
@@ -142,28 +175,36 @@ def lines_past(
     sine = jnp.sqrt(jnp.maximum(1.0 - passed.cosine**2, 0.0))
     position, start, side = point.position(lunes), lunes.start[point.row], lunes.side[point.row]
     size = jnp.maximum(jnp.abs(start), jnp.abs(start + side)).max(-1)
-    return BoundarySegments(point, position, towards, pole, size, sine, passed.silhouette, emitter)
+    counts = passed.silhouette
+    if aim is not None:
+        counts &= aim.shines if aim.there is None else aim.shines | ~aim.there
+    return BoundarySegments(point, position, towards, pole, size, sine, counts, aim)
 
 
 def segment_ends(packed: PackedScene, drawn: BoundarySegments, active: Bool[Array, " n"], rays: str) -> BoundaryEnds:
     """Both ends of lines past edges, from rays that start just beside them."""
     beside = queries.BESIDE * drawn.scale
     start = drawn.position - scale(drawn.pole, beside)
-    hidden = jnp.zeros_like(active)
-    if drawn.emitter is None:
-        source = _hit(packed, start, drawn.towards, active, rays)
+    hidden, far = jnp.zeros_like(active), jnp.where(active, 1e30, 0.0).astype(start.dtype)
+    if drawn.aim is None:
+        source = _hit(packed, start, drawn.towards, far, rays)
     else:
-        source = drawn.emitter
+        source, there = drawn.aim.emitter, drawn.aim.there
         end = leave(source, -drawn.towards)
         offset = jnp.where(source.valid[:, None], end - start, 2.0 * packed.size * drawn.towards)
         reach = jnp.where(active, 1.0, 0.0).astype(start.dtype)
-        hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
-    detector = _hit(packed, start, -drawn.towards, active & ~hidden, rays)
+        if there is None:
+            hidden = queries.occluded(packed.geometry, queries.Rays(start, offset, reach), rays)
+        else:
+            offset = jnp.where(there[:, None], offset, drawn.towards)
+            hit = _hit(packed, start, offset, jnp.where(there, reach, far), rays)
+            hidden = there & hit.valid
+            source = jax.tree.map(lambda a, b: jnp.where(there.reshape(-1, *[1] * (a.ndim - 1)), a, b), source, hit)
+    detector = _hit(packed, start, -drawn.towards, jnp.where(hidden, 0.0, far), rays)
     to_edge = drawn.position - detector.position
     apart = (norm(to_edge) > APART * beside) & (jnp.abs(dot(detector.normal, to_edge)) > ABOVE * beside)
     return BoundaryEnds(detector, source, active & ~hidden & detector.valid & apart)
 
 
-def _hit(packed: PackedScene, start, direction, active, rays: str) -> SurfacePoint:
-    reach = jnp.where(active, 1e30, 0.0).astype(start.dtype)
+def _hit(packed: PackedScene, start, direction, reach, rays: str) -> SurfacePoint:
     return material_hit(packed, queries.closest_hit(packed.geometry, queries.Rays(start, direction, reach), rays))

@@ -12,19 +12,20 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from jaxdr.boundary.guided_edges.beam import detect, moves
 from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
-from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, acceptance, edge_lunes
+from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes
 from jaxdr.boundary.guided_edges.flux_maps import flux_maps
 from jaxdr.boundary.guided_edges.guide_target import StrategyPlan, segment_target
 from jaxdr.boundary.guided_edges.kdtree_guide import build_kdtree, root_borders
+from jaxdr.boundary.guided_edges.plan_lines import plan_lines
 from jaxdr.boundary.guided_edges.primary_guides import Defended, Guide, Target, Unguided, build_grid, defended
 from jaxdr.boundary.guided_edges.projected_paths import project_paths
 from jaxdr.boundary.guided_edges.seeded_tree import SEEDS, build_seeded_tree
 from jaxdr.boundary.guided_edges.seen_segments import DrawnSegments, ask_sources, seen_segments, segments_image
 from jaxdr.boundary.shared.blocks import map_over_blocks
+from jaxdr.boundary.shared.kinds import KINDS, LIGHTS, asked_for, of_kind, present
 from jaxdr.boundary.shared.refusals import Asked, edge_refusals, perspective_refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.shared.traits import Traits, too_fine
-from jaxdr.geometry.vector import scale
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import kept_rows
@@ -32,7 +33,6 @@ from jaxdr.transport.emission import emitted, has_emitters
 from jaxdr.transport.keys import fixed_key
 from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.radiance import Answers, Requests, joined
-from jaxdr.transport.sampler import lattice
 
 # Lines that are tried towards emitters for one segment: the share of silhouettes among edges falls with the square root
 # of their number. A tenth of the root is a compromise: of 1, 4 and 16 tries one was best where other terms have the
@@ -85,7 +85,7 @@ class GuidedEdges(eqx.Module):
     threshold: float = eqx.field(static=True, default=0.1)
     sort: bool = eqx.field(static=True, default=False)
 
-    name = "boundary"
+    name, takes_kinds = "boundary", True
 
     refusals = (*edge_refusals("GuidedEdges"), perspective_refusal("GuidedEdges"))
 
@@ -99,10 +99,13 @@ class GuidedEdges(eqx.Module):
         if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
             raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
 
-    def plans(self, packed: PackedScene, settings: PathSettings) -> tuple[StrategyPlan, ...]:
-        """The strategies that this scene needs at this depth."""
-        indirect = settings.max_depth > 2
-        glows = packed.has_area_emitters or packed.environment is not None
+    def plans(
+        self, packed: PackedScene, settings: PathSettings, kinds: tuple[str, ...] = KINDS
+    ) -> tuple[StrategyPlan, ...]:
+        """The strategies that this scene needs at this depth, for these kinds of segments."""
+        kinds = present(packed, settings.max_depth, kinds)
+        indirect = asked_for(kinds, "scattered")
+        glows = asked_for(kinds, "emitters") or asked_for(kinds, "environment")
         plans = []
         if glows and self.sampling != "direction":
             plans.append(StrategyPlan(EmitterSampling, True, False))
@@ -118,9 +121,11 @@ class GuidedEdges(eqx.Module):
     def prepare(self, context: Context, key: PRNGKeyArray) -> GuidedEdgesState:
         """Edges and guides. Raises ValueError for scenes that the estimator does not cover."""
         del key  # all images of the same scene have the same guide
-        return self.build(context.packed, context.moving.seen, context.settings)
+        return self.build(context.packed, context.moving.seen, context.settings, context.kinds)
 
-    def build(self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings) -> GuidedEdgesState:
+    def build(
+        self, packed: PackedScene, moving: tuple[bool, ...], settings: PathSettings, kinds: tuple[str, ...] = KINDS
+    ) -> GuidedEdgesState:
         """Edges and guides where the shapes `moving` can move. Raises ValueError like `prepare`."""
         refuse(self.refusals, Asked(packed, settings))
         detached = jax.tree.map(stop_gradient, packed)
@@ -140,7 +145,8 @@ class GuidedEdges(eqx.Module):
             seeds = None if lines is None else (plan.strategy.numbers(detached, lunes, *lines), lines[1].valid)
             return self._defended(self._guide(target(plan, key), lunes, seeds, key), target(plan, key), packed, key)
 
-        guides = tuple(guide(plan, key) for plan, key in zip(self.plans(packed, settings), keys, strict=False))
+        plans = self.plans(packed, settings, kinds)
+        guides = tuple(guide(plan, key) for plan, key in zip(plans, keys, strict=False))
         return GuidedEdgesState(lunes, flags, guides, order)
 
     def _targets(
@@ -237,31 +243,64 @@ class GuidedEdges(eqx.Module):
 
     def draw(
         self, context: Context, state: GuidedEdgesState, chunk: Chunk, key: PRNGKeyArray
-    ) -> tuple[Requests | None, list[DrawnSegments]]:
+    ) -> tuple[Requests | None, DrawnSegments | None]:
         """Segments of all strategies, and requests for what their sources scatter."""
-        drawn, asked = [], []
-        for number in range(len(self.plans(context.packed, context.settings))):
-            requests, found = self._draw(context, state, number, chunk.paths, jax.random.fold_in(key, number))
-            asked += requests
-            drawn.append(found)
-        return joined(asked) if asked else None, drawn
+        packed, settings, lunes = context.packed, context.settings, state.lunes
+        kinds = context.kinds
+        plans, wanted = self.plans(packed, settings, kinds), chunk.paths * self.samples
+        if not plans:
+            return None, None
+        key_segments, key_detector, key_source, key_kept = jax.random.split(key, 4)
+        tried = tuple(self._tried(packed, plan, chunk.paths) for plan in plans)
+        room = sum(max(1, round(wanted * min(t, 1.0))) for t in tried)
+        lines = plan_lines(packed, lunes, plans, state.guides, tried, wanted, key_segments)
+        # For most lines towards emitters the edge is not a silhouette. The other lines are moved to the front.
+        slots, used, thinned = kept_rows(lines.kept(), room, key_kept)
+        emission, gathered = [plan.emission for plan in plans], [plan.gathered for plan in plans]
+
+        def rows(line, place):
+            drawn = lines.segments(line)
+            ends = segment_ends(packed, drawn, place < used, settings.rays)
+            ends = ends._replace(valid=ends.valid & moves(packed, state.moving, lunes, drawn, ends))
+            densities = lines.densities(line, drawn, ends)
+            seen = detect(packed, drawn, ends, jnp.full(line.shape, thinned), line, key_detector, settings)
+            share, lit = lunes.share[drawn.point.row], (seen.value != 0).any(-1)
+
+            def inverse(counts: list[bool], asked: Bool[Array, "*#B m"] | bool) -> Float[Array, "B m"]:
+                """The share of the jump over the density of all plans that count; zero at lines of other plans."""
+                if not any(counts):
+                    return jnp.zeros_like(lit, share.dtype)
+                density = sum(d for d, c in zip(densities, counts, strict=True) if c)
+                there = (density > 0) & lines.of_plan(line, counts)
+                return jnp.where(lit & asked, safe_divide(share, density, there, 0.0), 0.0)
+
+            assert seen.lobe is not None  # `detect` finds it
+            asked = {light: of_kind(kinds, light, seen.lobe) for light in LIGHTS}
+            lamps = inverse(emission, jnp.where(ends.source.valid, asked["emitters"], asked["environment"]))
+            sent = emitted(packed, ends.source, -drawn.towards) if any(emission) else jnp.zeros_like(drawn.towards)
+            row = seen_segments(drawn, ends, seen, sent, lamps, inverse(gathered, asked["scattered"]))
+            if not any(gathered):
+                return [], row
+            return ask_sources(row, line, self.name, key_source, settings.max_depth), row
+
+        asked, found = map_over_blocks(rows, slots, used)
+        return joined(asked) if asked else None, DrawnSegments(found, used)
 
     def image(
         self,
         context: Context,
         state: GuidedEdgesState,
         chunk: Chunk,
-        held: list[DrawnSegments],
+        held: DrawnSegments | None,
         answers: Answers | None,
     ) -> Float[Array, "H W 3"]:
         """Boundary term, an estimate of the whole film by itself: zero in value, right in derivative."""
         packed = context.packed
-        _, _, width, height = packed.camera.film.window
-        total = jnp.zeros((height, width, 3), packed.vertices.dtype)
-        for plan, drawn in zip(self.plans(packed, context.settings), held, strict=True):
-            scattered = answers.total if plan.gathered and answers is not None else None
-            total += segments_image(packed, state.lunes, drawn, scattered, context.form)
-        return chunk.share * total
+        if held is None:
+            _, _, width, height = packed.camera.film.window
+            return jnp.zeros((height, width, 3), packed.vertices.dtype)
+        scattered = None if answers is None else answers.total
+        return chunk.share * segments_image(packed, state.lunes, held, scattered, context.form)
 
     def _tried(self, packed: PackedScene, plan: StrategyPlan, paths: int) -> float:
         """Lines that a plan draws for one segment."""
@@ -271,48 +310,3 @@ class GuidedEdges(eqx.Module):
             edges = packed.edges.vertices.shape[0]
             return max(min(TRIED * edges**0.5, MOST_TRIED, MOST_LINES / (paths * self.samples)), 1.0)
         return BESIDES if self.sampling == "mis" and not plan.gathered else 1.0
-
-    def _draw(
-        self, context: Context, prepared: GuidedEdgesState, number: int, paths: int, key
-    ) -> tuple[list[Requests], DrawnSegments]:
-        """Segments drawn by one plan, and requests for detector subpaths of every number of bounces."""
-        packed, settings, lunes = context.packed, context.settings, prepared.lunes
-        plans = self.plans(packed, settings)
-        plan, guide = plans[number], prepared.guides[number]
-        tried = [self._tried(packed, p, paths) for p in plans]
-        counts = [max(1, round(paths * self.samples * t)) for t in tried]
-        count, room = counts[number], max(1, round(paths * self.samples * min(tried[number], 1.0)))
-        key_segments, key_detector, key_source, key_kept = jax.random.split(key, 4)
-        # A lattice in four dimensions: the lattice in three has gaps into which shadows can fall.
-        u = lattice(key_segments, 1, jnp.arange(count), 4, packed.vertices.dtype)
-        primary = guide.sample(u[:, :3])
-        # For most lines towards emitters the edge is not a silhouette. The other lines are moved to the front.
-        drawn = plan.strategy.segments(packed, lunes, primary)
-        taken = drawn.silhouette & (u[:, 3] < acceptance(lunes, drawn.point.row, tried[number]))
-        slots, used, thinned = kept_rows(taken, room, key_kept)
-        one = thinned / count
-
-        def rows(slot, place):
-            active = place < used
-            segments = plan.strategy.segments(packed, lunes, primary[slot])
-            ends = segment_ends(packed, segments, active, settings.rays)
-            ends = ends._replace(valid=ends.valid & moves(packed, prepared.moving, lunes, segments, ends))
-            pdf = []
-            for p, g, t, n in zip(plans, prepared.guides, tried, counts, strict=True):
-                own = p.strategy is plan.strategy
-                u = primary[slot] if own else p.strategy.numbers(packed, lunes, segments, ends)
-                taken = g.pdf(u, n) * acceptance(lunes, segments.point.row, t) * (n / count)
-                pdf.append(p.strategy.density(packed, lunes, segments, ends) * taken)
-            seen = detect(packed, segments, ends, jnp.full(slot.shape, one), slot, key_detector, settings)
-            share, lit = lunes.share[segments.point.row], (seen.value != 0).any((0, 2))
-            sent = jnp.zeros_like(segments.towards)
-            if plan.emission:
-                density = sum(d for d, p in zip(pdf, plans, strict=True) if p.emission)
-                sent = emitted(packed, ends.source, -segments.towards)
-                sent = jnp.where(lit[:, None], scale(sent, safe_divide(share, density, density > 0)), 0.0)
-            inverse = safe_divide(share, pdf[number], pdf[number] > 0)
-            row = seen_segments(segments, ends, seen, sent, inverse)
-            return ask_sources(row, slot, self.name, key_source, settings.max_depth) if plan.gathered else [], row
-
-        asked, found = map_over_blocks(rows, slots, used)
-        return asked, DrawnSegments(found, used)

@@ -8,7 +8,13 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float
 
 from jaxdr.boundary.guided_edges.beam import detect, moves
-from jaxdr.boundary.guided_edges.boundary_segments import BoundaryEnds, BoundarySegments, Strategy, segment_ends
+from jaxdr.boundary.guided_edges.boundary_segments import (
+    BoundaryEnds,
+    BoundarySegments,
+    Strategy,
+    segment_ends,
+    segments,
+)
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
 from jaxdr.safe_divide import safe_divide
@@ -42,7 +48,7 @@ def segment_target(
     strategy = plan.strategy
 
     def target(primary):
-        drawn = strategy.segments(packed, lunes, primary)
+        drawn = segments(packed, lunes, [strategy], primary)
         ends = segment_ends(packed, drawn, drawn.silhouette, settings.rays)
         ends = ends._replace(valid=ends.valid & moves(packed, moving, lunes, drawn, ends))
         density = strategy.density(packed, lunes, drawn, ends)

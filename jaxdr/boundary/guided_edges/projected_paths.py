@@ -92,7 +92,7 @@ def project_paths(
     inside, _ = loops.fori_loop(0, HALVINGS, halve, (u[one], outside))
     last = shadow_rays(packed, inside, rays)
     point, found = _nearest_silhouettes(packed, lunes, last)
-    drawn = lines_past(lunes, point, last.emitter.direction_from(point.position(lunes)), last.emitter.point)
+    drawn = lines_past(lunes, point, last.emitter.direction_from(point.position(lunes)))
     return drawn, BoundaryEnds(last.first, last.emitter.point, both & found & drawn.silhouette)
 
 

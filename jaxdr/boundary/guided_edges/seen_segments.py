@@ -19,8 +19,8 @@ from jaxdr.transport.sampler import path_numbers
 class SeenSegments(NamedTuple):
     """Segments in slots, and how the camera sees them (as in `Detected`, but with the slots first); detached.
 
-    `sent`: emission of the source over the density of the segment. `inverse`: one over the density of the segment, for
-    light that the source scatters.
+    `sent`: emission of the source. `emitted`, `scattered`: one over the density of the segment, for light that the
+    source emits and scatters; zero where it does not count.
     """
 
     segments: BoundarySegments
@@ -29,7 +29,8 @@ class SeenSegments(NamedTuple):
     film_point: Float[Array, "n B 2"]
     lens: Float[Array, "n 2"] | None
     sent: Float[Array, "n 3"]
-    inverse: Float[Array, " n"]
+    emitted: Float[Array, "n B"]
+    scattered: Float[Array, "n B"]
 
 
 class DrawnSegments(NamedTuple):
@@ -44,11 +45,12 @@ def seen_segments(
     ends: BoundaryEnds,
     seen: Detected,
     sent: Float[Array, "n 3"],
-    inverse: Float[Array, " n"],
+    emitted: Float[Array, "B n"],
+    scattered: Float[Array, "B n"],
 ) -> SeenSegments:
     """Segments with what the camera sees of them."""
     value, film_point = seen.value.swapaxes(0, 1), seen.film_point.swapaxes(0, 1)
-    return SeenSegments(segments, ends, value, film_point, seen.lens, sent, inverse)
+    return SeenSegments(segments, ends, value, film_point, seen.lens, sent, emitted.T, scattered.T)
 
 
 def ask_sources(
@@ -58,7 +60,7 @@ def ask_sources(
 
     `slot` and the term's `name` choose random numbers.
     """
-    lit = (rows.value != 0).any(-1)
+    lit = (rows.value != 0).any(-1) & (rows.scattered != 0)
     # Not from the lattice of the segments: these numbers would differ from theirs by a constant shift.
     numbers = path_numbers(key, slot, 0, rows.value.dtype)
     stream, asked = stream_of(name) + slot.astype(jnp.uint32), []
@@ -81,13 +83,13 @@ def segments_image(
     """
     gathered = None
     if scattered is not None:
-        gathered = scattered.reshape(-1, drawn.rows.inverse.shape[0], 3).swapaxes(0, 1)
+        gathered = scattered.reshape(-1, drawn.rows.sent.shape[0], 3).swapaxes(0, 1)
 
     def values(block, number):
         block, gathered = block
-        radiance = jnp.broadcast_to(block.sent[:, None], block.value.shape)
+        radiance = block.sent[:, None] * block.emitted[:, :, None]
         if gathered is not None:
-            radiance = radiance.at[:, :-1].add(gathered * block.inverse[:, None, None])
+            radiance = radiance.at[:, :-1].add(gathered * block.scattered[:, :-1, None])
         radiance = jnp.where((number < drawn.used)[:, None, None], radiance, 0.0)
         seen = Detected(block.value.swapaxes(0, 1), block.film_point.swapaxes(0, 1), block.lens)
         return image(packed, lunes, block.segments, block.ends, seen, radiance.swapaxes(0, 1), form)

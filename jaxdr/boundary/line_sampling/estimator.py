@@ -27,6 +27,7 @@ from jaxdr.boundary.shared.allocation import allocate, capacity, pixel_importanc
 from jaxdr.boundary.shared.background import BehindEdges, sum_behind
 from jaxdr.boundary.shared.blocks import map_over_blocks, sum_over_blocks
 from jaxdr.boundary.shared.emitter_planes import emitter_groups
+from jaxdr.boundary.shared.kinds import any_above, asked_for, glossy_at, lobes_along, of_kind, present
 from jaxdr.boundary.shared.on_planes import OnPlanes, sum_on_planes
 from jaxdr.boundary.shared.path_segments import PathSegments, path_segments
 from jaxdr.boundary.shared.projection import never_silhouettes
@@ -34,7 +35,6 @@ from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.geometry import queries
 from jaxdr.safe_divide import safe_divide
 from jaxdr.scene.color import magnitude
-from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.radiance import Answers, Requests, joined
 
 ROW = 64  # expected numbers of kept crossings are rounded together in rows of so many crossings
@@ -87,7 +87,7 @@ class LineSampling(eqx.Module):
     backgrounds: float = eqx.field(static=True, default=1.0)
     capacity: float = eqx.field(static=True, default=4.0)
 
-    name = "boundary"
+    name, takes_kinds = "boundary", True
 
     def __check_init__(self):
         for name in ("chords", "floor", "reach", "backgrounds", "capacity"):
@@ -117,11 +117,11 @@ class LineSampling(eqx.Module):
         self, context: Context, state: LineSamplingState, chunk: Chunk, key: PRNGKeyArray
     ) -> tuple[Requests | None, "_Held | None"]:
         """Crossings of chords, and requests for the radiance behind crossings of geodesic chords."""
-        packed, settings = context.packed, context.settings
+        packed = context.packed
         if chunk.record.direct is None:
             return None, None
         paths = path_segments(packed, chunk, "direct", differentiated=False)
-        emitters, others = self._spreads(packed, state, paths, settings, key)
+        emitters, others = self._spreads(context, state, paths, key)
         found = None if emitters is None else self._on_emitters(emitters)
         asked, behind = [], []
         for spread in others:
@@ -147,26 +147,37 @@ class LineSampling(eqx.Module):
             first = last
         return chunk.image(packed, total)
 
-    def _spreads(self, packed: PackedScene, state: LineSamplingState, paths: PathSegments, settings, key):
+    def _spreads(self, context: Context, state: LineSamplingState, paths: PathSegments, key):
         """(chords on emitters or None; chords around BSDF samples, around a map's samples, and towards clusters)."""
+        packed, settings = context.packed, context.settings
+        kinds = present(packed, settings.max_depth, context.kinds)
         key_emitters, key_lobes = jax.random.split(key)
-        throughput = magnitude(paths.table.throughput)
+        throughput, vertex = magnitude(paths.table.throughput), jnp.arange(paths.count)
+        glossy = glossy_at(packed, paths.table.apex_face.reshape(-1, paths.paths))
+        lobe = lobes_along(glossy, any_above(glossy)).reshape(-1)
+
+        def carries(light: str):
+            return jnp.where(of_kind(kinds, light, lobe), throughput, 0.0)
+
         one_light = settings._replace(max_depth=2)  # no light that the surface behind a silhouette scatters
         emitters = lobes = skies = lamps = None
-        if packed.has_area_emitters and packed.clusters is None:
-            emitters = self._spread(EmitterLines(packed, state, paths, settings), throughput, key_emitters)
-        if packed.environment is not None or settings.max_depth > 2:
-            carries = throughput
-            if packed.environment is None:  # no indirect light reaches the last vertex
-                carries = jnp.where(jnp.arange(paths.count) < paths.count - paths.paths, throughput, 0.0)
-            lobes = self._spread(LobeLines(packed, state, paths, settings, self.reach), carries, key_lobes)
-        if settings.mis and packed.has_varying_sky:
-            skies = self._spread(SkyLines(packed, state, paths, one_light), throughput, jax.random.fold_in(key, 3))
+        if asked_for(kinds, "emitters") and packed.clusters is None:
+            lines = EmitterLines(packed, state, paths, settings, kinds, lobe)
+            emitters = self._spread(lines, carries("emitters"), key_emitters)
+        if asked_for(kinds, "environment") or asked_for(kinds, "scattered"):
+            # No indirect light reaches the last vertex.
+            onwards = jnp.where(vertex < paths.count - paths.paths, carries("scattered"), 0.0)
+            lines = LobeLines(packed, state, paths, settings, kinds, lobe, self.reach)
+            lobes = self._spread(lines, jnp.maximum(carries("environment"), onwards), key_lobes)
+        if settings.mis and packed.has_varying_sky and asked_for(kinds, "environment"):
+            lines = SkyLines(packed, state, paths, one_light, kinds, lobe)
+            skies = self._spread(lines, carries("environment"), jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             share = SkyShare(packed, paths, self.reach, *numbers)
             skies, lobes = skies.beside(both=share), lobes.beside(skies=share)
-        if packed.clusters is not None:
-            lamps = self._spread(LampLines(packed, state, paths, one_light), throughput, key_emitters)
+        if asked_for(kinds, "emitters") and packed.clusters is not None:
+            lines = LampLines(packed, state, paths, one_light, kinds, lobe)
+            lamps = self._spread(lines, carries("emitters"), key_emitters)
             if lobes is not None and settings.mis:
                 numbers = lamps.expected * lamps.kept, lobes.expected * lobes.kept
                 share = LampShare(packed, self.reach, *numbers)

@@ -58,9 +58,11 @@ class LobeLines(ChordKind):
         if packed.environment is not None or self.both is not None:
             surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)
             sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, scatterer, plane, seen.towards)
-            emission = jnp.where(background.valid, surfaces, sky)
+            lights = [self.asked(light, found.vertex) for light in ("emitters", "environment")]
+            emission = jnp.where(background.valid, surfaces * lights[0], sky * lights[1])
         numbers = numbers_behind(key, "lobe_lines", number, seen.distance.dtype)
-        return ask_behind(paths, seen, background, numbers, emission, self.settings), behind
+        scattered = self.asked("scattered", found.vertex)
+        return ask_behind(paths, seen, background, numbers, emission, self.settings, scattered), behind
 
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""

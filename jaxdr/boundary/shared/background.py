@@ -167,9 +167,13 @@ def ask_behind(
     numbers: Numbers,
     emission: Float[Array, " C"] | float,
     settings: PathSettings,
+    scattered: Bool[Array, " C"] | bool = True,
 ) -> Requests:
-    """Requests for the radiance of what is seen past edges; `emission` is the share of emitted radiance that counts."""
-    bounces = settings.max_depth - 2 - seen.segment // paths.paths
+    """Requests for the radiance of what is seen past edges.
+
+    `emission` is the share of emitted radiance that counts. `scattered`: whether scattered light counts.
+    """
+    bounces = jnp.where(scattered, settings.max_depth - 2 - seen.segment // paths.paths, 0)
     return request(background, -seen.towards, numbers.u, bounces, numbers.stream, emission)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from jaxdr.boundary.shared.kinds import KINDS
 from jaxdr.geometry.vector import scale
 from jaxdr.moving import Moving
 from jaxdr.scene.packed import PackedScene
@@ -30,6 +31,8 @@ class Context(NamedTuple):
     - `settings`: depth, sampling and ray queries of the path tracer.
     - `form`: how first hits move; see `primary_samples`.
     - `edge_samples`: points on edges in the image, per path sample.
+    - `kinds`: of boundary segments that a term is asked for (`kinds.KINDS`). Only terms with `takes_kinds = True` are
+      asked for less than all.
     """
 
     packed: PackedScene
@@ -37,6 +40,7 @@ class Context(NamedTuple):
     settings: PathSettings
     form: Form
     edge_samples: float
+    kinds: tuple[str, ...] = KINDS
 
 
 class Chunk(NamedTuple):

@@ -10,7 +10,7 @@ import pytest
 import jaxdr as jd
 from experiments import one_term
 from jaxdr.boundary.guided_edges import estimator
-from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
+from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends, segments
 from jaxdr.boundary.guided_edges.edge_lunes import edge_lunes
 from jaxdr.geometry.shapes import sphere
 from jaxdr.scene.packed import pack
@@ -50,7 +50,7 @@ def drawn_by_direction(of, u):
     """(lunes, lines, the numbers that they come from) of two moving shapes."""
     packed = pack(of)
     lunes = edge_lunes(packed, (True, True))
-    drawn = DirectionSampling.segments(packed, lunes, u)
+    drawn = segments(packed, lunes, [DirectionSampling], u)
     height = ((packed.vertices[packed.edges.opposite[lunes.edge]] - lunes.start[:, None])[drawn.point.row]).swapaxes(
         0, 1
     )
@@ -91,9 +91,9 @@ def test_mis_weights_add_up():
     packed = pack(patch_scene(BLOCKER))
     lunes = edge_lunes(packed, (True,) * 3)
     u = jax.random.uniform(jax.random.key(0), (1 << 15, 3))
-    drawn = EmitterSampling.segments(packed, lunes, u)
+    drawn = segments(packed, lunes, [EmitterSampling], u)
     ends = segment_ends(packed, drawn, drawn.silhouette, "auto")
-    again = DirectionSampling.segments(packed, lunes, DirectionSampling.numbers(packed, lunes, drawn, ends))
+    again = segments(packed, lunes, [DirectionSampling], DirectionSampling.numbers(packed, lunes, drawn, ends))
     seen = segment_ends(packed, again, again.silhouette, "auto")
     glows = np.isin(np.asarray(seen.source.face), np.asarray(packed.emitter_faces)) & np.asarray(seen.source.valid)
     both = np.asarray(ends.valid & seen.valid) & glows
@@ -111,7 +111,7 @@ def test_an_edge_casts_no_shadow_on_a_face_that_ends_there(strategy):
     """Also where only a face without area says that it does."""
     packed = pack(catalogue()["zero_area"].scene)
     lunes = edge_lunes(packed, (True,) * 3)
-    drawn = strategy.segments(packed, lunes, jax.random.uniform(jax.random.key(0), (1 << 16, 3)))
+    drawn = segments(packed, lunes, [strategy], jax.random.uniform(jax.random.key(0), (1 << 16, 3)))
     ends = segment_ends(packed, drawn, drawn.silhouette, "auto")
     valid = np.asarray(ends.valid)
     vertices = np.asarray(packed.vertices)

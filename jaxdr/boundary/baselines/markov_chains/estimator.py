@@ -21,7 +21,7 @@ from jaxdr.boundary.shared.blocks import map_over_blocks
 from jaxdr.boundary.shared.refusals import Asked, edge_refusals, perspective_refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.shared.traits import Traits, too_fine
-from jaxdr.geometry.vector import norm, scale
+from jaxdr.geometry.vector import norm
 from jaxdr.scene.packed import PackedScene
 from jaxdr.transport.compaction import rows_where
 from jaxdr.transport.emission import emitted, has_emitters
@@ -103,14 +103,15 @@ class MarkovChains(eqx.Module):
 
         def rows(slot, place):
             visit = jax.tree.map(lambda table: table[slot], visits)
-            segments = lines_past(lunes, visit.point, visit.towards, None)
+            segments = lines_past(lunes, visit.point, visit.towards)
             ends = segment_ends(packed, segments, place < used, settings.rays)
             ends = ends._replace(valid=ends.valid & moves(packed, state.moving, lunes, segments, ends))
             seen = detect(packed, segments, ends, visit.weight, slot, key_detector, settings)
             share, sent = lunes.share[segments.point.row], jnp.zeros_like(segments.towards)
+            share = jnp.broadcast_to(share, seen.value.shape[:2])
             if plan.emission:
-                sent = scale(emitted(packed, ends.source, -segments.towards), share)
-            row = seen_segments(segments, ends, seen, sent, share)
+                sent = emitted(packed, ends.source, -segments.towards)
+            row = seen_segments(segments, ends, seen, sent, share, share)
             return ask_sources(row, slot, self.name, key_source, settings.max_depth) if plan.gathered else [], row
 
         asked, found = map_over_blocks(rows, slots, used)

@@ -12,6 +12,7 @@ from jaxdr.boundary.guided_edges.boundary_segments import (
     EmitterSampling,
     lines_past,
     segment_ends,
+    segments,
 )
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, LunePoints
 from jaxdr.boundary.guided_edges.flux_maps import FluxMaps
@@ -70,14 +71,15 @@ class States(NamedTuple):
 def fresh_lines(space: Space, u: Float[Array, "n 4"]) -> Lines:
     """Lines that depend on nothing but uniform numbers: some towards emitters, some in any silhouette direction."""
     packed, lunes = space.packed, space.lunes
-    drawn = DirectionSampling.segments(packed, lunes, u[:, :3])
+    drawn = segments(packed, lunes, [DirectionSampling], u[:, :3])
     anywhere = jnp.full_like(drawn.point.row, ANY)
     if not space.plan.emission:
         return Lines(drawn.point, drawn.towards, anywhere, drawn.silhouette)
-    lit = EmitterSampling.segments(packed, lunes, u[:, :3])
-    assert lit.emitter is not None  # this strategy has one
+    lit = segments(packed, lunes, [EmitterSampling], u[:, :3])
+    assert lit.aim is not None  # this strategy has one
+    emitter = lit.aim.emitter
     chosen = u[:, 3] < TO_EMITTERS
-    face = jnp.where(lit.emitter.valid, lit.emitter.face, SKY)
+    face = jnp.where(emitter.valid, emitter.face, SKY)
     return Lines(
         drawn.point,
         jnp.where(chosen[:, None], lit.towards, drawn.towards),
@@ -89,7 +91,7 @@ def fresh_lines(space: Space, u: Float[Array, "n 4"]) -> Lines:
 def states_of(space: Space, lines: Lines) -> States:
     """Trace lines both ways, and find their light."""
     packed, lunes, settings = space.packed, space.lunes, space.settings
-    drawn = lines_past(lunes, lines.point, lines.towards, None)
+    drawn = lines_past(lunes, lines.point, lines.towards)
     ends = segment_ends(packed, drawn, lines.there & drawn.silhouette, settings.rays)
     source = jnp.where(ends.source.valid, ends.source.face, SKY)
     counts = (lines.source == ANY) | (lines.source == source)
