@@ -2,10 +2,11 @@
 
     python -m experiments.default_choice.run [--cases NAMES] [--oracle FOLDER]
 
-Estimators of a case answer in turns. All are unbiased on these scenes but for `KernelDensity` (docs/stability.md), so
-variance stands for error².
+Cases that are not named keep their rows. Estimators of a case answer in turns. All are unbiased on these scenes but for
+`KernelDensity` (docs/stability.md), so variance stands for error².
 """
 
+import json
 import time
 
 import numpy as np
@@ -149,11 +150,13 @@ def main():
     made.add_argument("--cases", default="", help="names separated by semicolons (all)")
     options = made.parse_args()
     known = cases(options.oracle)
-    rows = []
+    path = common.results(STUDY, options.quick) / "default_choice.json"
+    rows = json.loads(path.read_text())["rows"] if path.exists() else []
     for case in options.cases.split(";") if options.cases else known:
-        rows += measure(case, known[case], 2 if options.quick else KEYS)
-        common.write_json(common.results(STUDY, options.quick) / "default_choice.json", {"rows": rows})
-        print(common.table([row for row in rows if row["case"] == case], COLUMNS), flush=True)
+        found = measure(case, known[case], 2 if options.quick else KEYS)
+        rows = [row for row in rows if row["case"] != case] + found
+        common.write_json(path, {"rows": sorted(rows, key=lambda row: list(known).index(row["case"]))})
+        print(common.table(found, COLUMNS), flush=True)
 
 
 if __name__ == "__main__":

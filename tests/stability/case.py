@@ -25,7 +25,8 @@ ESTIMATORS = {
     "QuadricSampling": (jd.QuadricSampling(), "mis"),
     "MarkovChains": (jd.MarkovChains(), "mis"),
     "WalkOnCaps": (jd.WalkOnCaps(), "emitter"),
-    # Options that some cases are about.
+    # The default where surfaces are glossy, and options that some cases are about.
+    "ByKind": (jd.ByKind(), "mis"),
     "KernelDensity, radius 0.2": (jd.KernelDensity(0.2), "mis"),
     "RednerWAS, exponential": (jd.RednerWAS(), "emitter"),
     "RednerWAS, no normal edges": (jd.RednerWAS("path_space", False, 0.03), "emitter"),

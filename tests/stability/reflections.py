@@ -1,5 +1,7 @@
 """What rough and smooth mirrors show: lamps (direct light), and objects that move and shadow themselves."""
 
+import dataclasses
+
 import numpy as np
 
 import jaxdr as jd
@@ -75,10 +77,10 @@ def uv_seams() -> Case:
 
 
 def cases() -> list[Case]:
-    """Direct light in a glossy floor; then what a mirror shows."""
+    """Direct light in a glossy floor; then what a mirror shows. By default all of them take `ByKind`."""
     rough = "2026 paper, Fig. 13: reflections in rough surfaces"
     smooth = "narrow lobes: the noise of the material form grows as one over the roughness (own finding)"
-    return [
+    made = [
         glossy_shadow(
             "glossy_rough", 0.4, "a lamp in a floor of roughness 0.4, and what is before it", rough, expected=BOTH
         ),
@@ -91,7 +93,7 @@ def cases() -> list[Case]:
             0.01,
             "the same, roughness 0.01",
             smooth,
-            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges"), LOBE) | NOISY,
+            expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges", "ByKind"), LOBE) | NOISY,
         ),
         reflected(
             "self_shadow_reflected",
@@ -103,3 +105,4 @@ def cases() -> list[Case]:
         ),
         uv_seams(),
     ]
+    return [dataclasses.replace(case, extra=("ByKind",)) for case in made]
