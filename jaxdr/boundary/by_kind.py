@@ -33,8 +33,8 @@ class ByKind(eqx.Module):
     """A boundary term with an estimator for each kind of segments: `rest` for those that are not named.
 
     A segment has light of one of three sources: `emitters` (area emitters), the `environment`, or what a surface has
-    `scattered`. A vertex with a `diffuse` lobe (`Diffuse`) or a `glossy` one (any other BSDF) sends it on. If a glossy
-    vertex lies between there and the camera, the segment is `reflected`, whatever its own lobe is. So there are nine
+    `scattered`. A vertex with `diffuse` lobes or with a `glossy` one (`BSDF.lobe_width`) sends it on. If a glossy
+    vertex lies between there and the camera, the segment is `reflected`, whatever its own lobes are. So there are nine
     kinds. Together they are the whole boundary integral. An estimator of several kinds runs once, and one whose kinds
     a scene does not have takes no part.
 
@@ -71,22 +71,25 @@ class ByKind(eqx.Module):
         """The estimators of these kinds, each once."""
         found: list[Part] = []
         for kind in kinds:
-            estimator = getattr(self, kind) or self.rest
-            number = next((i for i, part in enumerate(found) if part.estimator == estimator), len(found))
-            before = found.pop(number).kinds if number < len(found) else ()
-            found.insert(number, Part(estimator, (*before, kind)))
+            named = getattr(self, kind)
+            estimator = self.rest if named is None else named
+            if not any(part.estimator == estimator for part in found):
+                found.append(Part(estimator, ()))
+            found = [Part(e, (*own, kind) if e == estimator else own) for e, own in found]
         return found
 
     def known_failure(self, found: Traits) -> str | None:
         """See `jaxdr.boundary.shared.traits`: that of the first estimator that has one."""
-        reasons = (known_failure(part.estimator, found) for part in self.parts())
-        return next((reason for reason in reasons if reason is not None), None)
+        for part in self.parts():
+            reason = known_failure(part.estimator, found)
+            if reason is not None:
+                return f"{type(part.estimator).__name__}, a part of it: {reason}"
+        return None
 
-    def prepare(self, context: Context, key: PRNGKeyArray) -> tuple[Any, ...] | None:
+    def prepare(self, context: Context, key: PRNGKeyArray) -> tuple[Any, ...]:
         """The states of all parts. Raises ValueError like the estimators."""
         asked = self._asked(context)
-        states = tuple(p.estimator.prepare(c, jax.random.fold_in(key, i)) for i, (p, c) in enumerate(asked))
-        return states or None
+        return tuple(p.estimator.prepare(c, jax.random.fold_in(key, i)) for i, (p, c) in enumerate(asked))
 
     def draw(
         self, context: Context, state: tuple[Any, ...], chunk: Chunk, key: PRNGKeyArray

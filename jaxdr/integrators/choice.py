@@ -16,8 +16,7 @@ from jaxdr.boundary.kernel_density import KernelDensity
 from jaxdr.boundary.line_sampling import LineSampling
 from jaxdr.boundary.shared.traits import known_failure, traits
 from jaxdr.boundary.warped_area import WarpedArea
-from jaxdr.scene.bsdf import Diffuse
-from jaxdr.scene.bsdf.base import spreads_through
+from jaxdr.scene.bsdf.base import has_lobe, spreads_through
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.scene import Scene, unwrap
 
@@ -54,15 +53,15 @@ def _few_and_flat(scene: Scene, primary: str) -> bool:
     """Whether `GuidedEdges` covers the scene, and enough of the edges are silhouettes."""
     shapes = scene.shapes.values()
     models = [unwrap(shape.bsdf) for shape in shapes]
-    covered = not any(model.delta or spreads_through(model) for model in models)
+    covered = not any(model.delta or model.inside or spreads_through(model) for model in models)
     flat = all(shape.mesh.normal_faces is None for shape in shapes)
     edges = sum(shape.mesh.edges.vertices.shape[0] for shape in shapes)
     return covered and flat and isinstance(scene.camera, Perspective) and edges <= FEW_EDGES
 
 
 def _diffuse(scene: Scene, primary: str) -> bool:
-    """The same, and all surfaces are diffuse."""
-    return _few_and_flat(scene, primary) and all(isinstance(unwrap(s.bsdf), Diffuse) for s in scene.shapes.values())
+    """The same, and no surface is glossy."""
+    return _few_and_flat(scene, primary) and not any(has_lobe(unwrap(s.bsdf)) for s in scene.shapes.values())
 
 
 # The first rule that holds decides. They come from the rows of docs/choosing.md and of experiments/default_choice.
@@ -80,7 +79,7 @@ RULES = (
         _diffuse,
     ),
     Rule(
-        "the same, with other BSDFs; but no mirror and no glass",
+        "the same, with glossy surfaces; but no mirrors, glass, masks, blends or maps of normals",
         ByKind(),
         "`GuidedEdges`, and `LineSampling` for what glossy lobes reflect, which is seldom found from edges",
         _few_and_flat,

@@ -13,7 +13,7 @@ from jaxdr.geometry.load import save_mesh
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.images import diverging, labelled_grid, save_png, to_srgb
 from jaxdr.optimize.run_files import AGAIN, STEP_PICTURES, RunFiles
-from jaxdr.plan.report import Plan
+from jaxdr.plan.report import Plan, estimators_in
 from jaxdr.untrusted import array_of, json_text, read_json, shortened
 
 COLUMNS = (
@@ -85,15 +85,15 @@ class RunFolder(RunFiles):
             return None
         try:
             plan = read_json(path)
-            named = plan["integrator"]["boundary"]
-            kind = None if named in (None, "auto") else named["kind"]
+            named = estimators_in(plan["integrator"]["boundary"])
         except ValueError as problem:
             raise ValueError(f"{problem}; {AGAIN}") from None
         except (TypeError, KeyError):
             raise ValueError(f"{path}: is damaged, it is no plan; {AGAIN}") from None
-        if kind is not None and kind not in (*ESTIMATORS, *allowed):
+        others = [kind for kind in named if kind not in (*ESTIMATORS, *allowed)]
+        if others:
             raise ValueError(
-                f"{path}: names the estimator {shortened(kind)}, which the config does not name; code is run only "
+                f"{path}: names the estimator {shortened(others[0])}, which the config does not name; code is run only "
                 f"where a config names it. Name it there, or {AGAIN}"
             )
         try:

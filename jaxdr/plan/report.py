@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 
 from jaxdr.boundary.named import estimator_class, estimator_name
+from jaxdr.boundary.shared.term import Term
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.integrators.choice import Automatic
 from jaxdr.untrusted import damage
@@ -78,14 +79,26 @@ def _estimator_settings(estimator: Any) -> dict[str, Any] | str | None:
     if not isinstance(estimator, eqx.Module):
         raise ValueError(f"a plan can keep the fields of an equinox.Module, which {type(estimator).__name__} is not")
     return {"kind": estimator_name(type(estimator))} | {
-        entry.name: _estimator_settings(value) if value is None or isinstance(value, eqx.Module) else value
+        entry.name: _estimator_settings(value) if isinstance(value, Term) else value
         for entry in dataclasses.fields(estimator)
         for value in [getattr(estimator, entry.name)]
     }
 
 
+def estimators_in(boundary: Any) -> list[str]:
+    """The names of all estimators in a table's `boundary`: its own, and those of its parts.
+
+    Raises TypeError or KeyError for what is no such table.
+    """
+    if boundary in (None, "auto"):
+        return []
+    own = boundary["kind"]
+    parts = [value for value in boundary.values() if isinstance(value, dict) and "kind" in value]
+    return [own, *(name for part in parts for name in estimators_in(part))]
+
+
 def _value(value: Any) -> Any:
     """A field of an integrator or estimator, which may be an estimator."""
-    if isinstance(value, dict):
+    if isinstance(value, dict) and "kind" in value:
         return estimator_class(value["kind"])(**{name: _value(v) for name, v in value.items() if name != "kind"})
     return tuple(value) if isinstance(value, list) else value

@@ -21,8 +21,8 @@ from jaxdr.geometry.edges import INTERIOR, edge_shares
 from jaxdr.geometry.gather import rows_of
 from jaxdr.geometry.queries.records import Geometry
 from jaxdr.geometry.vector import corners, cross, dot, interpolate, norm, normalize, transform
-from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
-from jaxdr.scene.bsdf.base import spreads_through
+from jaxdr.scene.bsdf import BSDF, TwoSided
+from jaxdr.scene.bsdf.base import has_lobe, spreads_through
 from jaxdr.scene.camera import Camera
 from jaxdr.scene.color import magnitude
 from jaxdr.scene.emitter_clusters import FEW_FACES, EmitterClusters, emitter_clusters
@@ -67,9 +67,9 @@ class BSDFGroup(eqx.Module):
     member: Bool[Array, " S"]
 
     @property
-    def diffuse(self) -> bool:
-        """Whether the BSDFs scatter light alike in all directions; others are glossy."""
-        return isinstance(self.bsdf, Diffuse)
+    def glossy(self) -> bool:
+        """Whether the BSDFs have a lobe that may be narrow; others are diffuse."""
+        return has_lobe(self.bsdf)
 
     def at(self, shape: Int[Array, " N"], point: TexturePoint | None) -> BSDF:
         """The BSDFs of shapes at points on them, with textures looked up. Only members get their own BSDF."""

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 import jaxdr as jd
+from jaxdr.boundary.shared import traits as of_scenes
 from jaxdr.boundary.shared.kinds import KINDS, LIGHTS, LOBES, present
+from jaxdr.boundary.shared.traits import known_failure, traits
 from jaxdr.scene.packed import pack
 
 LINES, EDGES = jd.LineSampling(), jd.GuidedEdges()
 # Every light and every lobe is in both halves.
-HALF = "emitters_diffuse", "environment_glossy", "scattered_diffuse", "emitters_reflected", "scattered_reflected"
+HALF = "emitters_diffuse", "environment_glossy", "scattered_diffuse", "emitters_reflected"
 MIXED = {
     "edges": EDGES,
     "half of them": jd.ByKind(EDGES, **{kind: LINES if kind in HALF else None for kind in KINDS}),
@@ -60,6 +62,20 @@ def test_parts_are_disjoint_and_complete(derivatives, name):
     noise = np.hypot(error, other)
     assert noise.max() < 0.03 * scale
     assert np.all(np.abs(mean - whole) < 4.5 * noise), (mean - whole) / noise
+
+
+def test_the_term_is_there_where_it_is_zero():
+    """As with other estimators: its key does not depend on what the scene has."""
+    of = everything()
+    dark = jd.Scene({name: of.shapes[name] for name in ("box", "right")}, of.camera)
+    assert "boundary" in jd.derivative_terms(dark, jax.random.key(0), 1, jd.PathTracer(1, jd.ByKind()))
+
+
+def test_what_fails_is_named(monkeypatch):
+    monkeypatch.setattr(of_scenes, "FINE", 12)
+    reason = known_failure(jd.ByKind(), traits(everything()))
+    assert reason is not None and reason.startswith("GuidedEdges, a part of it: ")
+    assert known_failure(jd.ByKind(LINES), traits(everything())) is None
 
 
 def test_kinds_of_a_scene():

@@ -277,10 +277,11 @@ def test_code_is_not_run_because_a_folder_names_it(tmp_path, monkeypatch, kind):
     Path("mine.py").write_text("raise SystemExit('it ran')")
     folder = RunFolder(dataclasses.replace(small_config(tmp_path / "run"), integrator=Integrator(boundary="plan")))
     with folder.opened(False, False):
-        estimator = {"kind": "PathTracer", "max_depth": 2, "boundary": {"kind": kind}}
-        folder.write_text("plan.json", json.dumps({"integrator": estimator, "spp": 1, "lines": [], "figures": {}}))
-    with pytest.raises(ValueError, match="code is run only where a config names it"):
-        folder.load_plan([])
+        for boundary in ({"kind": kind}, {"kind": "ByKind", "rest": {"kind": kind}}):
+            estimator = {"kind": "PathTracer", "max_depth": 2, "boundary": boundary}
+            folder.write_text("plan.json", json.dumps({"integrator": estimator, "spp": 1, "lines": [], "figures": {}}))
+            with pytest.raises(ValueError, match="code is run only where a config names it"):
+                folder.load_plan([])
 
 
 @pytest.mark.parametrize("plan", ["[]", "{}", '{"integrator": 3}', '{"integrator": {"boundary": "KernelDensity"}}'])

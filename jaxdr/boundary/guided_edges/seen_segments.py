@@ -34,7 +34,7 @@ class SeenSegments(NamedTuple):
 
 
 class DrawnSegments(NamedTuple):
-    """Segments of one strategy; the first `used` slots are filled."""
+    """Segments in slots, of which the first `used` are filled."""
 
     rows: SeenSegments
     used: Int[Array, ""]

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.line_sampling.chords import Chords
-from jaxdr.boundary.shared.kinds import of_kind
 from jaxdr.boundary.shared.path_segments import PathSegments
 from jaxdr.geometry import queries
 from jaxdr.geometry.edge_tree import EdgeTree
@@ -70,7 +69,6 @@ class Crossings(NamedTuple):
 class ChordKind(abc.ABC):
     """One kind of chords. `score` gets what `search` has drawn.
 
-    `kinds`: of segments that count. `lobe`: number of every path vertex among `shared.kinds.LOBES`.
     `traces_paths`: a path is traced from behind each crossing. Such paths are expensive, so few crossings are kept.
     """
 
@@ -78,8 +76,6 @@ class ChordKind(abc.ABC):
     prepared: LineSamplingState
     paths: PathSegments
     settings: PathSettings
-    kinds: tuple[str, ...]
-    lobe: Int[Array, " S"]
     traces_paths: ClassVar[bool] = True
 
     @abc.abstractmethod
@@ -89,10 +85,6 @@ class ChordKind(abc.ABC):
     @abc.abstractmethod
     def score(self, drawn: Any, found: Crossings) -> Float[Array, " C"]:
         """Contribution of crossings to the pilot: magnitude per displacement of the edge."""
-
-    def asked(self, light: str, vertex: Int[Array, " M"]) -> Bool[Array, " M"] | bool:
-        """Whether the term is asked for this light past path vertices."""
-        return of_kind(self.kinds, light, self.lobe[vertex])
 
     def starts(self, chosen: Chosen, key, numbers: int) -> tuple[Scatterer, Float[Array, "M n"]]:
         """(BSDFs at the path vertices that chords start from, some uniform numbers for each)."""

@@ -162,21 +162,21 @@ class LineSampling(eqx.Module):
         one_light = settings._replace(max_depth=2)  # no light that the surface behind a silhouette scatters
         emitters = lobes = skies = lamps = None
         if asked_for(kinds, "emitters") and packed.clusters is None:
-            lines = EmitterLines(packed, state, paths, settings, kinds, lobe)
+            lines = EmitterLines(packed, state, paths, settings)
             emitters = self._spread(lines, carries("emitters"), key_emitters)
         if asked_for(kinds, "environment") or asked_for(kinds, "scattered"):
             # No indirect light reaches the last vertex.
             onwards = jnp.where(vertex < paths.count - paths.paths, carries("scattered"), 0.0)
-            lines = LobeLines(packed, state, paths, settings, kinds, lobe, self.reach)
+            lines = LobeLines(packed, state, paths, settings, self.reach, kinds, lobe)
             lobes = self._spread(lines, jnp.maximum(carries("environment"), onwards), key_lobes)
         if settings.mis and packed.has_varying_sky and asked_for(kinds, "environment"):
-            lines = SkyLines(packed, state, paths, one_light, kinds, lobe)
+            lines = SkyLines(packed, state, paths, one_light)
             skies = self._spread(lines, carries("environment"), jax.random.fold_in(key, 3))
             numbers = skies.expected * skies.kept, lobes.expected * lobes.kept
             share = SkyShare(packed, paths, self.reach, *numbers)
             skies, lobes = skies.beside(both=share), lobes.beside(skies=share)
         if asked_for(kinds, "emitters") and packed.clusters is not None:
-            lines = LampLines(packed, state, paths, one_light, kinds, lobe)
+            lines = LampLines(packed, state, paths, one_light)
             lamps = self._spread(lines, carries("emitters"), key_emitters)
             if lobes is not None and settings.mis:
                 numbers = lamps.expected * lamps.kept, lobes.expected * lobes.kept

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxdr.boundary.line_sampling.chords import LobeChords, lobe_chords, lobe_weight
 from jaxdr.boundary.line_sampling.crossings import (
@@ -18,6 +18,7 @@ from jaxdr.boundary.line_sampling.emitter_lines import Centres
 from jaxdr.boundary.line_sampling.lamp_lines import LampShare
 from jaxdr.boundary.line_sampling.sky_lines import SkyShare
 from jaxdr.boundary.shared.background import Behind, ask_behind, look_behind, numbers_behind, seen_edges
+from jaxdr.boundary.shared.kinds import of_kind
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.color import magnitude
 from jaxdr.transport.radiance import Requests
@@ -29,9 +30,12 @@ class LobeLines(ChordKind):
 
     With `both` they also count for light from area emitters, with their MIS weight. With `skies` they count for light
     from the environment map with their MIS weight only. `reach`: half-length of chords relative to the lobe's width.
+    `kinds`: of segments that count; `lobe`: number of every path vertex among `shared.kinds.LOBES`.
     """
 
     reach: float
+    kinds: tuple[str, ...]
+    lobe: Int[Array, " S"]
     both: Centres | LampShare | None = None
     skies: SkyShare | None = None
 
@@ -58,11 +62,16 @@ class LobeLines(ChordKind):
         if packed.environment is not None or self.both is not None:
             surfaces = 0.0 if self.both is None else self.both.weight_of_lobes(found, scatterer, plane, background)
             sky = 1.0 if self.skies is None else 1.0 - self.skies.of_skies(found, scatterer, plane, seen.towards)
-            lights = [self.asked(light, found.vertex) for light in ("emitters", "environment")]
-            emission = jnp.where(background.valid, surfaces * lights[0], sky * lights[1])
+            lights = [self._asked(light, found.vertex) for light in ("emitters", "environment")]
+            surfaces, sky = (jnp.where(counts, w, 0.0) for counts, w in zip(lights, (surfaces, sky), strict=True))
+            emission = jnp.where(background.valid, surfaces, sky)
         numbers = numbers_behind(key, "lobe_lines", number, seen.distance.dtype)
-        scattered = self.asked("scattered", found.vertex)
+        scattered = self._asked("scattered", found.vertex)
         return ask_behind(paths, seen, background, numbers, emission, self.settings, scattered), behind
+
+    def _asked(self, light: str, vertex: Int[Array, " C"]) -> Bool[Array, " C"] | bool:
+        """Whether the term is asked for this light past path vertices."""
+        return of_kind(self.kinds, light, self.lobe[vertex])
 
     def _boundary(self, drawn: LobeChords, found: Crossings):
         """(the crossed edges as seen, BSDFs, contributions without BSDF, radiance and normal velocity)."""

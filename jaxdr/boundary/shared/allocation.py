@@ -33,7 +33,9 @@ def allocate(
     per_pixel = jnp.moveaxis(expected, 0, 1).reshape(pixels, bounces * samples)
     upper = jnp.cumsum(per_pixel, axis=1) + uniform(key, (pixels, 1), expected.dtype)
     upper = jnp.floor(upper).astype(jnp.int32)
-    number = jnp.diff(upper, axis=1, prepend=jnp.zeros((pixels, 1), jnp.int32)).reshape(-1)
+    number = jnp.diff(upper, axis=1, prepend=jnp.zeros((pixels, 1), jnp.int32))
+    # A running sum may round differently from one entry to the next, also over entries that are zero.
+    number = jnp.where(per_pixel > 0, jnp.maximum(number, 0), 0).reshape(-1)
     item = jnp.repeat(jnp.arange(number.shape[0]), number, total_repeat_length=room)
     used = jnp.arange(room) < number.sum()
     inverse = safe_divide(1.0, per_pixel.reshape(-1)[item], used)

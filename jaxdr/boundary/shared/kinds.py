@@ -25,14 +25,14 @@ def asked_for(kinds: Iterable[str], light: str) -> bool:
 
 def present(packed: PackedScene, max_depth: int, kinds: Iterable[str]) -> tuple[str, ...]:
     """Those of the kinds that a scene may have, by its structure."""
-    diffuse = [group.diffuse for group in packed.bsdfs]
+    glossy = [group.glossy for group in packed.bsdfs]
     there = {
         "emitters": packed.has_area_emitters and max_depth > 1,
         "environment": packed.environment is not None and max_depth > 1,
         "scattered": max_depth > 2,
-        "diffuse": any(diffuse),
-        "glossy": not all(diffuse),
-        "reflected": not all(diffuse) and max_depth > 2,
+        "diffuse": not all(glossy),
+        "glossy": any(glossy),
+        "reflected": any(glossy) and max_depth > 2,
     }
     found = [kind for kind in kinds if all(there[part] for part in kind.split("_"))]
     # The last vertex of a path gathers no scattered light.
@@ -40,8 +40,8 @@ def present(packed: PackedScene, max_depth: int, kinds: Iterable[str]) -> tuple[
 
 
 def glossy_at(packed: PackedScene, face: Int[Array, "*n"]) -> Bool[Array, "*n"]:
-    """Whether faces have any BSDF but `Diffuse`."""
-    members = [group.member for group in packed.bsdfs if not group.diffuse]
+    """Whether faces have a glossy BSDF."""
+    members = [group.member for group in packed.bsdfs if group.glossy]
     if not members:
         return jnp.zeros(face.shape, bool)
     return jnp.stack(members).any(0)[packed.face_shape[face]]
