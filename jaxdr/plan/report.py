@@ -85,7 +85,7 @@ def _estimator_settings(estimator: Any) -> dict[str, Any] | str | None:
     }
 
 
-def estimators_in(boundary: Any) -> list[str]:
+def estimators_in(boundary: Any) -> list[Any]:
     """The names of all estimators in a table's `boundary`: its own, and those of its parts.
 
     Raises TypeError or KeyError for what is no such table.
