@@ -55,7 +55,7 @@ def test_defaults_and_names():
         ("kees=3", "kees: unknown key; did you mean 'keys'?"),
         ("keys=3", "multiple of positions = 4"),
         ("samples=[4, 1]", "samples: must be increasing"),
-        ("estimators=[{boundary='LinSampling'}]", "boundary: expected one of AllSilhouettes, GuidedEdges"),
+        ("estimators=[{boundary='LinSampling'}]", "boundary: expected one of AllSilhouettes, ByKind, GuidedEdges"),
         ("estimators=[{boundary='none', options={radius=1}}]", "estimators[0].options.radius: none has no such option"),
         ("estimators=[{boundary='none'}, {boundary='none'}]", "must differ, got ['none']"),
         ("estimators=[{boundary='none', integrator_options={max_depth=3}}]", "is set by the scene's max_depth"),
