@@ -12,7 +12,7 @@ from jaxdr.scene.packed import pack
 
 LINES, EDGES = jd.LineSampling(), jd.GuidedEdges()
 # Every light and every lobe is in both halves.
-HALF = "emitters_diffuse", "environment_glossy", "scattered_diffuse", "emitters_reflected"
+HALF = "emitters_diffuse", "environment_glossy", "environment_reflected", "scattered_diffuse"
 MIXED = {
     "edges": EDGES,
     "half of them": jd.ByKind(EDGES, **{kind: LINES if kind in HALF else None for kind in KINDS}),
