@@ -66,11 +66,6 @@ class BSDFGroup(eqx.Module):
     row: Int[Array, " S"]
     member: Bool[Array, " S"]
 
-    @property
-    def glossy(self) -> bool:
-        """Whether the BSDFs have a lobe that may be narrow; others are diffuse."""
-        return has_lobe(self.bsdf)
-
     def at(self, shape: Int[Array, " N"], point: TexturePoint | None) -> BSDF:
         """The BSDFs of shapes at points on them, with textures looked up. Only members get their own BSDF."""
         row = self.row[shape]
@@ -195,7 +190,16 @@ class PackedScene(eqx.Module):
     @property
     def spreads_through(self) -> Bool[Array, " S"] | None:
         """Which shapes scatter light through their surface into a range of directions; None if no shape does."""
-        members = [group.member for group in self.bsdfs if spreads_through(group.bsdf)]
+        return self._shapes_with(spreads_through)
+
+    @property
+    def glossy(self) -> Bool[Array, " S"] | None:
+        """Which shapes have a lobe that may be narrow; None if no shape has."""
+        return self._shapes_with(has_lobe)
+
+    def _shapes_with(self, holds: Callable[[BSDF], bool]) -> Bool[Array, " S"] | None:
+        """Which shapes have a BSDF of which this holds; None if no shape has."""
+        members = [group.member for group in self.bsdfs if holds(group.bsdf)]
         return jnp.stack(members).any(0) if members else None
 
     def edges_of(self, shapes: tuple[bool, ...]) -> Int[Array, " E"]:

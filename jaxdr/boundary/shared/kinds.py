@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
+from jaxdr.scene.bsdf.base import has_lobe
 from jaxdr.scene.packed import PackedScene
 
 LIGHTS = ("emitters", "environment", "scattered")
@@ -25,7 +26,7 @@ def asked_for(kinds: Iterable[str], light: str) -> bool:
 
 def present(packed: PackedScene, max_depth: int, kinds: Iterable[str]) -> tuple[str, ...]:
     """Those of the kinds that a scene may have, by its structure."""
-    glossy = [group.glossy for group in packed.bsdfs]
+    glossy = [has_lobe(group.bsdf) for group in packed.bsdfs]
     there = {
         "emitters": packed.has_area_emitters and max_depth > 1,
         "environment": packed.environment is not None and max_depth > 1,
@@ -41,10 +42,8 @@ def present(packed: PackedScene, max_depth: int, kinds: Iterable[str]) -> tuple[
 
 def glossy_at(packed: PackedScene, face: Int[Array, "*n"]) -> Bool[Array, "*n"]:
     """Whether faces have a glossy BSDF."""
-    members = [group.member for group in packed.bsdfs if group.glossy]
-    if not members:
-        return jnp.zeros(face.shape, bool)
-    return jnp.stack(members).any(0)[packed.face_shape[face]]
+    shapes = packed.glossy
+    return jnp.zeros(face.shape, bool) if shapes is None else shapes[packed.face_shape[face]]
 
 
 def lobes_along(here: Bool[Array, "B n"], before: Bool[Array, "B n"]) -> Int[Array, "B n"]:
