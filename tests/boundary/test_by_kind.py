@@ -1,5 +1,6 @@
 """`ByKind`: parts are disjoint and complete, an estimator runs once, and bad parts are refused."""
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ MIXED = {
     "the other half": jd.ByKind(LINES, **{kind: EDGES if kind in HALF else None for kind in KINDS}),
 }
 TOGETHER, SPP, KEYS = "edges", 1024, 32
+REFLECTED = tuple(kind for kind in KINDS if kind.endswith("_reflected"))
 
 
 def everything(film: int = 2) -> jd.Scene:
@@ -37,22 +39,41 @@ def everything(film: int = 2) -> jd.Scene:
     return jd.Scene(shapes, camera, jd.ConstantEnvironment(0.8))
 
 
-@pytest.fixture(scope="module")
-def derivatives():
-    """Means and standard errors of the boundary term as the box grows, of all mixtures."""
-    scene = everything()
+class Only(eqx.Module):
+    """An estimator that is asked for some kinds alone."""
+
+    estimator: jd.Term
+    kinds: tuple[str, ...]
+
+    name = "boundary"
+
+    def prepare(self, context, key):
+        return self.estimator.prepare(context._replace(kinds=self.kinds), key)
+
+    def draw(self, context, *drawn):
+        return self.estimator.draw(context._replace(kinds=self.kinds), *drawn)
+
+    def image(self, context, *drawn):
+        return self.estimator.image(context._replace(kinds=self.kinds), *drawn)
+
+
+def growing(scene: jd.Scene, boundary: jd.Term, spp: int = SPP, keys: int = KEYS):
+    """Mean and standard error of the boundary term as the box grows."""
     vertices = scene.parameters()["box.vertices"]
 
-    def found(boundary):
-        def image(t, key):
-            moved = scene.replace({"box.vertices": vertices * (1.0 + t)})
-            return jd.derivative_terms(moved, key, SPP, jd.PathTracer(3, boundary))["boundary"]
+    def image(t, key):
+        moved = scene.replace({"box.vertices": vertices * (1.0 + t)})
+        return jd.derivative_terms(moved, key, spp, jd.PathTracer(3, boundary))["boundary"]
 
-        derivative = jax.jit(lambda key: jax.jvp(lambda t: image(t, key), (0.0,), (1.0,))[1])
-        rows = np.stack([np.asarray(derivative(key), float) for key in jax.random.split(jax.random.key(1), KEYS)])
-        return rows.mean(0), rows.std(0, ddof=1) / KEYS**0.5
+    derivative = jax.jit(lambda key: jax.jvp(lambda t: image(t, key), (0.0,), (1.0,))[1])
+    rows = np.stack([np.asarray(derivative(key), float) for key in jax.random.split(jax.random.key(1), keys)])
+    return rows.mean(0), rows.std(0, ddof=1) / keys**0.5
 
-    return {name: found(boundary) for name, boundary in MIXED.items()}
+
+@pytest.fixture(scope="module")
+def derivatives():
+    """Means and standard errors of the boundary term, of all mixtures."""
+    return {name: growing(everything(), boundary) for name, boundary in MIXED.items()}
 
 
 @pytest.mark.parametrize("name", [name for name in MIXED if name != TOGETHER])
@@ -62,6 +83,25 @@ def test_parts_are_disjoint_and_complete(derivatives, name):
     noise = np.hypot(error, other)
     assert noise.max() < 0.03 * scale
     assert np.all(np.abs(mean - whole) < 4.5 * noise), (mean - whole) / noise
+
+
+def test_what_is_reflected():
+    """Two estimators of these kinds alone agree where the camera sees a box and a wall in a very rough mirror."""
+    of = everything()
+    wall = jd.shapes.transformed(jd.shapes.plane(3.0), jd.look_at((0, 0, -0.6), (0, 0, 1), (0, 1, 0)))
+    floor = jd.shapes.transformed(jd.shapes.plane(4.0), jd.look_at((0, -0.5, 0), (0, 1, 0), (0, 0, 1)))
+    shapes = {
+        **{name: of.shapes[name] for name in ("box", "lamp")},
+        "wall": jd.Shape(wall, jd.TwoSided(jd.Diffuse(0.8))),
+        "floor": jd.Shape(floor, jd.TwoSided(jd.RoughConductor(alpha=1.0))),
+    }
+    camera = jd.Perspective(jd.look_at((0, 0.3, 1.5), (0, -0.5, 0.3), (0, 1, 0)), 40.0, jd.Film(1, 1, jd.Box()))
+    scene = jd.Scene(shapes, camera, of.environment)
+    lines, of_lines = growing(scene, Only(LINES, REFLECTED), 4096, 8)
+    edges, of_edges = growing(scene, Only(EDGES, REFLECTED), 8192, 24)
+    noise = np.hypot(of_lines, of_edges)
+    assert noise.max() < 0.08 * np.abs(lines).max()
+    assert np.all(np.abs(lines - edges) < 4.5 * noise), (lines, edges, noise)
 
 
 def test_the_term_is_there_where_it_is_zero():
