@@ -59,6 +59,26 @@ def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarra
     return image
 
 
+def load_stored(path: Path) -> np.ndarray:
+    """The image of `load_image`, where possible as the whole numbers that the file holds: see `linear_of`.
+
+    Raises ValueError like `load_image`.
+    """
+    image_size(path)
+    return _read(path, READERS | dict.fromkeys(ENCODED, png.stored))
+
+
+def linear_of(stored: np.ndarray) -> Float[np.ndarray, "*n C"]:
+    """Linear values of what `load_stored` returned, or of some of its rows; alpha is linear already."""
+    if stored.dtype.kind == "f":
+        return stored
+    steps = np.arange(np.iinfo(stored.dtype).max + 1, dtype=stored.dtype)
+    linear = from_srgb(png.shares(steps))[stored]
+    if stored.shape[-1] == 4:
+        linear[..., 3] = png.shares(stored[..., 3])
+    return linear
+
+
 def image_size(path: Path) -> tuple[int, int, int]:
     """(width, height, channels) of the array that `load_image` returns; only the header of the file is read.
 

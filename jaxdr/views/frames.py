@@ -1,71 +1,62 @@
 """A photograph as a folder describes it: what is known before its picture is read."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxdr.scene.camera.pinhole import FOV_COMPUTED
-from jaxdr.untrusted import MOST_PIXELS, finite, shortened
+from jaxdr.callers_line import warn
+from jaxdr.untrusted import finite
+from jaxdr.views.lens import Lens
+from jaxdr.views.pictures import MissingPicture
 
-# Focal lengths along x and y may differ by this share: less than a tenth of a pixel at the border of a large picture.
-SQUARE = 1e-3
+NAMED = 3  # pictures that a warning names
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A photograph as a folder describes it.
-
-    - `source`: file and entry, for messages.
-    - `focal`: focal lengths along x and y, in pixels. If it is None, `angle` is the horizontal field of view (radians).
-    - `centre` (x, y): principal point in pixels; `size` (width, height). None stands for what the picture says.
-    """
+    """A photograph as a folder describes it. `source`: file and entry, for messages. `to_world`: as in `View`."""
 
     path: Path
     mask: Path | None
     to_world: Float[np.ndarray, "4 4"]
     source: str
-    focal: tuple[float, float] | None = None
-    angle: float = 0.0
-    centre: tuple[float | None, float | None] = (None, None)
-    size: tuple[int | None, int | None] = (None, None)
+    lens: Lens
     held_out: bool = False
 
-    def lens(self, width: int, height: int) -> tuple[float, tuple[float, float]]:
-        """(focal length, principal point), in pixels of a picture of this size.
 
-        Raises ValueError, with the source, if the camera has another size, or if the lens is impossible.
-        """
-        for name, told, found in zip(("width", "height"), self.size, (width, height), strict=True):
-            if told is not None and told != found:
-                raise ValueError(
-                    f"{self.source}: says {name} {told}, {self.path.name} has {found} pixels; "
-                    "scale the pictures or the camera"
-                )
-        fx, fy = self._focal(width)
-        shortest, longest = (0.5 * width / np.tan(0.5 * np.radians(angle)) for angle in reversed(FOV_COMPUTED))
-        if not (shortest <= fx <= longest and shortest <= fy <= longest):
-            raise ValueError(
-                f"{self.source}: the focal length must be from {shortest:.3g} to {longest:.3g} pixels, got "
-                f"{shortened(self.focal or f'an angle of {self.angle}')}; give it in pixels"
-            )
-        if abs(fx / fy - 1) > SQUARE:
-            raise ValueError(
-                f"{self.source}: pixels that are not square (focal lengths {fx:.6g} and {fy:.6g}) are not supported; "
-                "resize the pictures"
-            )
-        x, y = self.centre
-        centre = width / 2 if x is None else float(x), height / 2 if y is None else float(y)
-        for value in centre:
-            finite(value, f"{self.source}: the principal point", -MOST_PIXELS, MOST_PIXELS)
-        return float(np.sqrt(fx * fy)), centre
+def all_there(entries: Iterable[T], frame: Callable[[T], Frame], source: Path) -> list[Frame]:
+    """The frames of entries whose pictures are there. `source`: the file that lists them.
 
-    def _focal(self, width: int) -> tuple[float, float]:
-        if self.focal is not None:
-            return self.focal
-        focal = 0.5 * width / np.tan(0.5 * self.angle) if 0 < self.angle < np.pi else 0.0
-        return focal, focal
+    Warns of pictures that are missing, with a count. Raises ValueError if all of them are.
+    """
+    found: list[Frame] = []
+    missing: list[MissingPicture] = []
+    for entry in entries:
+        try:
+            found.append(frame(entry))
+        except MissingPicture as problem:
+            missing.append(problem)
+    if missing and not found:
+        raise missing[0]
+    if missing:
+        warn(
+            f"{source}: {len(missing)} of {len(missing) + len(found)} pictures are missing and left out: "
+            f"{some_of([problem.name for problem in missing])}"
+        )
+    return found
+
+
+def some_of(names: Iterable[str]) -> str:
+    """The first few names, and how many more there are."""
+    names = list(names)
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def checked_pose(matrix, source: str) -> Float[np.ndarray, "4 4"]:

@@ -5,63 +5,96 @@ import os
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from jaxdr.views.colmap import colmap_frames, find_model
-from jaxdr.views.frames import Frame
-from jaxdr.views.pictures import PictureFile, check_masks_have_pictures
+from jaxdr.callers_line import warn
+from jaxdr.untrusted import whole
+from jaxdr.views.frames import Frame, some_of
+from jaxdr.views.layouts import colmap, transforms
+from jaxdr.views.masks import warn_of_idle_masks
+from jaxdr.views.pictures import PictureFile
 from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
-from jaxdr.views.transforms import is_transforms, transforms_frames
 
+# In a folder of several layouts the first one counts.
+LAYOUTS: tuple[Any, ...] = (transforms, colmap)
 EVERY = 8  # if nothing says which pictures are held out, the first of so many is
 KEEP = 1.0  # GiB of pictures that are kept in memory
 
 
-def load_views(folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP) -> Views:
+def load_views(
+    folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP, longest: int | None = None
+) -> Views:
     """Photographs with known cameras, from a folder.
 
     These layouts are known:
 
     - NeRF synthetic scenes: `transforms_train.json` and `transforms_test.json`.
-    - instant-ngp: `transforms.json`, with intrinsics for all frames or for each.
+    - instant-ngp, nerfstudio: `transforms.json`, with intrinsics for all frames or for each.
     - COLMAP: a model, text or binary, in `sparse/0`, `sparse` or the folder itself; pictures in `images`.
 
     Names of pictures may lead out of the folder (`../images`), and files may be links. They must be regular files.
+    Pictures that are missing are left out, with a warning.
+
+    Pictures are resampled to pinholes with square pixels: lens distortion is taken away (by pycolmap), and `longest` is
+    the most pixels along the longer side. Every pixel is the mean over its area, of linear light. Pictures may have
+    several sizes and cameras. A picture that is smaller than its camera as a whole counts as reduced. Where the
+    camera has the size of the upright picture, EXIF's orientation turns it.
 
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
-    under the names of the pictures, or `mask_path` names them. Without masks, alpha says where the object is.
+    or `mask` under the names of the pictures, beside the pictures as `NAME_mask.png`, or `mask_path` names them; PNG or
+    JPEG, of any size, stored or upright. Without masks, alpha says where the object is. If only some of the pictures
+    have either, the others are left out, with a warning. So are masks of no picture.
 
     Some photographs are held out: frames of `transforms_test.json`, frames with `held_out` true (as `jaxdr reconstruct`
     writes them), pictures of a COLMAP model called `test_*`, and names that match the pattern `holdout` ("*_7",
     "test/*"). If that holds out none, and there are at least eight pictures, the first of every eight is held out.
 
-    All pictures have one size. Their headers are read now. Their pixels are read when `View.image` or `View.alpha` is
+    Headers are read now. Pixels are read when `View.image` or `View.alpha` is
     first used. As many as fit into `keep` GiB are kept; others are read again each time.
 
-    Raises ValueError, with file, fault and remedy, for a folder of another kind, missing pictures, damaged headers,
-    damaged tables, masks without pictures, pictures without masks, sizes that differ, lenses other than pinholes, and
-    cameras that look away from each other. `View.image` and `View.alpha` raise ValueError if pixels are damaged or not
-    finite, or if a mask is empty.
+    Raises ValueError, with file, fault and remedy, for a folder of another kind, pictures that are all missing, damaged
+    headers, damaged tables, pictures whose shape is not their camera's, panoramas, and cameras that look away from each
+    other; ImportError for lens distortion without pycolmap. `View.image` and `View.alpha` raise ValueError if pixels
+    are damaged or not finite, or if a mask is empty.
     """
     folder = Path(folder)
+    if longest is not None:
+        whole(longest, "load_views: longest", 1)
     if not folder.is_dir():
         raise ValueError(f"{folder}: is not a folder; expected one with photographs and cameras")
-    if is_transforms(folder):
-        frames = transforms_frames(folder)
-    elif find_model(folder) is not None:
-        frames = colmap_frames(folder)
-    else:
+    layout = next((layout for layout in LAYOUTS if layout.files(folder)), None)
+    if layout is None:
         raise ValueError(
-            f"{folder}: has neither transforms.json, transforms_train.json nor a COLMAP model (sparse/0/cameras.bin or "
-            ".txt); cameras must be known"
+            f"{folder}: has no cameras that are known; expected {', '.join(layout.NAME for layout in LAYOUTS[:-1])} or "
+            f"{LAYOUTS[-1].NAME}"
         )
-    check_masks_have_pictures(folder, {frame.mask for frame in frames if frame.mask})
+    frames = layout.frames(folder)
+    pictures = [
+        PictureFile.of(frame.path, frame.mask, frame.lens, frame.source, kept, longest)
+        for kept in (Kept(int(keep * 2**30)),)
+        for frame in frames
+    ]
+    warn_of_idle_masks(folder, {frame.mask for frame in frames if frame.mask})
+    frames, pictures = _masked_alike(folder, frames, pictures)
     _check_directions(folder, frames)
     frames = _held_out(folder, frames, holdout)
-    names = _names(folder, frames)
-    return Views(folder, _without_idle_alpha(_views(frames, names, Kept(int(keep * 2**30)))))
+    views = map(_view, frames, _names(folder, frames), pictures)
+    return Views(folder, _without_idle_alpha(list(views)))
+
+
+def _masked_alike(
+    folder: Path, frames: Sequence[Frame], pictures: Sequence[PictureFile]
+) -> tuple[list[Frame], list[PictureFile]]:
+    """The frames that have a mask or alpha, if any has. Warns of those that are left out, with a count."""
+    masked = [picture.masked for picture in pictures]
+    chosen = [i for i, each in enumerate(masked) if each or not any(masked)]
+    left = [picture.path.name for picture in pictures if not picture.masked and any(masked)]
+    if left:
+        warn(f"{folder}: {len(left)} of {len(frames)} photographs have no mask and are left out: {some_of(left)}")
+    return [frames[i] for i in chosen], [pictures[i] for i in chosen]
 
 
 def _held_out(folder: Path, frames: Sequence[Frame], holdout: str | None) -> list[Frame]:
@@ -98,36 +131,17 @@ def _names(folder: Path, frames: Sequence[Frame]) -> list[str]:
     return names
 
 
-def _views(frames: Sequence[Frame], names: Sequence[str], kept: Kept) -> list[View]:
-    """The frames with their pictures, whose headers are read."""
-    views: list[View] = []
-    for frame, name in zip(frames, names, strict=True):
-        picture = PictureFile.of(frame.path, frame.mask, kept)
-        width, height = picture.width, picture.height
-        if views and (width, height) != (views[0].width, views[0].height):
-            raise ValueError(
-                f"{frame.path}: has {width} x {height} pixels, {views[0].path.name} has {views[0].width} x "
-                f"{views[0].height}; all photographs must be of one size"
-            )
-        focal, centre = frame.lens(width, height)
-        backdrop = not picture.masked or frame.mask is not None
-        views.append(View(name, frame.path, picture, frame.to_world, focal, centre, frame.held_out, backdrop))
-    return views
+def _view(frame: Frame, name: str, picture: PictureFile) -> View:
+    _, _, focal, centre = picture.pinhole
+    backdrop = not picture.masked or frame.mask is not None
+    return View(name, frame.path, picture, frame.to_world, focal, centre, frame.held_out, backdrop)
 
 
 def _without_idle_alpha(views: Sequence[View]) -> tuple[View, ...]:
-    """The views. They lose their alpha if the object fills every picture: then alpha is only a channel of the format.
-
-    Raises ValueError if only some of the pictures have a mask or alpha.
-    """
-    masked = [view.masked for view in views]
-    if all(masked) and all(read_ahead(_is_opaque, views)):  # most often the first picture ends this
+    """The views. They lose their alpha where it is 1 everywhere: then it is only a channel of the format."""
+    opaque = all(view.masked for view in views) and all(read_ahead(_is_opaque, views))  # most often the first ends this
+    if opaque:
         return tuple(dataclasses.replace(view, picture=view.picture.without_alpha(), backdrop=True) for view in views)
-    for view in views:
-        if not view.masked and any(masked):
-            raise ValueError(
-                f"{view.path}: has no mask and no alpha, other pictures have; give all of them one, or none"
-            )
     return tuple(views)
 
 

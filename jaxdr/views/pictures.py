@@ -7,12 +7,23 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxdr.images import READERS, image_size, load_image
+from jaxdr.image_formats.png import shares
+from jaxdr.images import READERS, image_size, linear_of, load_stored
 from jaxdr.untrusted import reason, shortened
+from jaxdr.views.lens import Lens, Pinhole, alike
 from jaxdr.views.reading import Kept
+from jaxdr.views.resample import UNDONE, UPRIGHT, orientation, resampled, turned, turned_size
 
 LONGEST_NAME, LONGEST_PATH = 240, 2000  # bytes; with a suffix and a folder systems take 255 and 4096
 Colors = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
+
+
+class MissingPicture(ValueError):
+    """A picture that a file names is not there. `name`: what it is called there."""
+
+    def __init__(self, message: str, name: str):
+        super().__init__(message)
+        self.name = name
 
 
 class CannotRead(ValueError):
@@ -52,26 +63,67 @@ class Pixels:
 
 @dataclass(frozen=True, eq=False)
 class PictureFile:
-    """A picture in a file, with a mask in another file or none.
+    """A picture in a file, with a mask in another file or none, as a pinhole with square pixels sees it.
 
-    `width`, `height`, and whether it is `masked`, are known from the headers. Pixels are read when they are needed.
-    `kept` keeps them in memory as far as there is room.
+    `lens`: of the file; `longest`: most pixels along the longer side, or None. `width`, `height`, and whether it is
+    `masked`, are known from the headers. Pixels are read when they are needed. `kept` keeps them in memory as far as
+    there is room. `turn`, `mask_turn`: how files are turned first, as orientations of EXIF.
     """
 
     path: Path
     mask: Path | None
-    width: int
-    height: int
+    lens: Lens
+    longest: int | None
     masked: bool
     kept: Kept
+    turn: int = UPRIGHT
+    mask_turn: int = UPRIGHT
 
     @classmethod
-    def of(cls, path: Path, mask: Path | None, kept: Kept) -> "PictureFile":
-        """A picture from its headers. Raises ValueError, with the file, for headers that are damaged or don't agree."""
+    def of(
+        cls, path: Path, mask: Path | None, told: Lens, source: str, kept: Kept, longest: int | None = None
+    ) -> "PictureFile":
+        """A picture from its headers, and what `source` tells of its lens.
+
+        The camera's size tells whether its picture is the one that is stored, or the upright one of EXIF. A mask may be
+        either, too, and of another size.
+
+        Raises ValueError, with the file, for headers that are damaged or don't agree.
+        """
         width, height, channels = image_size(path)
-        if mask is not None and (size := image_size(mask)[:2]) != (width, height):
-            raise ValueError(_another_size(mask, size, path, (width, height)))
-        return cls(path, mask, width, height, mask is not None or channels == 4, kept)
+        exif = orientation(path)
+        stored, upright = (width, height), turned_size((width, height), exif)
+        turn = exif if (told.width, told.height) == upright != stored else UPRIGHT
+        size = turned_size(stored, turn)
+        lens = told.of_picture(*size, source, path.name)
+        mask_turn = UPRIGHT
+        if mask is not None and not alike(found := image_size(mask)[:2], size):
+            mask_turn = exif if turn != UPRIGHT else UNDONE.get(exif, exif)
+            if exif == UPRIGHT or not alike(turned_size(found, mask_turn), size):
+                raise ValueError(
+                    f"{mask}: the mask has {found[0]} x {found[1]} pixels, {path.name} has {size[0]} x {size[1]}; "
+                    "resize it"
+                )
+        try:
+            lens.target(longest)
+        except ValueError as problem:
+            raise ValueError(f"{source}: {problem}") from problem
+        return cls(path, mask, lens, longest, mask is not None or channels == 4, kept, turn, mask_turn)
+
+    @property
+    def pinhole(self) -> Pinhole:
+        """The camera of the pixels that `read` returns."""
+        return self.lens.target(self.longest)[1]
+
+    @property
+    def width(self) -> int:
+        """Width, in pixels."""
+        return self.pinhole.width
+
+    @property
+    def height(self) -> int:
+        """Height, in pixels."""
+        return self.pinhole.height
 
     def without_alpha(self) -> "PictureFile":
         """The same picture without alpha."""
@@ -84,23 +136,87 @@ class PictureFile:
 
     def _read(self) -> Colors:
         try:
-            image, alpha = read_picture(self.path, self.mask)
+            image, alpha = self._colors(), None
+            if self.mask is not None:
+                alpha = self._mask_of(self.mask)
+            elif image.shape[2] == 4:
+                alpha = np.ascontiguousarray(image[..., 3])
+            _check_mask(alpha, self.mask or self.path)
+        except CannotRead:
+            raise
         except ValueError as problem:
             raise CannotRead(str(problem)) from problem
         except OSError as problem:
             raise CannotRead(f"{self.path}: can't be read ({reason(problem)})") from problem
-        if image.shape[:2] != (self.height, self.width) or (self.masked and alpha is None):
-            raise CannotRead(f"{self.path}: is another picture than its header said; was it changed meanwhile?")
+        if self.masked and alpha is None:
+            raise CannotRead(_changed(self.path))
+        image = np.ascontiguousarray(image[..., :3])
         for pixels in (image, alpha):
             if pixels is not None:
                 pixels.flags.writeable = False  # other callers may get the same array
         return image, alpha
 
+    def _colors(self) -> Float[np.ndarray, "H W C"]:
+        """Linear RGB, or RGB, not multiplied by alpha, and alpha."""
+        stored = turned(_finite(self.path), self.turn)
+        if stored.shape[1::-1] != (self.lens.width, self.lens.height):
+            raise CannotRead(_changed(self.path))
+        multiplied = self.path.suffix.lower() == ".exr"  # as these files have it
+
+        def values(rows: np.ndarray) -> Float[np.ndarray, "h w C"]:
+            found = linear_of(rows)
+            if found.shape[2] < 4:
+                return np.repeat(found, 3, axis=2) if found.shape[2] == 1 else found
+            alpha = np.clip(found[..., 3:], 0.0, 1.0)
+            return np.concatenate([_divided(found[..., :3], alpha) if multiplied else found[..., :3], alpha], -1)
+
+        if stored.shape[2] < 4 or self.mask is not None or self.pinhole[:2] == stored.shape[1::-1]:
+            return resampled(stored, values, self.lens, self.longest)
+
+        def weighted(rows: np.ndarray) -> Float[np.ndarray, "h w 4"]:
+            found = values(rows)
+            found[..., :3] *= found[..., 3:]
+            return found
+
+        # What is transparent has no share in the colour of a mean.
+        found = resampled(stored, weighted, self.lens, self.longest)
+        return np.concatenate([_divided(found[..., :3], found[..., 3:]), found[..., 3:]], -1)
+
+    def _mask_of(self, path: Path) -> Float[np.ndarray, "H W"]:
+        stored = turned(_finite(path), self.mask_turn)
+        # The alpha of a mask that has one counts, not its colour.
+        chosen = np.s_[..., 3:] if stored.shape[2] == 4 else np.s_[..., :1]
+
+        def values(rows: np.ndarray) -> Float[np.ndarray, "h w 1"]:
+            return shares(rows[chosen]) if rows.dtype.kind == "u" else rows[chosen]
+
+        return np.clip(resampled(stored, values, self.lens, self.longest)[..., 0], 0.0, 1.0)
+
+
+def _finite(path: Path) -> np.ndarray:
+    stored = load_stored(path)
+    if not np.isfinite(stored).all():
+        raise ValueError(f"{path}: has pixels that are not finite; write it anew without NaN and infinity")
+    return stored
+
+
+def _divided(colors: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W 1"]) -> Float[np.ndarray, "H W 3"]:
+    return colors / np.where(alpha > 0, alpha, np.float32(1.0))
+
+
+def _check_mask(alpha: Float[np.ndarray, "H W"] | None, source: Path) -> None:
+    if alpha is not None and not (alpha > 0.5).any():
+        raise ValueError(f"{source}: the mask is empty, the object is nowhere; take this photograph out")
+
+
+def _changed(path: Path) -> str:
+    return f"{path}: is another picture than its header said; was it changed meanwhile?"
+
 
 def find_picture(base: Path, name: str, said_by: Path) -> Path:
-    """The file of a picture whose name may lack its suffix. Raises ValueError, with the file that names the picture.
+    """The file of a picture whose name may lack its suffix. be outside of `base`, and it may be a link.
 
-    It may be outside of `base`, and it may be a link: photographs are often shared.
+    Raises ValueError for a name that is none, and `MissingPicture`, with the file that names the picture.
     """
     path = base / name
     if not Path(name).name.strip(".") or not _is_possible(name):
@@ -113,7 +229,9 @@ def find_picture(base: Path, name: str, said_by: Path) -> Path:
         if candidate.is_file():
             return candidate
     looked = candidates[0] if len(candidates) == 1 else f"{path} with any of {', '.join(READERS)}"
-    raise ValueError(f"{said_by}: names a picture that is missing: {looked}; restore it or take its entry out")
+    raise MissingPicture(
+        f"{said_by}: names a picture that is missing: {looked}; restore it or take its entry out", name
+    )
 
 
 def _is_possible(name: str) -> bool:
@@ -124,61 +242,3 @@ def _is_possible(name: str) -> bool:
         return False
     longest = max(map(len, encoded.split(b"/")))
     return min(name, default=" ") >= " " and longest <= LONGEST_NAME and len(encoded) <= LONGEST_PATH
-
-
-def find_mask(folder: Path, name: str) -> Path | None:
-    """The mask of a picture: `masks/NAME.png`, or `masks/NAME.jpg.png` as in COLMAP; None without a folder of masks.
-
-    Of a picture that is elsewhere, only the last part of its name counts. Raises ValueError if there are masks, but
-    none for this picture.
-    """
-    masks = folder / "masks"
-    if not masks.is_dir():
-        return None
-    relative = Path(name)
-    if relative.is_absolute() or ".." in relative.parts:
-        relative = Path(relative.name)  # else the picture could be its own mask
-    for candidate in (masks / relative.with_suffix(".png"), masks / f"{relative}.png"):
-        if candidate.is_file():
-            return candidate
-    raise ValueError(f"{masks}: there is no mask for {name}; add {candidate.name}, or take the folder away")
-
-
-def check_masks_have_pictures(folder: Path, used: set[Path]) -> None:
-    """Raises ValueError for masks that belong to no picture."""
-    masks = folder / "masks"
-    if masks.is_dir() and (left := sorted(set(masks.rglob("*.png")) - used)):
-        more = f" and {len(left) - 1} more" if len(left) > 1 else ""
-        raise ValueError(f"{left[0]}{more}: a mask without a photograph; add the photograph or take the mask away")
-
-
-def read_picture(path: Path, mask: Path | None) -> Colors:
-    """(linear RGB, not multiplied by alpha; alpha from the mask, or from the file, or None).
-
-    EXR files hold colours multiplied by alpha; other files do not. Raises ValueError, with the file, for a file that
-    can't be read, a mask of another size, and a mask or alpha that is empty.
-    """
-    pixels = load_image(path)
-    if not np.isfinite(pixels).all():
-        raise ValueError(f"{path}: has pixels that are not finite; write it anew without NaN and infinity")
-    color, alpha = pixels[..., :3], pixels[..., 3] if pixels.shape[2] == 4 else None
-    color = np.repeat(color, 3, axis=2) if color.shape[2] == 1 else color
-    if alpha is not None:
-        alpha = np.clip(alpha, 0.0, 1.0)
-        if path.suffix.lower() == ".exr":
-            color = color / np.where(alpha > 0, alpha, 1.0)[..., None]
-    source = path
-    if mask is not None:
-        source, values = mask, load_image(mask, raw=True)
-        # The alpha of a mask that has one counts, not its colour.
-        alpha = values[..., -1] if values.shape[2] == 4 else values[..., 0]
-        if alpha.shape != color.shape[:2]:
-            raise ValueError(_another_size(mask, alpha.shape[::-1], path, color.shape[1::-1]))
-    if alpha is not None and not (alpha > 0.5).any():
-        raise ValueError(f"{source}: the mask is empty, the object is nowhere; take this photograph out")
-    return np.ascontiguousarray(color, np.float32), None if alpha is None else np.ascontiguousarray(alpha, np.float32)
-
-
-def _another_size(mask: Path, size, path: Path, wanted) -> str:
-    sizes = [f"{width} x {height}" for width, height in (size, wanted)]
-    return f"{mask}: the mask has {sizes[0]} pixels, {path.name} has {sizes[1]}; resize it"

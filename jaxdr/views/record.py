@@ -8,12 +8,13 @@ from jaxtyping import Float
 
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
+from jaxdr.views.lens import Lens
 from jaxdr.views.pictures import Colors, PictureFile, Pixels
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph and its pinhole camera.
+    """One photograph, as its pinhole camera sees it: see `jaxdr.load_views` for what is done to files.
 
     - `name`: the name of its file without suffix; `path`: the file.
     - `picture`: its pixels, in a file or in memory; `image` and `alpha` read them.
@@ -52,6 +53,13 @@ class View:
     def mask(self) -> Path | None:
         """The file of its mask; None where alpha is in the picture, in memory, or unknown."""
         return self.picture.mask if isinstance(self.picture, PictureFile) else None
+
+    @property
+    def lens(self) -> Lens:
+        """The lens of the picture's file; the pinhole itself for pixels in memory."""
+        if isinstance(self.picture, PictureFile):
+            return self.picture.lens
+        return Lens.pinhole(self.focal, self.centre, (self.width, self.height))
 
     @property
     def width(self) -> int:
@@ -99,7 +107,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Photographs of one object, all of one size. `fitted` are those to fit, `held_out` those for evaluation."""
+    """Photographs of one object. `fitted` are those to fit, `held_out` those for evaluation."""
 
     folder: Path
     views: tuple[View, ...]

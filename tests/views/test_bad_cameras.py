@@ -59,8 +59,8 @@ def test_it_is_what_colmap_reads(tmp_path, suffix):
     found = pycolmap.synthesize_dataset(options)
     (tmp_path / MODEL).mkdir(parents=True)
     (found.write_binary if suffix == "bin" else found.write_text)(str(tmp_path / MODEL))
-    from jaxdr.views.colmap import _world_to_camera
-    from jaxdr.views.colmap_tables import read_tables
+    from jaxdr.views.layouts.colmap import _world_to_camera
+    from jaxdr.views.layouts.colmap_tables import read_tables
 
     cameras, images = read_tables(tmp_path / MODEL)
     assert sorted(images) == sorted(found.images) and len(images) == 6
@@ -76,7 +76,7 @@ def test_it_is_what_colmap_reads(tmp_path, suffix):
 
 def test_lens_models_are_those_of_colmap():
     pycolmap = pytest.importorskip("pycolmap")
-    from jaxdr.views.colmap_tables import PARAMETERS
+    from jaxdr.views.layouts.colmap_tables import PARAMETERS
 
     for number, (name, count) in enumerate(PARAMETERS.items()):
         known = getattr(pycolmap.CameraModelId, name, None)

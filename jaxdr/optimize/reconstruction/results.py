@@ -24,7 +24,7 @@ from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, score_picture
 from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
-from jaxdr.views.transforms import FROM_OPENGL
+from jaxdr.views.layouts.transforms import FROM_OPENGL, lens_entries
 
 PATHS, LEAST = 1 << 24, 16  # most paths of a picture of the result, and fewest samples per pixel
 ROWS = 200  # most views on the page
@@ -98,14 +98,9 @@ def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
         {
             "file_path": str(view.path.resolve()),
             "transform_matrix": (view.to_world @ FROM_OPENGL).tolist(),
-            "fl_x": view.focal,
-            "fl_y": view.focal,
-            "cx": view.centre[0],
-            "cy": view.centre[1],
-            "w": view.width,
-            "h": view.height,
             "held_out": view.held_out,
         }
+        | lens_entries(view.lens)
         | ({"mask_path": str(view.mask.resolve())} if view.mask else {})
         for view in views
     ]

@@ -5,12 +5,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxdr.views.colmap_tables import Camera, Image, read_tables
-from jaxdr.views.frames import Frame, checked_pose
-from jaxdr.views.pictures import find_mask, find_picture
+from jaxdr.views.frames import Frame, all_there, checked_pose
+from jaxdr.views.layouts.colmap_tables import Image, read_tables
+from jaxdr.views.lens import Lens
+from jaxdr.views.masks import find_mask
+from jaxdr.views.pictures import find_picture
 
+NAME = "a COLMAP model (sparse/0/cameras.bin or .txt)"
 PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
-PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
+TABLES = ("cameras", "images", "rigs", "frames")
 # From a frame with x to the right, y down, z forward to one with x to the left, y up, z forward.
 FROM_COLMAP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -23,7 +26,15 @@ def find_model(folder: Path) -> Path | None:
     return None
 
 
-def colmap_frames(folder: Path) -> list[Frame]:
+def files(folder: Path) -> list[Path]:
+    """The tables of cameras and images; none where there is no model."""
+    model = find_model(folder)
+    if model is None:
+        return []
+    return [file for name in TABLES for file in sorted(model.glob(f"{name}.*")) if file.is_file()]
+
+
+def frames(folder: Path) -> list[Frame]:
     """All registered images of a model, sorted by name. Those called `test_*` are held out.
 
     Raises ValueError, with the name of the file.
@@ -35,24 +46,16 @@ def colmap_frames(folder: Path) -> list[Frame]:
     if not images:
         raise ValueError(f"{model}: the model has no image with a pose; register the photographs first")
     in_order = sorted(images.values(), key=lambda image: image.name)
-    return [_frame(folder, model, image, cameras[image.camera]) for image in in_order]
+    return all_there(in_order, lambda image: _frame(folder, model, image, cameras[image.camera]), model)
 
 
-def _frame(folder: Path, model: Path, image: Image, camera: Camera) -> Frame:
+def _frame(folder: Path, model: Path, image: Image, lens: Lens) -> Frame:
     source = f"{model}: {image.name}"
-    if camera.model not in PINHOLES:
-        raise ValueError(
-            f"{model}: camera {image.camera} is {camera.model}; only {' and '.join(PINHOLES)} are supported: "
-            "undistort the pictures first, with `colmap image_undistorter`"
-        )
     base = folder / "images" if (folder / "images").is_dir() else folder
     picture = find_picture(base, image.name, model)
     pose = checked_pose(np.linalg.inv(_world_to_camera(image)), source) @ FROM_COLMAP
-    *focal, x, y = camera.parameters
     held_out = Path(image.name).name.startswith("test_")
-    mask = find_mask(folder, image.name)
-    size = camera.width, camera.height
-    return Frame(picture, mask, pose, source, (focal[0], focal[-1]), 0.0, (x, y), size, held_out)
+    return Frame(picture, find_mask(folder, picture, image.name), pose, source, lens, held_out)
 
 
 def _world_to_camera(image: Image) -> Float[np.ndarray, "4 4"]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from jaxdr.untrusted import MOST_PIXELS, check_pixels, damage, finite, shortened, text_of, whole
+from jaxdr.views.lens import Lens
 
 # Numbers of parameters by model; the order is that of the ids.
 PARAMETERS = {
@@ -29,15 +30,6 @@ ANEW = "export the model anew"
 T = TypeVar("T")
 
 
-class Camera(NamedTuple):
-    """A row of `cameras`: the name of the lens model, the size in pixels, and the model's parameters."""
-
-    model: str
-    width: int
-    height: int
-    parameters: tuple[float, ...]
-
-
 class Image(NamedTuple):
     """A row of `images`: a quaternion (w, x, y, z) and a translation, world to camera, and the id of the camera."""
 
@@ -47,7 +39,7 @@ class Image(NamedTuple):
     camera: int
 
 
-def read_tables(model: Path) -> tuple[dict[int, Camera], dict[int, Image]]:
+def read_tables(model: Path) -> tuple[dict[int, Lens], dict[int, Image]]:
     """(cameras, images) of a model by id; the binary files if there are both. Other tables are not read.
 
     Poses are those in `images`, which COLMAP also writes if it has `rigs` and `frames`. Raises ValueError, with the
@@ -114,10 +106,10 @@ class _Bytes:
         return found
 
 
-def _binary_cameras(path: Path) -> dict[int, Camera]:
+def _binary_cameras(path: Path) -> dict[int, Lens]:
     file = _Bytes(path)
 
-    def read(where: str) -> tuple[int, Camera]:
+    def read(where: str) -> tuple[int, Lens]:
         number, model, width, height = file.take("IiQQ", where)
         if not 0 <= model < len(MODELS):
             raise ValueError(f"{path}: {where}: camera model {model} is unknown; {ANEW}")
@@ -140,10 +132,10 @@ def _binary_images(path: Path) -> dict[int, Image]:
     return file.rows(IMAGE, "image", read)
 
 
-def _cameras(path: Path) -> dict[int, Camera]:
+def _cameras(path: Path) -> dict[int, Lens]:
     text = text_of(path)
 
-    def read() -> Iterator[tuple[int, Camera]]:
+    def read() -> Iterator[tuple[int, Lens]]:
         for number, line in enumerate(text.split("\n"), 1):
             words, where = line.split(), f"{path}: line {number}"
             if not words or words[0].startswith("#"):
@@ -182,13 +174,15 @@ def _images(path: Path) -> dict[int, Image]:
     return _as_many_as_said(_by_id(read(), path, "image"), text, path, "image")
 
 
-def _camera(model: str, width: int, height: int, values, where: str) -> Camera:
-    expected = PARAMETERS.get(model, len(values))
+def _camera(model: str, width: int, height: int, values, where: str) -> Lens:
+    if model not in PARAMETERS:
+        raise ValueError(f"{where}: camera model {shortened(model)} is unknown; {ANEW}")
+    expected = PARAMETERS[model]
     if len(values) != expected:
         raise ValueError(f"{where}: a {model} camera has {expected} parameters, got {len(values)}; {ANEW}")
     check_pixels(width, height, where)
     parameters = tuple(finite(value, f"{where}: a parameter") for value in values)
-    return Camera(model, width, height, parameters)
+    return Lens(model, parameters, width, height)
 
 
 def _image(name: str, pose, camera: int, where: str) -> Image:
