@@ -305,9 +305,10 @@ def _reconstruct(options) -> int:
         source, table = options.config, read_toml(Path(options.config), options.set)
     else:
         source, table = "--set", override_table({}, options.set, "the defaults")
-    config = reconstruct_config(table, source, options.folder, options.output, options.holdout or "")
+    given = {"holdout": options.holdout or "", "masks": options.masks or ""}
+    config = reconstruct_config(table, source, options.folder, options.output, **given)
     command = ["reconstruct", options.folder, "-o", options.output]
-    for name, value in (("--config", options.config), ("--holdout", options.holdout)):
+    for name, value in (("--config", options.config), *((f"--{name}", value) for name, value in given.items())):
         command += [name, value] if value else []
     with _way_to_go_on(*command, options=options):
         summary = reconstruct(config, **_how(options))
@@ -316,6 +317,8 @@ def _reconstruct(options) -> int:
         f"{Path(config.output) / 'asset.glb'}: views {summary['judged_by']}: PSNR {summary['psnr']['mean']:.2f} dB"
         f"{overlap} in {summary['seconds']:.0f} s"
     )
+    if "problem" in summary:
+        print(f"jaxdr: {summary['problem']}", file=sys.stderr)
     return 0
 
 
@@ -488,6 +491,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--config", metavar="CONFIG.toml", help="settings that differ from the defaults")
     what = "pictures that are held out and not used, such as '*_7' (default: the test pictures, or every eighth)"
     command.add_argument("--holdout", metavar="PATTERN", help=what)
+    what = "a folder of masks; auto: those beside the photographs, or they are found (default); none: they are not"
+    command.add_argument("--masks", metavar="auto|none|FOLDER", help=what)
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
     command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     _add_device_options(command)

@@ -157,7 +157,15 @@ class Lens:
 
     def project(self, directions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
         """Pixels (x to the right, y down; the first centre is at .5) of directions: x to the right, y down, z ahead."""
+        if self.straight:
+            return directions[:, :2] / directions[:, 2:] * np.array(self.focal) + np.array(self.centre)
         return np.asarray(self._of_pycolmap().img_from_cam(directions))
+
+    def directions(self, pixels: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """What pixels see, as x and y of directions with z = 1: the other way round than `project`."""
+        if self.straight:
+            return (pixels - np.array(self.centre)) / np.array(self.focal)
+        return np.asarray(self._of_pycolmap().cam_from_img(pixels))
 
 
 def alike(told: tuple[int, int], found: tuple[int, int]) -> bool:

@@ -13,7 +13,7 @@ from jaxdr.callers_line import warn
 from jaxdr.untrusted import whole
 from jaxdr.views.frames import Frame, some_of
 from jaxdr.views.layouts import colmap, transforms
-from jaxdr.views.masks import warn_of_idle_masks
+from jaxdr.views.masks import mask_in, warn_of_idle_masks
 from jaxdr.views.pictures import PictureFile
 from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
@@ -25,7 +25,12 @@ KEEP = 1.0  # GiB of pictures that are kept in memory
 
 
 def load_views(
-    folder: str | os.PathLike, *, holdout: str | None = None, keep: float = KEEP, longest: int | None = None
+    folder: str | os.PathLike,
+    *,
+    holdout: str | None = None,
+    keep: float = KEEP,
+    longest: int | None = None,
+    masks: str | os.PathLike | None = None,
 ) -> Views:
     """Photographs with known cameras, from a folder.
 
@@ -46,7 +51,8 @@ def load_views(
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
     or `mask` under the names of the pictures, beside the pictures as `NAME_mask.png`, or `mask_path` names them; PNG or
     JPEG, of any size, stored or upright. Without masks, alpha says where the object is. If only some of the pictures
-    have either, the others are left out, with a warning. So are masks of no picture.
+    have either, the others are left out, with a warning. So are masks of no picture. `masks`: a folder of masks that
+    count in place of all these.
 
     Some photographs are held out: frames of `transforms_test.json`, frames with `held_out` true (as `jaxdr reconstruct`
     writes them), pictures of a COLMAP model called `test_*`, and names that match the pattern `holdout` ("*_7",
@@ -72,12 +78,17 @@ def load_views(
             f"{LAYOUTS[-1].NAME}"
         )
     frames = layout.frames(folder)
+    if masks is not None:
+        frames = [dataclasses.replace(frame, mask=mask_in(Path(masks), frame.path)) for frame in frames]
+        if not any(frame.mask for frame in frames):
+            raise ValueError(f"{masks}: has no mask of any photograph; call that of NAME.jpg NAME.png")
     pictures = [
         PictureFile.of(frame.path, frame.mask, frame.lens, frame.source, kept, longest)
         for kept in (Kept(int(keep * 2**30)),)
         for frame in frames
     ]
-    warn_of_idle_masks(folder, {frame.mask for frame in frames if frame.mask})
+    if masks is None:
+        warn_of_idle_masks(folder, {frame.mask for frame in frames if frame.mask})
     frames, pictures = _masked_alike(folder, frames, pictures)
     _check_directions(folder, frames)
     frames = _held_out(folder, frames, holdout)

@@ -32,6 +32,13 @@ def find_mask(folder: Path, picture: Path, name: str) -> Path | None:
     return next((candidate for candidate in beside if candidate.is_file()), None)
 
 
+def mask_in(folder: Path, picture: Path) -> Path | None:
+    """The mask of a picture in a folder of masks. Raises ValueError if there is no such folder."""
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: is not a folder; expected one with masks")
+    return next((path for path in _called(folder / picture.name) if path.is_file() and path != picture), None)
+
+
 def _called(path: Path) -> Iterable[Path]:
     for suffix in SUFFIXES:
         yield from (path.with_suffix(suffix), path.with_name(path.name + suffix))

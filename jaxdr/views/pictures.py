@@ -12,7 +12,7 @@ from jaxdr.images import READERS, image_size, linear_of, load_stored
 from jaxdr.untrusted import reason, shortened
 from jaxdr.views.lens import Lens, Pinhole, alike
 from jaxdr.views.reading import Kept
-from jaxdr.views.resample import UNDONE, UPRIGHT, orientation, resampled, turned, turned_size
+from jaxdr.views.resample import UNDONE, UPRIGHT, in_file, orientation, resampled, turned, turned_size
 
 LONGEST_NAME, LONGEST_PATH = 240, 2000  # bytes; with a suffix and a folder systems take 255 and 4096
 Colors = tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"] | None]
@@ -138,6 +138,12 @@ class PictureFile:
     def cut_by(self, mask: Bool[np.ndarray, "H W"]) -> "PictureFile":
         """The same picture with a mask of its resampled pixels."""
         return dataclasses.replace(self, mask=None, masked=True, made=mask)
+
+    def made_in_file(self) -> Bool[np.ndarray, "h w"]:
+        """The mask that was made, for the picture as the lens shows it, at about the size of the resampled one."""
+        if self.made is None:
+            raise ValueError(f"{self.path}: no mask was made for it")
+        return in_file(self.made, self.lens, self.longest)
 
     def read(self) -> Colors:
         """(linear RGB, alpha or None), which must not be written to. Raises `CannotRead`, with the file."""

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxdr.image_formats import png
 from jaxdr.images import ENCODED
 from jaxdr.views.area import area_mean
-from jaxdr.views.lens import Lens, Pinhole
+from jaxdr.views.lens import SQUARE, Lens, Pinhole
 
 BLOCK = 1 << 18  # pixels that are projected at once
 UPRIGHT = 1
@@ -51,6 +51,7 @@ def resampled(
     (fx, fy), size = straight.focal, (pinhole.width, pinhole.height)
     # New pixels for one of the picture's; never more than one, so a coarse mask becomes finer by bilinear values alone.
     wanted = pinhole.focal / fx * lens.width / width, pinhole.focal / fy * lens.height / height
+    wanted = tuple(1.0 if abs(share - 1.0) <= SQUARE else share for share in wanted)
     plain = lens.straight and max(wanted) <= 1.0
     if plain and (width, height) == size:
         return np.ascontiguousarray(values(pixels), np.float32)
@@ -59,6 +60,20 @@ def resampled(
     count = values(pixels[:1]).shape[2] if height else channels
     found = area_mean(lambda first, end: values(pixels[first:end]), (width, height), reduced, shares, count)
     return found if plain else _looked_up(found, lens, pinhole, (width * shares[0], height * shares[1]))
+
+
+def in_file(mask: Bool[np.ndarray, "H W"], lens: Lens, longest: int | None) -> Bool[np.ndarray, "h w"]:
+    """A mask of the pinhole, as a mask of the lens's pictures, of about as many pixels: `resampled` the other way."""
+    straight, pinhole = lens.target(longest)
+    share = pinhole.focal / max(straight.focal)
+    width, height = max(1, round(lens.width * share)), max(1, round(lens.height * share))
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width * lens.width, (np.arange(height) + 0.5) / height * lens.height)
+    directions = lens.directions(np.stack([x, y], -1).reshape(-1, 2))
+    with np.errstate(invalid="ignore"):
+        place = directions * pinhole.focal + np.array(pinhole.centre)
+        framed = ((place >= 0) & (place < (pinhole.width, pinhole.height))).all(1)
+    column, row = np.where(framed[:, None], place, 0).astype(int).T
+    return (framed & mask[row, column]).reshape(height, width)
 
 
 def _looked_up(
@@ -76,13 +91,7 @@ def _looked_up(
         y = (rows + 0.5 - pinhole.centre[1]) / pinhole.focal
         across, down = np.meshgrid(x, y)
         directions = np.stack([across, down, np.ones_like(across)], -1).reshape(-1, 3)
-        place = (_pixels(lens, directions) * scale - 0.5).T[::-1].reshape(2, *across.shape)
+        place = (lens.project(directions) * scale - 0.5).T[::-1].reshape(2, *across.shape)
         for channel in range(pixels.shape[2]):
             made[rows, :, channel] = map_coordinates(pixels[..., channel], place, order=1, mode="nearest")
     return made
-
-
-def _pixels(lens: Lens, directions: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-    if not lens.straight:
-        return lens.project(directions)
-    return directions[:, :2] * np.array(lens.focal) + np.array(lens.centre)

@@ -35,11 +35,7 @@ def photograph(lens: Lens) -> np.ndarray:
     """What a lens shows of `shade`."""
     x, y = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
     points = np.stack([x, y], -1).reshape(-1, 2)
-    if lens.straight:
-        directions = (points - lens.centre) / lens.focal
-    else:
-        directions = lens._of_pycolmap().cam_from_img(points)
-    return shade(np.asarray(directions).reshape(lens.height, lens.width, 2)).astype(np.float32)
+    return shade(lens.directions(points).reshape(lens.height, lens.width, 2)).astype(np.float32)
 
 
 def difference(lens: Lens, longest: int | None) -> float:
@@ -67,6 +63,12 @@ def test_distortion_is_taken_away(model, longest):
 @pytest.mark.parametrize("focal", [(150.0, 153.0), (153.0, 150.0), (150.0, 150.0)])
 def test_oblong_pixels_become_square(focal, longest):
     assert difference(Lens.pinhole(focal, (101.0, 78.0), (WIDTH, HEIGHT)), longest) < 2e-3
+
+
+def test_pixels_that_are_nearly_square_stay_as_they_are():
+    noise = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
+    lens = Lens.pinhole((150.0, 150.1), (101.0, 78.0), (WIDTH, HEIGHT))
+    np.testing.assert_array_equal(resampled(noise, lambda rows: rows, lens, None), noise)
 
 
 def test_names_of_lenses_are_those_of_colmap():

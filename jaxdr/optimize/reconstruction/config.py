@@ -155,11 +155,15 @@ LEVELS = (
 class ReconstructConfig:
     """Everything about one reconstruction. The same photographs, config and seed give the same result, bit for bit on
     CPU. `unknown`: what is found beside the vertices. `holdout`: pattern of pictures that are held out, see
-    `jaxdr.load_views`."""
+    `jaxdr.load_views`.
+
+    `masks`: a folder of masks. "auto": those of the folder, and if there are none they are found. "none": those of the
+    folder or nothing."""
 
     folder: str
     output: str
     holdout: str = ""
+    masks: str = "auto"
     seed: int = 0
     unknown: tuple[Literal["albedo", "roughness", "light", "exposure", "cameras"], ...] = (
         "albedo",
@@ -195,10 +199,10 @@ class ReconstructConfig:
         return sum(level.steps for level in self.levels)
 
 
-def reconstruct_config(table: dict, source: str, folder: str, output: str, holdout: str = "") -> ReconstructConfig:
+def reconstruct_config(table: dict, source: str, folder: str, output: str, **given: str) -> ReconstructConfig:
     """The config of a TOML table, for these photographs. Raises ValueError that names source, key and what is expected.
 
-    What the command line says goes before the table.
+    What the command line says goes before the table: of `given`, what is not empty.
     """
-    given = {"folder": folder, "output": output} | ({"holdout": holdout} if holdout else {})
-    return build(ReconstructConfig, table | given, source)
+    said = {"folder": folder, "output": output} | {name: value for name, value in given.items() if value}
+    return build(ReconstructConfig, table | said, source)

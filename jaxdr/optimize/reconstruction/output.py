@@ -1,6 +1,6 @@
 """The folder of a reconstruction: what is written where."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,8 @@ from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.run_files import STEP_PICTURES, RunFiles
 from jaxdr.views.inputs import input_files
-from jaxdr.views.record import Views
+from jaxdr.views.pictures import PictureFile
+from jaxdr.views.record import View, Views
 
 COLUMNS = ("step", "level", "loss", "gradient_norm", "vertices", "seconds")
 
@@ -23,8 +24,8 @@ class OutputFolder(RunFiles):
     """Names and formats of what a reconstruction writes.
 
     `asset.glb`, `light.exr` (`light.hdr` without OpenEXR), `transforms.json` (the cameras), `test/` (renderings of the
-    held-out views), `report.html`, `turntable.gif`, `metrics.json` in the end; `metrics.csv` (a line a step),
-    `pictures/`, `checkpoint.npz` on the way.
+    held-out views), `masks/` (those that were made), `report.html`, `turntable.gif`, `metrics.json` in the end;
+    `metrics.csv` (a line a step), `pictures/`, `checkpoint.npz` on the way.
     """
 
     kind = "reconstruction"
@@ -34,7 +35,11 @@ class OutputFolder(RunFiles):
     def __init__(self, config: ReconstructConfig, views: Views):
         super().__init__(config, COLUMNS)
         named = ("asset.glb", "light.exr", "light.hdr", "transforms.json", "report.html", "turntable.gif")
-        self.results = (*named, STEP_PICTURES, *(f"test/{view.name}.png" for view in views.views))
+        self.results = (
+            *named,
+            STEP_PICTURES,
+            *(f"{place}/{view.name}.png" for place in ("test", "masks") for view in views.views),
+        )
         self._inputs = {"photographs": views.folder} | input_files(views)
 
     @property
@@ -51,6 +56,22 @@ class OutputFolder(RunFiles):
         """`pictures/STEP.png`: a photograph, and what a step saw in its place (few samples), both over black."""
         row = [to_srgb(photograph.color), to_srgb(shown[..., :3])]
         save_png(self.path / "pictures" / f"{step:05d}.png", labelled_grid(["photograph", "rendering"], [row]))
+
+    def mask(self, view: View) -> Path | None:
+        """The mask of a photograph: a person's own, or the one that was made and is in this folder; None without."""
+        made = isinstance(view.picture, PictureFile) and view.picture.made is not None
+        return self.path / "masks" / f"{view.name}.png" if made else view.mask
+
+    def save_masks(self, views: Sequence[View]) -> None:
+        """`masks/NAME.png`: those that were made. They can be looked at, mended, and given back as a person's own."""
+        made = [view for view in views if isinstance(view.picture, PictureFile) and view.picture.made is not None]
+        for view in made:
+            assert isinstance(view.picture, PictureFile)
+            path = self.path / "masks" / f"{view.name}.png"
+            path.parent.mkdir(exist_ok=True)
+            with atomic_path(path) as temporary:
+                pixels = 255 * view.picture.made_in_file().astype(np.uint8)
+                Image.fromarray(pixels).save(temporary, format="PNG")
 
     def save_test(self, name: str, picture: Float[np.ndarray, "H W 4"], alpha: bool) -> None:
         """`test/NAME.png`: sRGB; with `alpha`, by which colours then are not multiplied, or without."""

@@ -15,6 +15,8 @@ from jaxdr.optimize.phase import finite
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.reconstruction.atlas import require_xatlas
+from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
+from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.hull import initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
@@ -30,7 +32,7 @@ from jaxdr.views.evaluate import require_skimage
 from jaxdr.views.load import load_views
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View, Views
-from jaxdr.views.summary import summary
+from jaxdr.views.summary import summary as summary_of
 
 # Streams of random numbers under the run's seed.
 STEPS, PICTURES = range(2)
@@ -55,8 +57,20 @@ def reconstruct(
     require_xatlas()
     longest = FINER * max(level.resolution for level in config.levels)
     keep = config.memory.pictures / 2
-    views = load_views(config.folder, holdout=config.holdout or None, keep=keep, longest=longest)
-    return run(ReconstructionTask(config, views, chosen_devices(devices)), resume, overwrite)
+    masks = None if config.masks in ("auto", "none") else config.masks
+    views = load_views(config.folder, holdout=config.holdout or None, keep=keep, longest=longest, masks=masks)
+    say(f"{config.folder}: {summary_of(views)}")
+    found: FoundMasks | None = None
+    problem = ""
+    if config.masks == "auto" and not views.masked:
+        try:
+            found = find_masks(views, config.seed, say)
+        except ValueError as fault:
+            problem = str(fault)
+            say(problem)
+        else:
+            views = with_masks(views, found)
+    return run(ReconstructionTask(config, views, chosen_devices(devices), found, problem), resume, overwrite)
 
 
 def _check(view: View) -> None:
@@ -76,9 +90,16 @@ class ReconstructionTask(Task[Current]):
 
     name = "reconstruct"
 
-    def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
+    def __init__(
+        self,
+        config: ReconstructConfig,
+        views: Views,
+        devices: list[Device],
+        masks: FoundMasks | None = None,
+        problem: str = "",
+    ):
         super().__init__(config, config.steps, devices)
-        say(f"{config.folder}: {summary(views)}")
+        self.masks, self.problem = masks, problem
         self.folder, self.views, self.fitted = OutputFolder(config, views), views, views.fitted
         keep = int(config.memory.pictures / 2 * 2**30)
         self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)
@@ -93,6 +114,7 @@ class ReconstructionTask(Task[Current]):
 
     def begin(self, saved: Checkpoint | None) -> Current:
         """The first level, or that of the checkpoint."""
+        self.folder.save_masks(self.views.views)
         stage, state = self.fresh() if saved is None else self.restored(saved)
         if not self.photos.masked:
             say(f"{self.config.folder}: there are no masks; the start is a {self.kind}, the sky is fitted")
@@ -218,6 +240,10 @@ class ReconstructionTask(Task[Current]):
             "held_out": len(self.views.held_out),
             "device": jax.devices()[0].device_kind,
         }
+        if self.masks is not None:
+            summary["masks"] = self.masks.to_dict()
+        if self.problem:
+            summary["problem"] = self.problem
         summary |= judge(self.folder, result, self.views, self.config, jax.random.fold_in(self.key, PICTURES))
         summary["seconds"] = round(self.seconds(), 2)
         return summary

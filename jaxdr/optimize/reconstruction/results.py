@@ -101,7 +101,7 @@ def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
             "held_out": view.held_out,
         }
         | lens_entries(view.lens)
-        | ({"mask_path": str(view.mask.resolve())} if view.mask else {})
+        | ({"mask_path": str(mask.resolve())} if (mask := folder.mask(view)) else {})
         for view in views
     ]
     folder.write_text("transforms.json", json.dumps({"frames": frames}, indent=1) + "\n")

@@ -11,9 +11,8 @@ from jaxdr.optimize.reconstruction.automatic_masks.region import Region, project
 from jaxdr.views.record import View
 
 CELLS = 72  # along the cube around the ball
-AGREED = 0.8  # share of the photographs that show a cell and have the object there
+AGREED = 0.7  # share of the photographs that show a cell and have the object there
 SHOWN = 0.25  # share of the photographs that a cell must be in
-NEAR = 0.03  # of the longer side: how far the border of a mask may be from that of the solid
 FINE = 4  # bits of a fraction of a pixel
 
 Masks = Sequence[Bool[np.ndarray, "H W"]]
@@ -64,11 +63,11 @@ def silhouette(view: View, solid: Mesh) -> Bool[np.ndarray, "H W"]:
     return made > 0
 
 
-def next_guess(view: View, solid: Mesh) -> Guess:
-    """The object's border is near that of the solid."""
+def next_guess(view: View, solid: Mesh, near: float) -> Guess:
+    """The object's border is near that of the solid: so far away at most, as a share of the longer side."""
     cv2 = require_cv2()
     covered = silhouette(view, solid)
-    reach = max(2, round(NEAR * max(view.width, view.height)))
+    reach = max(2, round(near * max(view.width, view.height)))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     wide, narrow = (change(covered.astype(np.uint8), disc) > 0 for change in (cv2.dilate, cv2.erode))
     return Guess(wide, covered, narrow)

@@ -13,7 +13,7 @@ from jaxdr.views.sparse_points import SparsePoints
 MIDDLE = 0.25  # of the longer side: standard deviation of the attention that a photograph pays around its middle
 REACH = 1.6  # the ball's radius over the median distance of what is paid attention to
 ROUNDS = 5
-WITHOUT_POINTS = 0.6  # the ball's radius over what the narrowest photograph shows, where there are no points
+WITHOUT_POINTS = 0.5  # the ball's radius over what the narrowest photograph shows, where there are no points
 UPRIGHT = 20.0  # degrees: what the object stands on is level up to so much
 THICK = 0.05  # of the radius: points of the support are so near to its plane
 SUPPORT = 0.15  # share of the points around the object that a support has at least
