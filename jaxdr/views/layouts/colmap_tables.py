@@ -142,9 +142,9 @@ def _cameras(path: Path) -> dict[int, Lens]:
                 continue
             if len(words) < 4:
                 raise ValueError(f"{where}: a camera needs an id, a model, width, height and parameters; {ANEW}")
-            values = [_number(word, where) for word in words[4:]]
-            width, height = (_whole(word, where) for word in words[2:4])
-            yield _whole(words[0], where), _camera(words[1], width, height, values, where)
+            values = [number_of(word, where) for word in words[4:]]
+            width, height = (whole_of(word, where) for word in words[2:4])
+            yield whole_of(words[0], where), _camera(words[1], width, height, values, where)
 
     return _as_many_as_said(_by_id(read(), path, "camera"), text, path, "camera")
 
@@ -162,8 +162,8 @@ def _images(path: Path) -> dict[int, Image]:
                 raise ValueError(
                     f"{where}: an image needs an id, a quaternion, a translation, a camera and a name; {ANEW}"
                 )
-            pose = [_number(word, where) for word in words[1:8]]
-            yield _whole(words[0], where), _image(words[9].strip(), pose, _whole(words[8], where), where)
+            pose = [number_of(word, where) for word in words[1:8]]
+            yield whole_of(words[0], where), _image(words[9].strip(), pose, whole_of(words[8], where), where)
             points = next(lines, (0, ""))[1]
             if points.strip(OF_POINTS) or len(points.split()) % 3:
                 raise ValueError(
@@ -212,12 +212,14 @@ def _as_many_as_said(found: dict[int, T], text: str, path: Path, what: str) -> d
     return found
 
 
-def _number(word: str, where: str) -> float:
+def number_of(word: str, where: str) -> float:
+    """A number of a text. Raises ValueError, with the place."""
     with damage(f"{where}: expected a number, got {shortened(word)}"):
         return float(word.replace("_", "?"))  # 1_000 is Python's
 
 
-def _whole(word: str, where: str) -> int:
+def whole_of(word: str, where: str) -> int:
+    """A whole number of a text. Raises ValueError, with the place."""
     with damage(f"{where}: expected a whole number, got {shortened(word)}"):
         value = int(word.replace("_", "?"))
     return whole(value, where, 0, max(LARGEST_ID, MOST_PIXELS))
