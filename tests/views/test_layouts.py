@@ -6,6 +6,7 @@ import warnings
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 import jaxdr as jd
 from jaxdr.images import load_image
@@ -414,3 +415,17 @@ def test_the_first_picture_is_the_first(tmp_path):
     views = jd.load_views(write_neus(tmp_path)).views
     for i, view in enumerate(views):
         np.testing.assert_allclose(view.image, load_image(tmp_path / "image" / f"{i:06d}.png"), rtol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["llff", "metashape"])
+def test_height_is_not_width(tmp_path, layout):
+    """Pictures without their last four rows."""
+    if layout == "llff":
+        write_llff(tmp_path, table=put(llff_table(), slice(None), 4, 2 * 12))
+        centre = SIZE / 2, 6.0
+    else:
+        write_metashape(tmp_path, metashape_xml().replace('height="16"', 'height="12"'))
+        centre = CENTRE[0], CENTRE[1] - 2  # offsets are from the middle
+    for path in (tmp_path / "images").iterdir():
+        Image.fromarray(np.full((12, SIZE, 3), 128, np.uint8)).save(path)
+    check_cameras(jd.load_views(tmp_path).views, centre=centre)

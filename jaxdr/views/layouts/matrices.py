@@ -79,14 +79,14 @@ def pose_of(
     return checked_pose(np.column_stack([rotation.T, position]), where) @ FROM_COLMAP
 
 
-def pictures_in(folder: Path, suffixes: Iterable[str] = tuple(READERS)) -> list[Path]:
+def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder that are no masks of others, sorted by name; none if it is not there."""
     with damage(f"{folder}: can't be read"):
         there = sorted(folder.iterdir()) if folder.is_dir() else []
     return [
         path
         for path in there
-        if path.suffix.lower() in suffixes
+        if path.suffix.lower() in READERS
         and path.is_file()
         and not (is_mask(path) or path.name.startswith("."))  # macOS adds files of this kind
     ]
