@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 import jaxdr as jd
+from jaxdr.images import load_image
 from jaxdr.optimize.reconstruction.sky import TO_WORLD
 from jaxdr.views.evaluate import Evaluation, score_pictures
-from jaxdr.views.pictures import read_picture
 
 SPP, TRACER = 256, jd.PathTracer(max_depth=3, boundary=None)
 
@@ -74,8 +74,8 @@ def _picture(path: Path) -> np.ndarray:
 
 def _relit(view: jd.View, path: Path) -> jd.View:
     """The view with its photograph under the other sky."""
-    image, alpha = read_picture(path, None)
-    return view.with_picture(image, alpha)
+    pixels = load_image(path)
+    return view.with_picture(pixels[..., :3], pixels[..., 3])
 
 
 def _summary(evaluation: Evaluation) -> dict:

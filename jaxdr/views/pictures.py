@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxdr.image_formats.png import shares
 from jaxdr.images import READERS, image_size, linear_of, load_stored
@@ -56,6 +56,10 @@ class Pixels:
         """The same picture without alpha."""
         return Pixels(self.image)
 
+    def cut_by(self, mask: Bool[np.ndarray, "H W"]) -> "Pixels":
+        """The same picture with a mask."""
+        return Pixels(self.image, mask.astype(self.image.dtype))
+
     def read(self) -> Colors:
         """(linear RGB, alpha or None)."""
         return self.image, self.alpha
@@ -67,7 +71,8 @@ class PictureFile:
 
     `lens`: of the file; `longest`: most pixels along the longer side, or None. `width`, `height`, and whether it is
     `masked`, are known from the headers. Pixels are read when they are needed. `kept` keeps them in memory as far as
-    there is room. `turn`, `mask_turn`: how files are turned first, as orientations of EXIF.
+    there is room. `turn`, `mask_turn`: how files are turned first, as orientations of EXIF. `made`: where the object
+    is, in place of a mask in a file.
     """
 
     path: Path
@@ -78,6 +83,7 @@ class PictureFile:
     kept: Kept
     turn: int = UPRIGHT
     mask_turn: int = UPRIGHT
+    made: Bool[np.ndarray, "H W"] | None = None
 
     @classmethod
     def of(
@@ -129,9 +135,15 @@ class PictureFile:
         """The same picture without alpha."""
         return dataclasses.replace(self, masked=False)
 
+    def cut_by(self, mask: Bool[np.ndarray, "H W"]) -> "PictureFile":
+        """The same picture with a mask of its resampled pixels."""
+        return dataclasses.replace(self, mask=None, masked=True, made=mask)
+
     def read(self) -> Colors:
         """(linear RGB, alpha or None), which must not be written to. Raises `CannotRead`, with the file."""
         image, alpha = self.kept.get((self.path, self.mask), self._read)
+        if self.made is not None:
+            return image, self.made.astype(image.dtype)
         return image, alpha if self.masked else None
 
     def _read(self) -> Colors:
@@ -148,7 +160,7 @@ class PictureFile:
             raise CannotRead(str(problem)) from problem
         except OSError as problem:
             raise CannotRead(f"{self.path}: can't be read ({reason(problem)})") from problem
-        if self.masked and alpha is None:
+        if self.masked and alpha is None and self.made is None:
             raise CannotRead(_changed(self.path))
         image = np.ascontiguousarray(image[..., :3])
         for pixels in (image, alpha):

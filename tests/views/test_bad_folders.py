@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 import jaxdr as jd
-from tests.views.folders import SIZE, disc, edit_json, write_colmap, write_json, write_nerf, write_picture
+from tests.views.folders import SIZE, disc, edit_json, write_colmap, write_json, write_nerf
 
 
 def _frames(folder, change):
@@ -25,9 +25,10 @@ def no_frames(folder):
     write_json(folder / "transforms.json", {"camera_angle_x": 0.6, "frames": []})
 
 
-def missing_picture(folder):
-    write_nerf(folder)
-    (folder / "train" / "r_2.png").unlink()
+def no_picture_left(folder):
+    write_nerf(folder, test=0)
+    for path in (folder / "train").iterdir():
+        path.unlink()
 
 
 def damaged_picture(folder):
@@ -48,19 +49,30 @@ def not_finite(folder):
     _frames(folder, lambda frames: [frame.update(file_path=f"train/{i}.npy") for i, frame in enumerate(frames)])
 
 
-def sizes_differ(folder):
-    write_nerf(folder)
-    write_picture(folder / "train" / "r_3.png", size=SIZE + 2)
-
-
 def size_is_not_the_cameras(folder):
     write_nerf(folder)
     edit_json(folder / "transforms_train.json", lambda document: document.update(w=SIZE, h=2 * SIZE))
 
 
-def distortion(folder):
+def distortion_without_focal_length(folder):
     write_nerf(folder)
     edit_json(folder / "transforms_train.json", lambda document: document.update(k1=-0.1, p2=0.01))
+
+
+def distortion_without_size(folder):
+    write_nerf(folder)
+    edit_json(folder / "transforms_train.json", lambda document: document.update(fl_x=20.0, k1=-0.1, cx=8.0, cy=8.0))
+
+
+def wrong_parameters(folder):
+    write_nerf(folder)
+    values = {"camera_model": "FOV", "camera_params": [20.0, 20.0, 8.0], "w": SIZE, "h": SIZE}
+    edit_json(folder / "transforms_train.json", lambda document: document.update(values))
+
+
+def panorama(folder):
+    write_colmap(folder)
+    (folder / "sparse/0/cameras.txt").write_text("1 EQUIRECTANGULAR 16 16 8 8\n")
 
 
 def no_focal_length(folder):
@@ -93,28 +105,9 @@ def empty_mask(folder):
     Image.fromarray(np.zeros((SIZE, SIZE, 4), np.uint8)).save(folder / "train" / "r_0.png")
 
 
-def some_without_alpha(folder):
-    write_nerf(folder)
-    write_picture(folder / "train" / "r_1.png", alpha=False)
-
-
-def mask_without_picture(folder):
+def mask_of_another_shape(folder):
     write_colmap(folder)
-    Image.fromarray((255 * disc()).astype(np.uint8)).save(folder / "masks" / "train_9.png")
-
-
-def picture_without_mask(folder):
-    write_colmap(folder)
-    (folder / "masks" / "train_1.png").unlink()
-
-
-def mask_of_another_size(folder):
-    write_colmap(folder)
-    Image.fromarray((255 * disc(SIZE + 1)).astype(np.uint8)).save(folder / "masks" / "train_1.png")
-
-
-def colmap_distortion(folder):
-    write_colmap(folder, model="OPENCV")
+    Image.fromarray((255 * disc()[:12]).astype(np.uint8)).save(folder / "masks" / "train_1.png")
 
 
 def damaged_colmap(folder):
@@ -128,26 +121,24 @@ IN_PIXELS = (empty_mask, cut_off, not_finite)  # headers do not tell
 @pytest.mark.parametrize(
     "make, place, fault",
     [
-        (nothing, "{folder}", "neither transforms.json"),
+        (nothing, "{folder}", "has no cameras that are known"),
         (broken_json, "transforms_train.json", "not readable JSON"),
         (no_frames, "transforms.json", "has no frames"),
-        (missing_picture, "r_2", "missing"),
+        (no_picture_left, "r_0", "missing"),
         (damaged_picture, "r_1.png", "not a readable PNG"),
         (cut_off, "r_3.png", "not a readable PNG"),
         (not_finite, "2.npy", "pixels that are not finite"),
-        (sizes_differ, "r_3.png", "one size"),
         (size_is_not_the_cameras, "transforms_train.json: frames[0]", "says height 32, r_0.png has 16 pixels"),
-        (distortion, "frames[0]", "k1, p2"),
+        (distortion_without_focal_length, "frames[0]", "has distortion but no fl_x"),
+        (distortion_without_size, "frames[0]", "has distortion but not all of cx, cy, w, h"),
+        (wrong_parameters, "frames[0]", "camera_params of a FOV lens must be 5 numbers"),
+        (panorama, "test_2.png", "is a panorama"),
         (no_focal_length, "frames[0]", "neither fl_x nor camera_angle_x"),
         (held_out_by_a_word, "frames[1]", "held_out must be true or false, got 'yes'"),
         (skewed_pose, "frames[1]", "a rotation and a translation"),
         (looking_away, "{folder}", "4 of 6 cameras look away"),
         (empty_mask, "r_0.png", "the mask is empty"),
-        (some_without_alpha, "r_1.png", "no mask and no alpha"),
-        (mask_without_picture, "train_9.png", "a mask without a photograph"),
-        (picture_without_mask, "masks", "no mask for train_1.png"),
-        (mask_of_another_size, "train_1.png", "17 x 17"),
-        (colmap_distortion, "sparse/0", "OPENCV"),
+        (mask_of_another_shape, "train_1.png", "the mask has 16 x 12 pixels"),
         (damaged_colmap, "sparse/0/cameras.txt: line 1", "expected a whole number, got 'many'"),
     ],
     ids=lambda value: value.__name__ if callable(value) else "",

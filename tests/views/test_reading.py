@@ -62,8 +62,8 @@ def test_what_goes_wrong_in_a_thread_comes_out():
 
 @pytest.fixture
 def counted(monkeypatch):
-    read, original = [], pictures.read_picture
-    monkeypatch.setattr(pictures, "read_picture", lambda path, mask: (read.append(path.name), original(path, mask))[1])
+    read, original = [], pictures.load_stored
+    monkeypatch.setattr(pictures, "load_stored", lambda path: (read.append(path.name), original(path))[1])
     return read
 
 

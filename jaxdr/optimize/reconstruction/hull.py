@@ -36,12 +36,12 @@ def initial_surface(views: Sequence[View], kind: str, grid: int, keep: int = KEE
 
 def _sphere(views: Sequence[View]) -> tuple[Mesh, Pose]:
     """A sphere around the point that the cameras look at, half as wide as what the nearest of them sees."""
-    centre, reach = _look(views)
+    centre, reach = look(views)
     mesh = shapes.sphere(4, radius=0.5)
     return mesh, Pose(centre, reach)
 
 
-def _look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:
+def look(views: Sequence[View]) -> tuple[Float[np.ndarray, "3"], float]:
     """(the point that the cameras look at, half the width of what the narrowest view sees there)."""
     poses = np.stack([view.to_world for view in views])
     centre = common_point(poses)
@@ -67,7 +67,7 @@ def visual_hull(views: Sequence[View], grid: int, keep: int) -> tuple[Float[np.n
     def fields() -> Iterator[Float[np.ndarray, "H W"]]:
         return read_ahead(field, views)
 
-    centre, reach = _look(views)
+    centre, reach = look(views)
     low, high = centre - 1.5 * reach, centre + 1.5 * reach
     values = _least(views, fields(), low, high, (COARSE,) * 3)
     inside = np.argwhere(values > -1.5 * 3 * reach / COARSE)

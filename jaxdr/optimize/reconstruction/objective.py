@@ -28,12 +28,13 @@ JUMP = 0.05  # albedo; differences of neighbours well beyond it are edges of pai
 
 class Photograph(NamedTuple):
     """What one view is compared with: colours (over black where there is alpha), alpha or None, weight of the colours,
-    its number."""
+    its number, and where it has pixels at all."""
 
     color: Float[Array, "H W 3"]
     alpha: Float[Array, "H W"] | None
     trust: Float[Array, "H W"]
     number: Int[Array, ""]
+    framed: Float[Array, "H W"]
 
 
 def huber(x: Float[Array, "*n"], width: float) -> Float[Array, "*n"]:
@@ -66,7 +67,7 @@ def picture_loss(
     loss = (huber(error, OUTLIER) * photograph.trust[..., None]).mean()
     if photograph.alpha is None:
         return loss
-    return loss + mask_weight * ((parts.alpha - photograph.alpha) ** 2).mean()
+    return loss + mask_weight * (photograph.framed * (parts.alpha - photograph.alpha) ** 2).mean()
 
 
 def view_gradient(

@@ -53,9 +53,9 @@ def _medians(
         column, row = np.floor(_projected(points[free], cut, width, height)).astype(int)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         free, column, row = free[inside], column[inside], row[inside]
-        if cut.alpha is not None:
-            whole = np.minimum(cut.alpha, cut.trust)[row, column] > 0.99
-            free, column, row = free[whole], column[whole], row[whole]
+        known = cut.trust if cut.alpha is None else np.minimum(cut.alpha, cut.trust)
+        whole = known[row, column] > 0.99
+        free, column, row = free[whole], column[whole], row[whole]
         shown[free] = cut.color[row, column]
     seen.sort(axis=0)  # NaN last; `nanmedian` takes ten times the memory, and longer
     count = np.isfinite(seen[..., 0]).sum(0)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from PIL import Image
 
 from jaxdr.optimize.reconstruction.cameras import corrected
+from jaxdr.views.area import area_mean
 from jaxdr.views.reading import THREADS, Kept, read_ahead
 from jaxdr.views.record import View, over_black
 from jaxdr.views.rendering import Pinhole
@@ -38,21 +38,22 @@ class Cut(NamedTuple):
     """A photograph of a level: `color` linear, over black where there is `alpha`, and its camera.
 
     `trust`: share of a pixel whose colour is the object's or black for certain. Pixels at the border of a mask show
-    both the object and what is behind it.
+    both the object and what is behind it. `framed`: 1 in the photograph, 0 around one that is smaller than others.
     """
 
     color: Float[np.ndarray, "H W 3"]
     alpha: Float[np.ndarray, "H W"] | None
     trust: Float[np.ndarray, "H W"]
+    framed: Float[np.ndarray, "H W"]
     camera: Pinhole
 
 
 class Photographs:
     """The photographs reduced to `resolution` pixels along their longer side, and cut to one size around the object.
 
-    Without masks nothing is cut off. Light is averaged over the area of the new pixels. They are read when they are
-    asked for, or ahead of that (`expect`); `kept` has as many as fit. `bounds`: of the objects, see `object_bounds`.
-    `corrections`: of the cameras.
+    Without masks nothing is cut off. Photographs that are smaller than that have a border. Light is averaged over the
+    area of the new pixels. They are read when they are asked for, or ahead of that (`expect`); `kept` has as many as
+    fit. `bounds`: of the objects, see `object_bounds`. `corrections`: of the cameras.
     """
 
     def __init__(
@@ -66,8 +67,8 @@ class Photographs:
     ):
         self.views, self.bounds, self.pose, self.resolution, self.kept = views, bounds, pose, resolution, kept
         self._corrections = corrections
-        width, height = reduced_size(views[0], resolution)
-        self.height, self.width = _window_size(bounds, (height, width))
+        sizes = [reduced_size(view, resolution) for view in views]
+        self.height, self.width = _window_size(bounds, (max(h for _, h in sizes), max(w for w, _ in sizes)))
         self._expected: dict[int, Future] = {}
         self._pool = ThreadPoolExecutor(THREADS, "jaxdr read")  # its threads begin when there is something to read
 
@@ -86,11 +87,10 @@ class Photographs:
 
     def camera(self, number: int) -> Pinhole:
         """The camera of one of them; nothing is read for that."""
-        view, size = self.views[number], reduced_size(self.views[number], self.resolution)
-        scale = size[0] / view.width, size[1] / view.height
-        x0, y0 = self._corner(number)
-        focal = view.focal * scale[0]
-        centre = view.centre[0] * scale[0] - x0, view.centre[1] * scale[1] - y0
+        view, (x0, y0) = self.views[number], self._corner(number)
+        share = _share(view, self.resolution)
+        focal = view.focal * share
+        centre = view.centre[0] * share - x0, view.centre[1] * share - y0
         fov = np.degrees(2 * np.arctan(0.5 * self.width / focal))
         axis = (0.5 - centre[0] / self.width, 0.5 - centre[1] / self.height)
         to_world = self.pose.moved(view.to_world)
@@ -131,18 +131,32 @@ class Photographs:
     def _cut(self, number: int, reduced: Reduced) -> Cut:
         color, alpha, trust = reduced
         x0, y0 = self._corner(number)
-        window = np.s_[y0 : y0 + self.height, x0 : x0 + self.width]
-        return Cut(color[window], None if alpha is None else alpha[window], trust[window], self.camera(number))
+        height, width = trust.shape
+        rows, columns = _within(y0, self.height, height), _within(x0, self.width, width)
+        border = (rows.start - y0, self.height - rows.stop + y0), (columns.start - x0, self.width - columns.stop + x0)
+
+        def window(pixels: np.ndarray) -> np.ndarray:
+            found = pixels[rows, columns]
+            return np.pad(found, (*border, (0, 0))[: found.ndim]) if np.any(border) else found
+
+        cut_alpha = None if alpha is None else window(alpha)
+        return Cut(window(color), cut_alpha, window(trust), window(np.ones_like(trust)), self.camera(number))
 
     def _corner(self, number: int) -> tuple[int, int]:
-        """Upper left corner of the window around the object."""
+        """Upper left corner of the window around the object, in pixels of the reduced photograph."""
+        sizes, window = reduced_size(self.views[number], self.resolution), (self.width, self.height)
         bounds = self.bounds[number]
-        if bounds is None:
-            return 0, 0
-        x0, y0, x1, y1 = bounds
-        all_columns, all_rows = reduced_size(self.views[number], self.resolution)
-        x, y = (x0 + x1 - self.width) // 2, (y0 + y1 - self.height) // 2
-        return int(np.clip(x, 0, all_columns - self.width)), int(np.clip(y, 0, all_rows - self.height))
+        x0, y0, x1, y1 = bounds or (0, 0, *sizes)
+        middles = (x0 + x1 - self.width) // 2, (y0 + y1 - self.height) // 2
+        x, y = (
+            min(max(middle, 0), all_ - side) if all_ >= side else (all_ - side) // 2
+            for middle, all_, side in zip(middles, sizes, window, strict=True)
+        )
+        return x, y
+
+
+def _within(start: int, count: int, every: int) -> slice:
+    return slice(max(start, 0), min(start + count, every))
 
 
 def object_bounds(views: Sequence[View], resolutions: Iterable[int]) -> dict[int, list[Bounds | None]]:
@@ -170,17 +184,21 @@ def cuts(views: Sequence[View], pose: Pose, resolution: int, keep: int = 0) -> P
 
 def reduced_size(view: View, resolution: int) -> tuple[int, int]:
     """(width, height) of a photograph that is reduced to `resolution` pixels along its longer side."""
-    share = min(1.0, resolution / max(view.width, view.height))
+    share = _share(view, resolution)
     return max(1, round(view.width * share)), max(1, round(view.height * share))
+
+
+def _share(view: View, resolution: int) -> float:
+    """Pixels of a reduced photograph for one of the photograph's."""
+    return min(1.0, resolution / max(view.width, view.height))
 
 
 def _reduced(view: View, resolution: int) -> Reduced:
     """(colours over black, alpha, trust)."""
-    size = reduced_size(view, resolution)
     image, alpha = view.picture.read()
-    color = _averaged(over_black(image, alpha), size)
-    trust = _averaged(_trust(view, alpha)[..., None], size)[..., 0]
-    return color, None if alpha is None else _averaged(alpha[..., None], size)[..., 0], trust
+    color = _averaged(over_black(image, alpha), view, resolution)
+    trust = _averaged(_trust(view, alpha)[..., None], view, resolution)[..., 0]
+    return color, None if alpha is None else _averaged(alpha[..., None], view, resolution)[..., 0], trust
 
 
 def _trust(view: View, alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W"]:
@@ -193,15 +211,16 @@ def _trust(view: View, alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarr
     return same.astype(np.float32)
 
 
-def _averaged(pixels: Float[np.ndarray, "H W C"], size: tuple[int, int]) -> Float[np.ndarray, "h w C"]:
-    if size == (pixels.shape[1], pixels.shape[0]):
+def _averaged(pixels: Float[np.ndarray, "H W C"], view: View, resolution: int) -> Float[np.ndarray, "h w C"]:
+    size, share = reduced_size(view, resolution), _share(view, resolution)
+    if share == 1:
         return pixels
-    channels = [Image.fromarray(np.ascontiguousarray(pixels[..., c])) for c in range(pixels.shape[2])]
-    return np.stack([np.asarray(channel.resize(size, Image.Resampling.BOX)) for channel in channels], -1)
+    whole = view.width, view.height
+    return area_mean(lambda first, end: pixels[first:end], whole, size, (share, share), pixels.shape[2])
 
 
 def _bounds(view: View, resolution: int, alpha: Float[np.ndarray, "H W"]) -> Bounds:
-    alpha = _averaged(alpha[..., None], reduced_size(view, resolution))[..., 0]
+    alpha = _averaged(alpha[..., None], view, resolution)[..., 0]
     rows, columns = np.flatnonzero((alpha > 0.1).any(1)), np.flatnonzero((alpha > 0.1).any(0))
     if not len(rows):
         raise ValueError(

@@ -30,9 +30,11 @@ from jaxdr.views.evaluate import require_skimage
 from jaxdr.views.load import load_views
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View, Views
+from jaxdr.views.summary import summary
 
 # Streams of random numbers under the run's seed.
 STEPS, PICTURES = range(2)
+FINER = 2  # photographs are read with so many pixels for one of the finest level, and judged at this size
 STEPS_AHEAD = 2  # steps whose photographs are read while one goes on
 
 
@@ -51,7 +53,9 @@ def reconstruct(
     require_gpytoolbox()
     require_skimage()
     require_xatlas()
-    views = load_views(config.folder, holdout=config.holdout or None, keep=config.memory.pictures / 2)
+    longest = FINER * max(level.resolution for level in config.levels)
+    keep = config.memory.pictures / 2
+    views = load_views(config.folder, holdout=config.holdout or None, keep=keep, longest=longest)
     return run(ReconstructionTask(config, views, chosen_devices(devices)), resume, overwrite)
 
 
@@ -74,6 +78,7 @@ class ReconstructionTask(Task[Current]):
 
     def __init__(self, config: ReconstructConfig, views: Views, devices: list[Device]):
         super().__init__(config, config.steps, devices)
+        say(f"{config.folder}: {summary(views)}")
         self.folder, self.views, self.fitted = OutputFolder(config, views), views, views.fitted
         keep = int(config.memory.pictures / 2 * 2**30)
         self.photos = PhotoSet(self.fitted, [level.resolution for level in config.levels], keep)

@@ -22,9 +22,9 @@ from jaxdr.optimize.reconstruction.sky import resampled
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, roughness_of, scene_of
 from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, score_picture
+from jaxdr.views.layouts.transforms import FROM_OPENGL, lens_entries
 from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
-from jaxdr.views.layouts.transforms import FROM_OPENGL, lens_entries
 
 PATHS, LEAST = 1 << 24, 16  # most paths of a picture of the result, and fewest samples per pixel
 ROWS = 200  # most views on the page

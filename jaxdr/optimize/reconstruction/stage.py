@@ -79,7 +79,8 @@ class Stage(NamedTuple):
         """What a view is compared with."""
         cut = self.photographs[view]
         alpha = None if cut.alpha is None else jnp.asarray(cut.alpha)
-        return Photograph(jnp.asarray(cut.color), alpha, jnp.asarray(cut.trust), jnp.asarray(view, jnp.int32))
+        color, trust, framed = (jnp.asarray(pixels) for pixels in (cut.color, cut.trust, cut.framed))
+        return Photograph(color, alpha, trust, jnp.asarray(view, jnp.int32), framed)
 
 
 def make_stage(

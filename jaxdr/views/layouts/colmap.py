@@ -49,10 +49,14 @@ def frames(folder: Path) -> list[Frame]:
     return all_there(in_order, lambda image: _frame(folder, model, image, cameras[image.camera]), model)
 
 
+def pictures_of(folder: Path) -> Path:
+    """The folder to which names of pictures are relative."""
+    return folder / "images" if (folder / "images").is_dir() else folder
+
+
 def _frame(folder: Path, model: Path, image: Image, lens: Lens) -> Frame:
     source = f"{model}: {image.name}"
-    base = folder / "images" if (folder / "images").is_dir() else folder
-    picture = find_picture(base, image.name, model)
+    picture = find_picture(pictures_of(folder), image.name, model)
     pose = checked_pose(np.linalg.inv(_world_to_camera(image)), source) @ FROM_COLMAP
     held_out = Path(image.name).name.startswith("test_")
     return Frame(picture, find_mask(folder, picture, image.name), pose, source, lens, held_out)

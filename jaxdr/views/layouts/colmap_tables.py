@@ -62,7 +62,7 @@ def read_tables(model: Path) -> tuple[dict[int, Lens], dict[int, Image]]:
     return cameras, images
 
 
-class _Bytes:
+class Bytes:
     """A binary file, which is read from its start on. Every count is compared with the bytes that are left."""
 
     def __init__(self, path: Path):
@@ -107,7 +107,7 @@ class _Bytes:
 
 
 def _binary_cameras(path: Path) -> dict[int, Lens]:
-    file = _Bytes(path)
+    file = Bytes(path)
 
     def read(where: str) -> tuple[int, Lens]:
         number, model, width, height = file.take("IiQQ", where)
@@ -120,7 +120,7 @@ def _binary_cameras(path: Path) -> dict[int, Lens]:
 
 
 def _binary_images(path: Path) -> dict[int, Image]:
-    file = _Bytes(path)
+    file = Bytes(path)
 
     def read(where: str) -> tuple[int, Image]:
         number, *pose, camera = file.take("I7dI", where)

@@ -106,8 +106,8 @@ def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_p
 def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_path, monkeypatch):
     whole, _ = finished
     output, read = tmp_path / "streamed", []
-    original = pictures.read_picture
-    monkeypatch.setattr(pictures, "read_picture", lambda *files: (read.append(files), original(*files))[1])
+    original = pictures.load_stored
+    monkeypatch.setattr(pictures, "load_stored", lambda *files: (read.append(files), original(*files))[1])
     reconstruct.reconstruct(config(folder, output, memory={"pictures": 0.0}))
     assert len(read) > 5 * 8  # of eight pictures
     for name in ("asset.glb", "test/r_0.png", "test/r_1.png", "report.html", "pictures/00004.png"):

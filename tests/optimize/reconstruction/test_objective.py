@@ -35,7 +35,7 @@ def layers(color, alpha, behind=0.0) -> Layers:
 
 def photograph(color, alpha=1.0, trust=1.0) -> Photograph:
     alpha = None if alpha is None else jnp.full((4, 5), alpha)
-    return Photograph(jnp.full((4, 5, 3), color), alpha, jnp.full((4, 5), trust), jnp.int32(0))
+    return Photograph(jnp.full((4, 5, 3), color), alpha, jnp.full((4, 5), trust), jnp.int32(0), jnp.ones((4, 5)))
 
 
 def test_small_differences_count_as_encoded_ones_and_what_is_behind_does_not():

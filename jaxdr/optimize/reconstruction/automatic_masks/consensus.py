@@ -1,0 +1,86 @@
+"""The solid on which most photographs agree, and what it covers in each of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxdr.geometry.mesh import Mesh
+from jaxdr.optimize.reconstruction.automatic_masks.pictures import BALL, Guess, require_cv2
+from jaxdr.optimize.reconstruction.automatic_masks.region import Region, projected
+from jaxdr.views.record import View
+
+CELLS = 72  # along the cube around the ball
+AGREED = 0.8  # share of the photographs that show a cell and have the object there
+SHOWN = 0.25  # share of the photographs that a cell must be in
+NEAR = 0.03  # of the longer side: how far the border of a mask may be from that of the solid
+FINE = 4  # bits of a fraction of a pixel
+
+Masks = Sequence[Bool[np.ndarray, "H W"]]
+
+
+def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
+    """The surface of the largest piece of which most photographs say that the object is there.
+
+    Raises ValueError where they agree on nothing.
+    """
+    from skimage.measure import label, marching_cubes
+
+    axis = np.linspace(-BALL * region.radius, BALL * region.radius, CELLS)
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + region.centre
+    inside, shown = np.zeros(len(cells)), np.zeros(len(cells))
+    for view, mask in zip(views, masks, strict=True):
+        x, y, depth = projected(view, cells)
+        framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
+        row, column = (np.where(framed, value, 0).astype(int) for value in (y, x))
+        inside += framed & mask[row, column]
+        shown += framed
+    share = np.where(shown >= SHOWN * len(views), inside / np.maximum(shown, 1), 0.0)
+    if region.support is not None:
+        share = np.where(region.support.height(cells) < -region.thickness, 0.0, share)
+    share = share.reshape(CELLS, CELLS, CELLS)
+    pieces = np.asarray(label(share > AGREED, connectivity=1))
+    sizes = np.bincount(pieces.ravel())
+    sizes[0] = 0
+    if not sizes.any():
+        raise ValueError("the photographs agree on no object")
+    # The surface of one piece; a node at the level itself would make faces without area.
+    one = np.where((share > AGREED) & (pieces != sizes.argmax()), AGREED - 0.1, share)
+    one = np.where(np.abs(one - AGREED) < 1e-4, AGREED - 1e-4, one)
+    vertices, faces, _, _ = marching_cubes(np.pad(one, 1), AGREED)
+    return Mesh((vertices - 1) * (axis[1] - axis[0]) + axis[0] + region.centre, np.ascontiguousarray(faces))
+
+
+def silhouette(view: View, solid: Mesh) -> Bool[np.ndarray, "H W"]:
+    """What a solid covers in a photograph."""
+    cv2 = require_cv2()
+    x, y, depth = projected(view, np.asarray(solid.vertices, float))
+    faces = np.asarray(solid.faces)
+    ahead = (depth[faces] > 0).all(1)
+    corners = np.clip(np.stack([x, y], -1)[faces[ahead]], -1e4, 1e4)
+    made = np.zeros((view.height, view.width), np.uint8)
+    for triangle in np.round((corners - 0.5) * 2**FINE).astype(np.int32):
+        cv2.fillConvexPoly(made, triangle, 1, cv2.LINE_8, FINE)
+    return made > 0
+
+
+def next_guess(view: View, solid: Mesh) -> Guess:
+    """The object's border is near that of the solid."""
+    cv2 = require_cv2()
+    covered = silhouette(view, solid)
+    reach = max(2, round(NEAR * max(view.width, view.height)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    wide, narrow = (change(covered.astype(np.uint8), disc) > 0 for change in (cv2.dilate, cv2.erode))
+    return Guess(wide, covered, narrow)
+
+
+def overlap(one: Bool[np.ndarray, "H W"], other: Bool[np.ndarray, "H W"]) -> float:
+    """Intersection over union; 1 where both are empty."""
+    union = (one | other).sum()
+    return float((one & other).sum() / union) if union else 1.0
+
+
+def extent(solid: Mesh) -> Float[np.ndarray, "2 3"]:
+    """Lower and upper corner of the box around it."""
+    vertices = np.asarray(solid.vertices, float)
+    return np.stack([vertices.min(0), vertices.max(0)])
