@@ -12,14 +12,14 @@ import numpy as np
 from jaxdr.callers_line import warn
 from jaxdr.untrusted import whole
 from jaxdr.views.frames import Frame, some_of
-from jaxdr.views.layouts import colmap, transforms
+from jaxdr.views.layouts import colmap, llff, metashape, middlebury, neus, transforms
 from jaxdr.views.masks import mask_in, warn_of_idle_masks
 from jaxdr.views.pictures import PictureFile
 from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
 
 # In a folder of several layouts the first one counts.
-LAYOUTS: tuple[Any, ...] = (transforms, colmap)
+LAYOUTS: tuple[Any, ...] = (transforms, colmap, neus, llff, middlebury, metashape)
 EVERY = 8  # if nothing says which pictures are held out, the first of so many is
 KEEP = 1.0  # GiB of pictures that are kept in memory
 
@@ -39,6 +39,12 @@ def load_views(
     - NeRF synthetic scenes: `transforms_train.json` and `transforms_test.json`.
     - instant-ngp, nerfstudio: `transforms.json`, with intrinsics for all frames or for each.
     - COLMAP: a model, text or binary, in `sparse/0`, `sparse` or the folder itself; pictures in `images`.
+    - IDR, NeuS, DTU: `cameras_sphere.npz` or `cameras.npz`; pictures in `image` or `images`, in the order of the
+      matrices, and so are masks whose names differ. The world is that of the normalised scene.
+    - LLFF: `poses_bounds.npy`; pictures in `images`, or in the largest of `images_4`, `images_8`.
+    - Middlebury multi-view: `NAME_par.txt`, pictures beside it.
+    - Metashape: exported cameras in an XML file, pictures in `images` or beside it. Cameras without a pose are left
+      out, with a warning. Disabled ones are left out, too.
 
     Names of pictures may lead out of the folder (`../images`), and files may be links. They must be regular files.
     Pictures that are missing are left out, with a warning.

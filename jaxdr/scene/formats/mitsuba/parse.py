@@ -3,7 +3,6 @@
 Files that include each other grow without bound, so what all of them hold together is counted.
 """
 
-import codecs
 import dataclasses
 import re
 from pathlib import Path
@@ -13,11 +12,11 @@ from jaxdr.scene.formats.mitsuba.element import Element, Problems, SceneFileErro
 from jaxdr.scene.formats.mitsuba.upgrade import upgrade
 from jaxdr.scene.formats.mitsuba.variables import Variables
 from jaxdr.untrusted import DEEPEST, shortened
+from jaxdr.xml_file import readable, refuse_entities
 
 MOST_ELEMENTS = 200_000  # of a scene, with those of its included files
 MOST_FILES = 1000  # includes of a scene, each as often as it is included
 MOST_FOLDERS = 64  # where files are looked for
-PROBE = rb"\x41\u0041" + bytes(code for code in range(32, 127) if code != ord("\\"))
 
 
 @dataclasses.dataclass
@@ -63,7 +62,9 @@ class _File:
         content = self._content()
         parser = self.parser
         parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
-        parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = self._text, self._document_type
+        parser.CharacterDataHandler = self._text
+        # Mitsuba does not read entities either.
+        refuse_entities(parser, lambda words: self._here().error(words))
         try:
             parser.Parse(content, True)
         except expat.ExpatError as error:
@@ -122,11 +123,6 @@ class _File:
         if data.strip():
             raise self._here().error(f"unexpected text {shortened(data.strip())}")
 
-    def _document_type(self, name: str, system: str | None, public: str | None, subset: int) -> None:
-        """Entities can stand for other files, and for others of themselves. Mitsuba does not read them either."""
-        if system or public or subset:
-            raise self._here().error("<!DOCTYPE> with entities or an address is not supported; remove it")
-
     def _include(self, element: Element) -> None:
         element.check_attributes(("filename",))
         self.reading.files += 1
@@ -148,38 +144,3 @@ class _File:
             self.folders.insert(0, element.find_folder(element.attributes["value"]))
         if len(self.folders) > MOST_FOLDERS:
             raise element.error(f"files are looked for in more than {MOST_FOLDERS} folders")
-
-
-def readable(content: bytes) -> bytes:
-    """XML in UTF-8 that expat can read. Raises ValueError for an encoding that is not supported.
-
-    Mitsuba is less strict than expat. Comments may contain `--`, so they are emptied. Line numbers stay the same. A
-    file that is not in the encoding that it declares counts as Latin-1.
-    """
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        try:
-            text = content.decode("utf-16")
-        except UnicodeDecodeError as error:
-            raise ValueError(f"malformed XML: not in UTF-16 as its first bytes say ({error.reason})") from error
-    else:
-        content = content.removeprefix(codecs.BOM_UTF8)
-        declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.:-]+)[\"']", content)
-        text = _decoded(content, declared[1].decode() if declared else "utf-8")
-    # Only up to the last end of a comment, as the search for an end that is not there is long.
-    before, end, rest = text.rpartition("-->")
-    emptied = re.sub("<!--.*?-->", lambda comment: "<!---->" + "\n" * comment[0].count("\n"), before + end, flags=re.S)
-    return (emptied + rest).encode()
-
-
-def _decoded(content: bytes, encoding: str) -> str:
-    """Text in an encoding that has ASCII in it: the declaration itself is ASCII. Others hide elements, or take long."""
-    try:
-        has_ascii = PROBE.decode(encoding) == PROBE.decode("ascii")
-    except (LookupError, ValueError):  # Python does not know it, or it is none of text
-        has_ascii = False
-    if not has_ascii:
-        raise ValueError(f"malformed XML: unknown encoding {shortened(encoding)}; save the file in UTF-8")
-    try:
-        return content.decode(encoding)
-    except ValueError:
-        return content.decode("latin-1")
