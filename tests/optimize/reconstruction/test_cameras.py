@@ -78,7 +78,9 @@ def test_gradient_by_corrections_is_that_of_the_loss(monkeypatch):
     pinhole = Pinhole(*(jnp.asarray(x, float) for x in (AT, 35.0, (0.0, 0.0))))
     column, row = jnp.meshgrid(jnp.arange(SIZE), jnp.arange(SIZE))
     alpha = ((column < 11) & (row < 13)).astype(float)
-    photograph = Photograph(0.4 * alpha[..., None] * jnp.ones(3), alpha, jnp.ones((SIZE, SIZE)), jnp.int32(0), jnp.ones((SIZE, SIZE)))
+    photograph = Photograph(
+        0.4 * alpha[..., None] * jnp.ones(3), alpha, jnp.ones((SIZE, SIZE)), jnp.int32(0), jnp.ones((SIZE, SIZE))
+    )
     tracer = jd.PathTracer(max_depth=2, primary="fixed_ray")
     of_view = objective.view_gradient(tracer, Samples(image=SAMPLES, gradient=SAMPLES), 1.0, cameras=True)
     gradients = jax.jit(jax.vmap(lambda key: of_view(mesh, unknowns, pinhole, photograph, key)[1].cameras[0]))
