@@ -1,11 +1,11 @@
-"""Files that appear complete or not at all, even if the process is killed, the power fails or the disk is full."""
+"""Files and folders that appear complete or not at all, if a process is killed, the power fails or the disk is full."""
 
 import contextlib
 import errno
 import os
 import shutil
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, mkdtemp
 
 PARTIAL = ".partial-"  # prefix of the names of incomplete files
 
@@ -62,6 +62,57 @@ class atomic_path:
             raise told from value
 
 
+class atomic_folder:
+    """Context manager: a temporary folder beside `path`, which replaces `path` if the block ends without an error.
+
+    Folders above it are made. What was at `path` is deleted after that, links in it but not what they point to. Raises
+    `CannotWrite` for an OSError of the folders themselves; those of the block are its own.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __enter__(self) -> Path:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.temporary = self._beside()
+            self.temporary.chmod(0o777 & ~_umask())
+        except OSError as problem:
+            raise CannotWrite.of(self.path, problem) from problem
+        return self.temporary
+
+    def __exit__(self, kind, value, traceback) -> None:
+        try:
+            if kind is None:
+                self._replace()
+        except OSError as problem:
+            raise CannotWrite.of(self.path, problem) from problem
+        finally:
+            shutil.rmtree(self.temporary, ignore_errors=True)
+
+    def _replace(self) -> None:
+        for file in self.temporary.rglob("*"):
+            if file.is_file() and not file.is_symlink():
+                _flush(file)
+        old = None
+        if self.path.exists():
+            old = self._beside() / self.path.name
+            os.replace(self.path, old)
+        try:
+            os.replace(self.temporary, self.path)
+        except BaseException:
+            if old is not None:
+                os.replace(old, self.path)
+            raise
+        finally:
+            if old is not None:
+                shutil.rmtree(old.parent, ignore_errors=True)
+        _flush_names(self.path.parent)
+
+    def _beside(self) -> Path:
+        return Path(mkdtemp(dir=self.path.parent, prefix=PARTIAL))
+
+
 def append_text(path: Path, text: str) -> None:
     """Add to the end of a file. Raises `CannotWrite`; then a part of the text may have been written."""
     try:
@@ -72,9 +123,12 @@ def append_text(path: Path, text: str) -> None:
 
 
 def remove_partial(folder: Path) -> None:
-    """Delete incomplete files of killed processes in a folder and its subfolders."""
-    for path in folder.rglob(f"{PARTIAL}*"):
-        path.unlink(missing_ok=True)
+    """Delete incomplete files and folders of killed processes in a folder and its subfolders."""
+    for path in list(folder.rglob(f"{PARTIAL}*")):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def _flush(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Command line: `jaxdr render`, `gradient`, `plan`, `optimize`, `reconstruct`, `chart`, `view`.
+"""Command line: `jaxdr render`, `gradient`, `plan`, `optimize`, `cameras`, `reconstruct`, `chart`, `view`.
 
 Compiled programs are kept in the user's cache folder. Each command that compiles says so first, in a line on stderr.
 
@@ -38,7 +38,7 @@ from jaxdr.integrators.choice import choose
 from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
-from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
+from jaxdr.optimize.progress import Interrupted, NotFinite, Progress, Stopped
 from jaxdr.optimize.reconstruction.config import reconstruct_config
 from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
@@ -56,6 +56,7 @@ from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene, every_parameter
 from jaxdr.view.write import NAME as PAGE_NAME
 from jaxdr.view.write import write_page
+from jaxdr.views.registration import find_cameras, report
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
@@ -300,6 +301,28 @@ def _how(options) -> dict[str, Any]:
     return {"resume": options.resume, "overwrite": options.overwrite, "devices": options.devices}
 
 
+def _cameras(options) -> int:
+    output = Path(options.output)
+    with contextlib.ExitStack() as bars:
+        stages: dict[str, Progress] = {}
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stage not in stages:
+                bars.close()  # the bar of the stage before
+                stages[stage] = bars.enter_context(Progress(stage, total))
+            while stages[stage].done < done:
+                stages[stage].step()
+
+        found = find_cameras(
+            Path(options.photos), output, seed=options.seed, overwrite=options.overwrite, progress=progress
+        )
+    first, *others = report(found)
+    print(f"{output}: {first}")
+    for line in others:
+        print(line)
+    return 0
+
+
 def _reconstruct(options) -> int:
     if options.config:
         source, table = options.config, read_toml(Path(options.config), options.set)
@@ -485,6 +508,12 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
         if name == "optimize":
             _add_device_options(command)
+    command = add("cameras", _cameras, "Find the cameras of photographs, for `jaxdr reconstruct`.", compiles=False)
+    command.add_argument("photos", metavar="PHOTOS", help="folder of photographs of one object, from all sides")
+    command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for the cameras")
+    command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
+    command.add_argument("--overwrite", action="store_true", help="replace earlier cameras in the output folder")
+
     command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs with known cameras.")
     command.add_argument("folder", metavar="FOLDER", help="NeRF synthetic scene, instant-ngp or COLMAP folder")
     command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for asset.glb and the rest")

@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from jaxdr.atomic_file import PARTIAL, CannotWrite, append_text, atomic_path, remove_partial
+from jaxdr.atomic_file import PARTIAL, CannotWrite, append_text, atomic_folder, atomic_path, remove_partial
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
@@ -48,7 +48,27 @@ def test_a_folder_that_is_gone_is_named(tmp_path):
 
 def test_what_a_killed_process_left_is_removed(tmp_path):
     (tmp_path / "pictures").mkdir()
+    (tmp_path / f"{PARTIAL}folder/inner").mkdir(parents=True)
     for path in (tmp_path / f"{PARTIAL}x.npz", tmp_path / "pictures" / f"{PARTIAL}y.png", tmp_path / "whole.png"):
         path.write_text("")
     remove_partial(tmp_path)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["pictures", "whole.png"]
+
+
+def test_a_folder_appears_as_a_whole(tmp_path, monkeypatch):
+    path, replace = tmp_path / "above/a", os.replace
+    for content in ("old", "new"):
+        with atomic_folder(path) as temporary:
+            (temporary / "file").write_text(content)
+    with pytest.raises(KeyError), atomic_folder(path) as temporary:
+        raise KeyError
+
+    def fail_for_new(source, target):
+        if target == path and (source / "file").read_text() == "newest":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_for_new)
+    with pytest.raises(CannotWrite, match="a: can't be written"), atomic_folder(path) as temporary:
+        (temporary / "file").write_text("newest")
+    assert (path / "file").read_text() == "new" and os.listdir(path.parent) == ["a"]

@@ -274,7 +274,9 @@ def test_commands_have_their_options():
             continue  # it has a page of its own
         section = page.split(f"\n## jaxdr {command}\n")[1].split("\n## ")[0]
         known = {name for action in parser._actions for name in action.option_strings} - {"-h", "--help"}
-        common = "`--debug`" if command == "view" else shared  # it compiles nothing, and has nothing to set
+        common = (
+            "`--debug`" if command in ("view", "cameras") else shared
+        )  # they compile nothing, and have nothing to set
         assert set(re.findall(r"`(--?[a-z][a-z-]*)", common + section)) - {"--help"} == known, command
 
 

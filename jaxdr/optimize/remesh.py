@@ -69,9 +69,13 @@ def remesh_to(mesh: Mesh, vertices: int, iterations: int = 10) -> Mesh:
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     # Of equilateral triangles, two a vertex.
     length = np.sqrt(2 * area / (np.sqrt(3) * vertices))
-    short, long, best = 0.0, np.inf, None
+    short, long, best, problem = 0.0, np.inf, None, None
     for _ in range(ATTEMPTS):
-        result = remesh(mesh, length, iterations)
+        try:
+            result = remesh(mesh, length, iterations)
+        except ValueError as refused:  # most often for this length alone: the next one splits and joins other edges
+            problem, length = refused, 0.97 * length
+            continue
         share = len(result.vertices) / vertices
         if share <= 1:
             long, best = length, max((b for b in (best, result) if b), key=lambda mesh: len(mesh.vertices))
@@ -82,6 +86,8 @@ def remesh_to(mesh: Mesh, vertices: int, iterations: int = 10) -> Mesh:
         length *= np.sqrt(share / ((1 + ENOUGH) / 2))
         if not short < length < long:  # the number of vertices jumps with the length
             length = np.sqrt(short * long)
+    if best is None and problem is not None:
+        raise problem
     if best is None or len(best.vertices) < vertices / 2:
         raise ValueError(f"remesh_to: found no edge length that leaves about {vertices} vertices")
     result = split_longest_edges(best, vertices)

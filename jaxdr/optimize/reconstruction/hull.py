@@ -28,7 +28,11 @@ def initial_surface(views: Sequence[View], kind: str, grid: int, keep: int = KEE
         return _sphere(views)
     if not all(view.masked for view in views):
         raise ValueError('start.kind: "hull" needs a mask or alpha of every photograph; take "sphere"')
-    vertices, faces = visual_hull(views, grid, keep)
+    return in_own_frame(*visual_hull(views, grid, keep))
+
+
+def in_own_frame(vertices: Float[np.ndarray, "V 3"], faces: np.ndarray) -> tuple[Mesh, Pose]:
+    """(a mesh whose longest side is 1, around the origin; where that is)."""
     lower, upper = vertices.min(0), vertices.max(0)
     pose = Pose((lower + upper) / 2, float((upper - lower).max()))
     return Mesh((vertices - pose.centre) / pose.scale, faces), pose

@@ -18,7 +18,7 @@ from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
 from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
-from jaxdr.optimize.reconstruction.hull import initial_surface
+from jaxdr.optimize.reconstruction.hull import in_own_frame, initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Cut
@@ -109,7 +109,11 @@ class ReconstructionTask(Task[Current]):
         if kind == "auto":
             kind = "hull" if self.photos.masked else "sphere"
         self.kind = kind
-        self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
+        if masks is not None and config.start.kind == "auto":
+            self.kind = "agreement of automatic masks"
+            self.surface, self.pose = in_own_frame(np.asarray(masks.solid.vertices, float), masks.solid.faces)
+        else:
+            self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
         self.photos.pose = self.pose
 
     def begin(self, saved: Checkpoint | None) -> Current:

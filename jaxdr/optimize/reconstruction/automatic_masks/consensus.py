@@ -23,6 +23,7 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
 
     Raises ValueError where they agree on nothing.
     """
+    from scipy.ndimage import gaussian_filter
     from skimage.measure import label, marching_cubes
 
     axis = np.linspace(-BALL * region.radius, BALL * region.radius, CELLS)
@@ -37,7 +38,8 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
     share = np.where(shown >= SHOWN * len(views), inside / np.maximum(shown, 1), 0.0)
     if region.support is not None:
         share = np.where(region.support.height(cells) < -region.thickness, 0.0, share)
-    share = share.reshape(CELLS, CELLS, CELLS)
+    # Smooth over a cell: the border of a share of some photographs is ragged.
+    share = gaussian_filter(share.reshape(CELLS, CELLS, CELLS), 1.0)
     pieces = np.asarray(label(share > AGREED, connectivity=1))
     sizes = np.bincount(pieces.ravel())
     sizes[0] = 0

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
+from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.automatic_masks.consensus import agreed_solid, next_guess, overlap, silhouette
 from jaxdr.optimize.reconstruction.automatic_masks.pictures import Guess, cut_out, first_guess, require_cv2
 from jaxdr.optimize.reconstruction.automatic_masks.region import Region, find_region
@@ -26,11 +27,12 @@ ELSEWHERE = (
 
 
 class Found(NamedTuple):
-    """Masks of photographs, in their order, and how well each agrees with the solid that most of them agree on."""
+    """Masks of photographs, in their order, and how well each agrees with the `solid` that most of them agree on."""
 
     masks: list[Bool[np.ndarray, "H W"]]
     overlaps: list[float]
     region: Region
+    solid: Mesh
 
     @property
     def good(self) -> list[bool]:
@@ -56,6 +58,7 @@ def find_masks(views: Views, seed: int, say: Callable[[str], None]) -> Found:
     guesses = [first_guess(view, region, points) for view in photographs]
     masks: list[Bool[np.ndarray, "H W"]] = []
     overlaps: list[float] = []
+    solid: Mesh | None = None
     for number in range(1 + len(NEAR)):
         say(f"masks: round {number + 1} of {1 + len(NEAR)}, {len(photographs)} photographs")
         masks = _all_cut(views, guesses, region, points, saw)
@@ -66,7 +69,8 @@ def find_masks(views: Views, seed: int, say: Callable[[str], None]) -> Found:
         if number < len(NEAR):
             guesses = [next_guess(view, solid, NEAR[number]) for view in photographs]
         overlaps = [overlap(mask, silhouette(view, solid)) for view, mask in zip(photographs, masks, strict=True)]
-    found = Found(masks, overlaps, region)
+    assert solid is not None  # there is at least one round
+    found = Found(masks, overlaps, region, solid)
     if 2 * sum(found.good) < len(photographs):
         raise ValueError(
             f"{views.folder}: no masks were found: photographs do not agree on an object, {sum(found.good)} of "
