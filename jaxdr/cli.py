@@ -38,8 +38,9 @@ from jaxdr.integrators.choice import choose
 from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
-from jaxdr.optimize.progress import Interrupted, NotFinite, Progress, Stopped
+from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
 from jaxdr.optimize.reconstruction.config import reconstruct_config
+from jaxdr.optimize.reconstruction.found_cameras import find_cameras_with_bars
 from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
 from jaxdr.optimize.recovery.recover import recover
@@ -56,7 +57,7 @@ from jaxdr.scene.motion import motion
 from jaxdr.scene.scene import Scene, every_parameter
 from jaxdr.view.write import NAME as PAGE_NAME
 from jaxdr.view.write import write_page
-from jaxdr.views.registration import find_cameras, report
+from jaxdr.views.registration import report
 
 ERROR, FAILED, INTERRUPTED = 2, 1, 130
 SAMPLES, MAX_DEPTH = 64, 3
@@ -303,19 +304,7 @@ def _how(options) -> dict[str, Any]:
 
 def _cameras(options) -> int:
     output = Path(options.output)
-    with contextlib.ExitStack() as bars:
-        stages: dict[str, Progress] = {}
-
-        def progress(stage: str, done: int, total: int) -> None:
-            if stage not in stages:
-                bars.close()  # the bar of the stage before
-                stages[stage] = bars.enter_context(Progress(stage, total))
-            while stages[stage].done < done:
-                stages[stage].step()
-
-        found = find_cameras(
-            Path(options.photos), output, seed=options.seed, overwrite=options.overwrite, progress=progress
-        )
+    found = find_cameras_with_bars(Path(options.photos), output, options.seed, options.overwrite)
     first, *others = report(found)
     print(f"{output}: {first}")
     for line in others:

@@ -102,6 +102,11 @@ def load_views(
     return Views(folder, _without_idle_alpha(list(views)))
 
 
+def has_cameras(folder: Path) -> bool:
+    """Whether a folder has cameras in a layout that is known."""
+    return any(layout.files(folder) for layout in LAYOUTS)
+
+
 def _masked_alike(
     folder: Path, frames: Sequence[Frame], pictures: Sequence[PictureFile]
 ) -> tuple[list[Frame], list[PictureFile]]:

@@ -132,7 +132,11 @@ def _surface(values, low, cell):
     values = np.where(np.abs(values) < least, np.copysign(least, values), values)
     values = np.pad(values, 1, constant_values=min(away, float(values.min())))
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=tuple(cell), gradient_direction="ascent")
+    return vertices.astype(float) + low - cell, outward(vertices, faces)
+
+
+def outward(vertices: Float[np.ndarray, "V 3"], faces: np.ndarray) -> np.ndarray:
+    """The faces of a closed surface, turned so that their normals point out of it."""
     corners = vertices[faces]
-    if np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
-        faces = faces[:, ::-1]
-    return vertices.astype(float) + low - cell, np.ascontiguousarray(faces)
+    inward = np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0
+    return np.ascontiguousarray(faces[:, ::-1] if inward else faces)

@@ -1,6 +1,7 @@
 """Reconstruction: from photographs with known cameras to a mesh with textures and the light."""
 
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
 from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
+from jaxdr.optimize.reconstruction.found_cameras import folder_with_cameras
 from jaxdr.optimize.reconstruction.hull import in_own_frame, initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
@@ -58,7 +60,8 @@ def reconstruct(
     longest = FINER * max(level.resolution for level in config.levels)
     keep = config.memory.pictures / 2
     masks = None if config.masks in ("auto", "none") else config.masks
-    views = load_views(config.folder, holdout=config.holdout or None, keep=keep, longest=longest, masks=masks)
+    folder = folder_with_cameras(Path(config.folder), Path(config.output), config.seed, overwrite, say)
+    views = load_views(folder, holdout=config.holdout or None, keep=keep, longest=longest, masks=masks)
     say(f"{config.folder}: {summary_of(views)}")
     found: FoundMasks | None = None
     problem = ""

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.automatic_masks.pictures import BALL, Guess, require_cv2
 from jaxdr.optimize.reconstruction.automatic_masks.region import Region, projected
+from jaxdr.optimize.reconstruction.hull import outward
 from jaxdr.views.record import View
 
 CELLS = 72  # along the cube around the ball
@@ -48,8 +49,8 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
     # The surface of one piece; a node at the level itself would make faces without area.
     one = np.where((share > AGREED) & (pieces != sizes.argmax()), AGREED - 0.1, share)
     one = np.where(np.abs(one - AGREED) < 1e-4, AGREED - 1e-4, one)
-    vertices, faces, _, _ = marching_cubes(np.pad(one, 1), AGREED)
-    return Mesh((vertices - 1) * (axis[1] - axis[0]) + axis[0] + region.centre, np.ascontiguousarray(faces))
+    vertices, faces, _, _ = marching_cubes(np.pad(one, 1), AGREED, gradient_direction="ascent")
+    return Mesh((vertices - 1) * (axis[1] - axis[0]) + axis[0] + region.centre, outward(vertices, faces))
 
 
 def silhouette(view: View, solid: Mesh) -> Bool[np.ndarray, "H W"]:
