@@ -65,7 +65,8 @@ def load_stored(path: Path) -> np.ndarray:
     Raises ValueError like `load_image`.
     """
     image_size(path)
-    return _read(path, READERS | dict.fromkeys(ENCODED, png.stored))
+    stored: dict[str, Callable[[Path], Any]] = {**READERS, **dict.fromkeys(ENCODED, png.stored)}
+    return _read(path, stored)
 
 
 def linear_of(stored: np.ndarray) -> Float[np.ndarray, "*n C"]:

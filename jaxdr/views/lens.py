@@ -140,8 +140,8 @@ class Lens:
             focal *= min(1.0, longest / max(width * focal / fx, height * focal / fy))
         along_x, along_y = focal / fx, focal / fy
         # A pixel that the photograph covers only in part is left out.
-        size = (max(1, int(side * share + 1e-6)) for side, share in ((width, along_x), (height, along_y)))
-        return straight, Pinhole(*size, float(focal), (x * along_x, y * along_y))
+        width, height = (max(1, int(side * share + 1e-6)) for side, share in ((width, along_x), (height, along_y)))
+        return straight, Pinhole(width, height, float(focal), (x * along_x, y * along_y))
 
     def _straightened(self) -> "Lens":
         pycolmap = require_pycolmap()

@@ -141,8 +141,7 @@ class PictureFile:
 
     def made_in_file(self) -> Bool[np.ndarray, "h w"]:
         """The mask that was made, for the picture as the lens shows it, at about the size of the resampled one."""
-        if self.made is None:
-            raise ValueError(f"{self.path}: no mask was made for it")
+        assert self.made is not None, "no mask was made"
         return in_file(self.made, self.lens, self.longest)
 
     def read(self) -> Colors:

@@ -36,7 +36,8 @@ def turned(pixels: np.ndarray, turn: int) -> np.ndarray:
 
 def turned_size(size: tuple[int, int], turn: int) -> tuple[int, int]:
     """(width, height) of a picture that is turned."""
-    return size[::-1] if turn in ASIDE else size
+    width, height = size
+    return (height, width) if turn in ASIDE else size
 
 
 def resampled(
@@ -71,7 +72,7 @@ def in_file(mask: Bool[np.ndarray, "H W"], lens: Lens, longest: int | None) -> B
     directions = lens.directions(np.stack([x, y], -1).reshape(-1, 2))
     with np.errstate(invalid="ignore"):
         place = directions * pinhole.focal + np.array(pinhole.centre)
-        framed = ((place >= 0) & (place < (pinhole.width, pinhole.height))).all(1)
+        framed = np.all((place >= 0) & (place < np.array([pinhole.width, pinhole.height])), axis=1)
     column, row = np.where(framed[:, None], place, 0).astype(int).T
     return (framed & mask[row, column]).reshape(height, width)
 

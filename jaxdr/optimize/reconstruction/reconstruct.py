@@ -114,7 +114,9 @@ class ReconstructionTask(Task[Current]):
         self.kind = kind
         if masks is not None and config.start.kind == "auto":
             self.kind = "agreement of automatic masks"
-            self.surface, self.pose = in_own_frame(np.asarray(masks.solid.vertices, float), masks.solid.faces)
+            self.surface, self.pose = in_own_frame(
+                *(np.asarray(part) for part in (masks.solid.vertices, masks.solid.faces))
+            )
         else:
             self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
         self.photos.pose = self.pose

@@ -37,7 +37,8 @@ class Found(NamedTuple):
     @property
     def good(self) -> list[bool]:
         """Which of them are to be used."""
-        return [share >= GOOD and mask.mean() >= SMALL for mask, share in zip(self.masks, self.overlaps, strict=True)]
+        pairs = zip(self.masks, self.overlaps, strict=True)
+        return [bool(share >= GOOD and mask.mean() >= SMALL) for mask, share in pairs]
 
     def to_dict(self) -> dict:
         """How many masks were found and left out, and their mean overlap with the solid."""

@@ -53,15 +53,8 @@ def cut_out(
     window = _window(guess.possible)
     cut = np.ascontiguousarray(marks[window])
     cv2.setRNGSeed(0)  # of this thread: it draws where the colours of both sides start
-    cv2.grabCut(
-        np.ascontiguousarray(colors[window]),
-        cut,
-        None,
-        np.zeros((1, 65)),
-        np.zeros((1, 65)),
-        ROUNDS,
-        cv2.GC_INIT_WITH_MASK,
-    )
+    colors, models = np.ascontiguousarray(colors[window]), (np.zeros((1, 65)), np.zeros((1, 65)))
+    cv2.grabCut(colors, cut, (0, 0, 0, 0), *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
     found = np.zeros_like(own)
     found[window] = (cut == OWN) | (cut == MAYBE_OWN)
     return found
