@@ -325,9 +325,10 @@ def _reconstruct(options) -> int:
     with _way_to_go_on(*command, options=options):
         summary = reconstruct(config, **_how(options))
     overlap = f", overlap of masks {summary['iou']['mean']:.4f}" if "iou" in summary else ""
+    inside = f" (inside of the masks {summary['psnr_inside']['mean']:.2f})" if "psnr_inside" in summary else ""
     print(
         f"{Path(config.output) / 'asset.glb'}: views {summary['judged_by']}: PSNR {summary['psnr']['mean']:.2f} dB"
-        f"{overlap} in {summary['seconds']:.0f} s"
+        f"{inside}{overlap} in {summary['seconds']:.0f} s"
     )
     if "problem" in summary:
         print(f"jaxdr: {summary['problem']}", file=sys.stderr)

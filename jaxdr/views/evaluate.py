@@ -21,13 +21,14 @@ class Score(NamedTuple):
 
     PSNR and SSIM are of 8-bit sRGB, over black where the photograph has a mask or alpha. Pixels at the border of a mask
     show what is behind the object, too, in the photograph and in the rendering. Both are NaN if a pixel that counts is
-    NaN.
+    NaN. `psnr_inside` is of the pixels inside of the mask alone, None without masks: the rest is black in both.
     """
 
     name: str
     psnr: float
     ssim: float
     iou: float | None
+    psnr_inside: float | None = None
 
 
 class Evaluation(NamedTuple):
@@ -39,7 +40,7 @@ class Evaluation(NamedTuple):
     def to_dict(self) -> dict:
         """Mean and worst of every figure, and the figures of the views."""
         summary: dict = {}
-        for name in ("psnr", "ssim", "iou"):
+        for name in ("psnr", "ssim", "iou", "psnr_inside"):
             values = [getattr(score, name) for score in self.scores]
             if None not in values:
                 summary[name] = {"mean": float(np.mean(values)), "worst": float(np.min(values))}
@@ -87,7 +88,7 @@ def score_pictures(
         raise ValueError(f"score_pictures: {len(pictures)} pictures for {len(views)} photographs; give one each")
     for picture, view in zip(pictures, views, strict=True):
         _check_shape(picture, view)
-    scale = _channel_scale(pictures, views) if match_channels else np.ones(3)
+    scale = channel_scale(pictures, views) if match_channels else np.ones(3)
     scores = [score_picture(picture, view, scale) for picture, view in zip(pictures, views, strict=True)]
     return Evaluation(tuple(scores), (float(scale[0]), float(scale[1]), float(scale[2])))
 
@@ -100,8 +101,8 @@ def _check_shape(picture: Float[np.ndarray, "H W 4"], view: View) -> None:
         )
 
 
-def _channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
-    """The factors that bring the pictures closest to the photographs (least squares), where those are not clipped."""
+def channel_scale(pictures, views) -> Float[np.ndarray, "3"]:
+    """The RGB factors that bring pictures closest to photographs (least squares), where those are not clipped."""
     above, below = np.zeros(3), np.zeros(3)
     for picture, view in zip(pictures, views, strict=True):
         image, alpha = view.cut_out()
@@ -120,10 +121,10 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
     image, alpha = view.cut_out()
     both = picture[..., :3] * scale, over_black(image, alpha)
     if any(np.isnan(x).any() for x in both):  # 8 bits have no NaN: it would count as black
-        return Score(view.name, math.nan, math.nan, _overlap(picture, alpha))
+        return Score(view.name, math.nan, math.nan, _overlap(picture, alpha), None if alpha is None else math.nan)
     rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
-    error = float(((rendered - photograph) ** 2).mean())
-    psnr = -10 * np.log10(max(error, 1e-10))  # at most 100 dB, which equal pictures have
+    squares = (rendered - photograph) ** 2
+    inside = None if alpha is None else _decibels(squares[alpha > 0.5])
     size = min(11, view.height, view.width)
     ssim: Any = structural_similarity(
         rendered,
@@ -135,7 +136,12 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
         sigma=1.5,
         use_sample_covariance=False,
     )
-    return Score(view.name, float(psnr), float(ssim), _overlap(picture, alpha))
+    return Score(view.name, _decibels(squares), float(ssim), _overlap(picture, alpha), inside)
+
+
+def _decibels(squares: Float[np.ndarray, "*n"]) -> float:
+    """PSNR of squared differences; at most 100 dB, which equal pictures have. NaN of none."""
+    return float(-10 * np.log10(max(float(squares.mean()), 1e-10))) if squares.size else math.nan
 
 
 def _overlap(picture, alpha) -> float | None:

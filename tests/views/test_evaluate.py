@@ -120,6 +120,13 @@ def test_psnr_ssim_and_overlap_of_known_pictures(views):
     np.testing.assert_allclose(score.iou, (one & other).sum() / (one | other).sum())
 
 
+def test_psnr_inside_of_a_mask_is_of_its_pixels_alone(views):
+    mask = (views.held_out[0].alpha > 0.5).astype(np.float32)
+    white = views.held_out[0].with_picture(np.ones((SIZE, SIZE, 3), np.float32), mask)
+    (score,) = score_pictures([np.zeros((SIZE, SIZE, 4), np.float32)], [white]).scores
+    np.testing.assert_allclose([score.psnr_inside, score.psnr], [0, -10 * np.log10(mask.mean())], atol=1e-5)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("what", [np.nan, np.inf])
 def test_masked_pixels_do_not_count_whatever_is_in_them(views, what):

@@ -22,6 +22,10 @@ from jaxdr.views.record import View
 from jaxdr.views.rendering import render_views
 from jaxdr.web_page import content_policy
 
+FIGURES = (
+    *(("psnr", "PSNR (dB)"), ("psnr_inside", "PSNR inside of the mask (dB)"), ("ssim", "SSIM")),
+    ("iou", "overlap of masks"),
+)
 DIFFERENCE = 0.25  # of encoded grey values: the ends of the colours of errors
 TURN_SPP, TURN_SIZE = 32, 256  # samples per pixel, pixels along the longer side at most
 STYLE = (
@@ -44,7 +48,7 @@ def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: b
     summary = scores.to_dict()
     figures = "".join(
         f"<tr><td>{name}</td><td>{summary[key]['mean']:.4g}</td><td>{summary[key]['worst']:.4g}</td></tr>"
-        for key, name in (("psnr", "PSNR (dB)"), ("ssim", "SSIM"), ("iou", "overlap of masks"))
+        for key, name in FIGURES
         if key in summary
     )
     some = "" if len(rows) == len(scores.scores) else f" {len(rows)} of {len(scores.scores)} views are shown."

@@ -21,7 +21,7 @@ from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.optimize.reconstruction.sky import resampled
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, roughness_of, scene_of
 from jaxdr.scene.scene import Scene
-from jaxdr.views.evaluate import Evaluation, score_picture
+from jaxdr.views.evaluate import Evaluation, channel_scale, score_picture
 from jaxdr.views.layouts.transforms import FROM_OPENGL, lens_entries
 from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
@@ -61,6 +61,8 @@ def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
 def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
     """Renderings of the held-out views, their scores, page and turntable; returns the scores.
 
+    `with_gains`: PSNR if each rendering has one factor a channel, as for photographs of unknown exposure.
+
     Without held-out photographs it shows those that were fitted, and says so.
     """
     found = {}
@@ -74,13 +76,14 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     scene = result.scene(shown[0])
     spp = max(LEAST, min(config.samples.pictures, PATHS // (shown[0].width * shown[0].height)))
     on_page = {int(i) for i in np.linspace(0, len(shown) - 1, min(ROWS, len(shown))).round()}
-    scores, rows = [], []
+    scores, matched, rows = [], [], []
     with Progress("render views", len(shown)) as progress:
         for i, view in enumerate(shown):  # one by one: there may be thousands
             (picture,) = render_views(scene, [view], spp=spp, seed=(seed + i) % 2**31, integrator=tracer)
             if views.held_out:
                 folder.save_test(view.name, picture, view.masked)
             scores.append(score_picture(picture, view))
+            matched.append(score_picture(picture, view, channel_scale([picture], [view])))
             if i in on_page:
                 rows.append(page_row(view, picture, scores[-1]))
             progress.step()
@@ -89,7 +92,8 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     if config.report.turntable:
         save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
-    return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict()}
+    gains = {key: value for key, value in Evaluation(tuple(matched)).to_dict().items() if key.startswith("psnr")}
+    return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict(), "with_gains": gains}
 
 
 def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
