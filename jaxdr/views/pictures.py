@@ -187,7 +187,8 @@ class PictureFile:
             alpha = np.clip(found[..., 3:], 0.0, 1.0)
             return np.concatenate([_divided(found[..., :3], alpha) if multiplied else found[..., :3], alpha], -1)
 
-        if stored.shape[2] < 4 or self.mask is not None or self.pinhole[:2] == stored.shape[1::-1]:
+        as_it_is = self.lens.straight and self.pinhole[:2] == stored.shape[1::-1]
+        if stored.shape[2] < 4 or self.mask is not None or as_it_is:
             return resampled(stored, values, self.lens, self.longest)
 
         def weighted(rows: np.ndarray) -> Float[np.ndarray, "h w 4"]:

@@ -114,6 +114,20 @@ def test_what_is_transparent_has_no_share_in_a_mean(tmp_path):
     np.testing.assert_allclose(view.image, 1 / 1.2, atol=1e-6)
 
 
+def test_nor_where_distortion_is_taken_away(tmp_path):
+    pytest.importorskip("pycolmap")
+    write_nerf(tmp_path, test=0)
+    lens = Lens("OPENCV", (88.0, 88.0, 32.0, 32.0, 0.1, 0.0, 0.0, 0.0), 64, 64)
+    edit_json(tmp_path / "transforms_train.json", lambda document: document.update(lens_entries(lens)))
+    pixels = np.zeros((64, 64, 4), np.uint8)
+    pixels[10:50, 10:50] = 255  # white, and transparent black around it
+    for path in (tmp_path / "train").iterdir():
+        Image.fromarray(pixels).save(path)
+    view = jd.load_views(tmp_path).views[0]
+    assert view.alpha is not None and ((view.alpha > 0.01) & (view.alpha < 0.99)).any()
+    np.testing.assert_allclose(view.image[view.alpha > 1e-3], 1.0, atol=1e-3)
+
+
 def test_several_sizes_and_cameras(tmp_path):
     write_nerf(tmp_path)
     write_picture(tmp_path / "train" / "r_3.png", size=2 * SIZE)
