@@ -15,7 +15,7 @@ from jaxdr.images import diverging, to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.pictures import Pose
-from jaxdr.scene.camera import look_at
+from jaxdr.optimize.reconstruction.upright import circle, upright
 from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, Score
 from jaxdr.views.record import View
@@ -67,20 +67,24 @@ def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: b
 
 
 def save_turntable(
-    folder: OutputFolder, scene: Scene, like: View, pose: Pose, frames: int, integrator: Integrator, seed: int
+    folder: OutputFolder,
+    scene: Scene,
+    shown: Sequence[View],
+    pose: Pose,
+    frames: int,
+    integrator: Integrator,
+    seed: int,
 ) -> None:
-    """`turntable.gif`: the object from all around, at the distance of a photograph, over black."""
+    """`turntable.gif`: the upright object from all around, at the distance of the first photograph, over black."""
+    like = views[0]
     distance = float(np.linalg.norm(like.to_world[:3, 3] - pose.centre))
     scale = min(1.0, TURN_SIZE / max(like.width, like.height))
     width, height = round(like.width * scale), round(like.height * scale)
     blank = np.zeros((height, width, 3), np.float32)  # with alpha, so without the sky behind
     small = dataclasses.replace(like.with_picture(blank, blank[..., 0]), focal=like.focal * scale)
-    views = []
-    for angle in 2 * np.pi * np.arange(frames) / frames:
-        offset = distance * np.array([0.94 * np.cos(angle), 0.94 * np.sin(angle), 0.34])
-        turned = look_at(pose.centre + offset, pose.centre, (0, 0, 1))
-        views.append(dataclasses.replace(small, to_world=turned, centre=(width / 2, height / 2)))
-    pictures = render_views(scene, views, spp=TURN_SPP, seed=seed, integrator=integrator)
+    around = circle(upright(views), pose.centre, distance, frames)
+    turns = [dataclasses.replace(small, to_world=turned, centre=(width / 2, height / 2)) for turned in around]
+    pictures = render_views(scene, turns, spp=TURN_SPP, seed=seed, integrator=integrator)
     images = [Image.fromarray(to_srgb(picture[..., :3])) for picture in pictures]
     with atomic_path(folder.path / "turntable.gif") as temporary:
         images[0].save(temporary, format="GIF", save_all=True, append_images=images[1:], duration=80, loop=0)

@@ -90,7 +90,7 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     evaluation = Evaluation(tuple(scores))
     kind = "held out" if views.held_out else "fitted"
     if config.report.turntable:
-        save_turntable(folder, scene, shown[0], result.pose, config.report.turntable, tracer, seed)
+        save_turntable(folder, scene, views.views, result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
     gains = {key: value for key, value in Evaluation(tuple(matched)).to_dict().items() if key.startswith("psnr")}
     return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict(), "with_gains": gains}

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxdr.optimize.reconstruction.hull import look
-from jaxdr.views.record import View, common_point
+from jaxdr.optimize.reconstruction.upright import upright
+from jaxdr.views.record import View
 from jaxdr.views.sparse_points import SparsePoints
 
 MIDDLE = 0.25  # of the longer side: standard deviation of the attention that a photograph pays around its middle
@@ -74,29 +75,6 @@ def find_region(views: Sequence[View], points: SparsePoints | None, seed: int) -
         height = support.height(positions)
         own, others = own & (height > 2 * THICK * radius), others | (height < THICK * radius)
     return Region(centre, radius, up, support, own, others)
-
-
-def upright(views: Sequence[View]) -> Float[np.ndarray, "3"]:
-    """The direction that is up: people hold cameras level, so one of two axes of the film is horizontal in all views.
-
-    That of the rows, or that of the columns where pictures are stored on their side. There up is where most cameras
-    are, seen from what they look at.
-    """
-    poses = np.stack([view.to_world for view in views])
-    mean = poses[:, :3, 1].mean(0)
-    (tilt, up), (other, aside) = (_least_along(poses[:, :3, axis]) for axis in (0, 1))
-    if len(views) < 3:
-        return mean / np.linalg.norm(mean)
-    if tilt <= other:
-        return up * (1.0 if up @ mean >= 0 else -1.0)
-    above = (poses[:, :3, 3] - common_point(poses)).mean(0)
-    return aside * (1.0 if aside @ above >= 0 else -1.0)
-
-
-def _least_along(axes: Float[np.ndarray, "N 3"]) -> tuple[float, Float[np.ndarray, "3"]]:
-    """(mean square of the components along the direction that has least of them, this direction)."""
-    values, vectors = np.linalg.eigh(axes.T @ axes / len(axes))
-    return float(values[0]), vectors[:, 0]
 
 
 def _attention(views: Sequence[View], points: SparsePoints) -> Float[np.ndarray, " N"]:
