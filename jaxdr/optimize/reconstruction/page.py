@@ -69,7 +69,7 @@ def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: b
 def save_turntable(
     folder: OutputFolder,
     scene: Scene,
-    shown: Sequence[View],
+    views: Sequence[View],
     pose: Pose,
     frames: int,
     integrator: Integrator,
