@@ -199,10 +199,13 @@ class ReconstructConfig:
         return sum(level.steps for level in self.levels)
 
 
-def reconstruct_config(table: dict, source: str, folder: str, output: str, **given: str) -> ReconstructConfig:
+def reconstruct_config(
+    table: dict, source: str, folder: str, output: str, holdout: str = "", masks: str = ""
+) -> ReconstructConfig:
     """The config of a TOML table, for these photographs. Raises ValueError that names source, key and what is expected.
 
-    What the command line says goes before the table: of `given`, what is not empty.
+    What the command line says goes before the table.
     """
+    given = {"holdout": holdout, "masks": masks}
     said = {"folder": folder, "output": output} | {name: value for name, value in given.items() if value}
     return build(ReconstructConfig, table | said, source)
