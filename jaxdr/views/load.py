@@ -64,8 +64,8 @@ def load_views(
     writes them), pictures of a COLMAP model called `test_*`, and names that match the pattern `holdout` ("*_7",
     "test/*"). If that holds out none, and there are at least eight pictures, the first of every eight is held out.
 
-    Headers are read now. Pixels are read when `View.image` or `View.alpha` is
-    first used. As many as fit into `keep` GiB are kept; others are read again each time.
+    Headers are read now. Pixels are read when `View.image` or `View.alpha` is first used. As many as fit into `keep`
+    GiB are kept; others are read again each time.
 
     Raises ValueError, with file, fault and remedy, for a folder of another kind, pictures that are all missing, damaged
     headers, damaged tables, pictures whose shape is not their camera's, panoramas, and cameras that look away from each
@@ -88,11 +88,8 @@ def load_views(
         frames = [dataclasses.replace(frame, mask=mask_in(Path(masks), frame.path)) for frame in frames]
         if not any(frame.mask for frame in frames):
             raise ValueError(f"{masks}: has no mask of any photograph; call that of NAME.jpg NAME.png")
-    pictures = [
-        PictureFile.of(frame.path, frame.mask, frame.lens, frame.source, kept, longest)
-        for kept in (Kept(int(keep * 2**30)),)
-        for frame in frames
-    ]
+    kept = Kept(int(keep * 2**30))
+    pictures = [PictureFile.of(each.path, each.mask, each.lens, each.source, kept, longest) for each in frames]
     if masks is None:
         warn_of_idle_masks(folder, {frame.mask for frame in frames if frame.mask})
     frames, pictures = _masked_alike(folder, frames, pictures)

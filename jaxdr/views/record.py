@@ -87,6 +87,15 @@ class View:
         film = Film(self.width, self.height, Box())
         return Perspective(self.to_world, self.fov, film, principal_point=self.principal_point)
 
+    def project(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, " N"], ...]:
+        """(x, y, depth) of points of the world on the host; pixels, which mean nothing unless the depth is positive."""
+        local = (points - self.to_world[:3, 3]) @ self.to_world[:3, :3]
+        depth = local[:, 2]
+        ahead = np.where(depth > 0, depth, 1.0)
+        x = self.centre[0] - self.focal * local[:, 0] / ahead
+        y = self.centre[1] - self.focal * local[:, 1] / ahead
+        return x, y, depth
+
     @property
     def over_black(self) -> Float[np.ndarray, "H W 3"]:
         """Linear RGB of the object over black."""

@@ -104,13 +104,9 @@ def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
     for view, field in zip(views, fields, strict=True):
         for start in range(0, len(points), CELLS):
             part = slice(start, start + CELLS)
-            local = (points[part] - view.to_world[:3, 3]) @ view.to_world[:3, :3]
-            depth = local[:, 2]
-            ahead = np.where(depth > 0, depth, 1.0)
-            x = view.centre[0] - view.focal * local[:, 0] / ahead
-            y = view.centre[1] - view.focal * local[:, 1] / ahead
+            x, y, depth = view.project(points[part])
             framed = (depth > 0) & (x >= 0) & (x <= view.width) & (y >= 0) & (y <= view.height)
-            value = map_coordinates(field, [y - 0.5, x - 0.5], order=1, mode="nearest") * ahead / view.focal
+            value = map_coordinates(field, [y - 0.5, x - 0.5], order=1, mode="nearest") * depth / view.focal
             least[part] = np.where(framed, np.minimum(least[part], value), least[part])
             seen[part] += framed
     # What few cameras see can't be told to be empty, and is not the object either.

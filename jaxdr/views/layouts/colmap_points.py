@@ -37,17 +37,18 @@ def read_points(model: Path) -> Points | None:
     return None
 
 
-def _binary(path: Path) -> Iterator[tuple[list[float], np.ndarray]]:
+def _binary(path: Path) -> list[tuple[list[float], np.ndarray]]:
     file = Bytes(path)
-    (count,) = file.take("Q", "the number of points")
-    for row in range(count):
-        where = f"point row {row}"
-        _, *numbers = file.take("Q3d", where)
+
+    def read(where: str) -> tuple[int, tuple[list[float], np.ndarray]]:
+        number, *position = file.take("Q3d", where)
         file.skip(11, where)  # colour and error
         (length,) = file.take("Q", where)
         start = file.skip(length * ELEMENT, f"{where}: its track of {length}")
-        position = [finite(value, f"{path}: {where}") for value in numbers]
-        yield position, np.frombuffer(file.data, np.uint32, 2 * length, start)[::2]
+        images = np.frombuffer(file.data, np.uint32, 2 * length, start)[::2]
+        return number, ([finite(value, f"{path}: {where}") for value in position], images)
+
+    return list(file.rows(POINT, "point", read).values())
 
 
 def _text(path: Path) -> Iterator[tuple[list[float], np.ndarray]]:

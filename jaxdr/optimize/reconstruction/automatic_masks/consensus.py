@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.automatic_masks.pictures import BALL, Guess, require_cv2
-from jaxdr.optimize.reconstruction.automatic_masks.region import Region, projected
+from jaxdr.optimize.reconstruction.automatic_masks.region import Region
 from jaxdr.optimize.reconstruction.hull import outward
 from jaxdr.views.record import View
 
@@ -31,7 +31,7 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + region.centre
     inside, shown = np.zeros(len(cells)), np.zeros(len(cells))
     for view, mask in zip(views, masks, strict=True):
-        x, y, depth = projected(view, cells)
+        x, y, depth = view.project(cells)
         framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
         row, column = (np.where(framed, value, 0).astype(int) for value in (y, x))
         inside += framed & mask[row, column]
@@ -56,7 +56,7 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
 def silhouette(view: View, solid: Mesh) -> Bool[np.ndarray, "H W"]:
     """What a solid covers in a photograph."""
     cv2 = require_cv2()
-    x, y, depth = projected(view, np.asarray(solid.vertices, float))
+    x, y, depth = view.project(np.asarray(solid.vertices, float))
     faces = np.asarray(solid.faces)
     ahead = (depth[faces] > 0).all(1)
     corners = np.clip(np.stack([x, y], -1)[faces[ahead]], -1e4, 1e4)
@@ -80,9 +80,3 @@ def overlap(one: Bool[np.ndarray, "H W"], other: Bool[np.ndarray, "H W"]) -> flo
     """Intersection over union; 1 where both are empty."""
     union = (one | other).sum()
     return float((one & other).sum() / union) if union else 1.0
-
-
-def extent(solid: Mesh) -> Float[np.ndarray, "2 3"]:
-    """Lower and upper corner of the box around it."""
-    vertices = np.asarray(solid.vertices, float)
-    return np.stack([vertices.min(0), vertices.max(0)])

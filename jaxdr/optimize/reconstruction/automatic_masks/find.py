@@ -31,7 +31,6 @@ class Found(NamedTuple):
 
     masks: list[Bool[np.ndarray, "H W"]]
     overlaps: list[float]
-    region: Region
     solid: Mesh
 
     @property
@@ -71,7 +70,7 @@ def find_masks(views: Views, seed: int, say: Callable[[str], None]) -> Found:
             guesses = [next_guess(view, solid, NEAR[number]) for view in photographs]
         overlaps = [overlap(mask, silhouette(view, solid)) for view, mask in zip(photographs, masks, strict=True)]
     assert solid is not None  # there is at least one round
-    found = Found(masks, overlaps, region, solid)
+    found = Found(masks, overlaps, solid)
     if 2 * sum(found.good) < len(photographs):
         raise ValueError(
             f"{views.folder}: no masks were found: photographs do not agree on an object, {sum(found.good)} of "

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from jaxdr.images import to_srgb
-from jaxdr.optimize.reconstruction.automatic_masks.region import Region, projected
+from jaxdr.optimize.reconstruction.automatic_masks.region import Region
 from jaxdr.views.record import View
 from jaxdr.views.sparse_points import SparsePoints
 
@@ -75,7 +75,7 @@ def _convex(view: View, points: np.ndarray) -> Bool[np.ndarray, "H W"]:
     """The convex hull of points, as the photograph sees it."""
     cv2 = require_cv2()
     made = np.zeros((view.height, view.width), np.uint8)
-    x, y, depth = projected(view, points)
+    x, y, depth = view.project(points)
     ahead = depth > 0
     if ahead.sum() >= 3:
         corners = np.clip(np.stack([x[ahead], y[ahead]], -1), -1e4, 1e4).astype(np.float32)
@@ -85,7 +85,7 @@ def _convex(view: View, points: np.ndarray) -> Bool[np.ndarray, "H W"]:
 
 def _mark(marks: UInt8[np.ndarray, "H W"], view: View, points: np.ndarray, mark: int) -> None:
     cv2 = require_cv2()
-    x, y, depth = projected(view, points)
+    x, y, depth = view.project(points)
     framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
     radius = max(1, round(MARK * max(view.width, view.height)))
     for column, row in zip(x[framed].astype(int), y[framed].astype(int), strict=True):

@@ -81,19 +81,11 @@ def _attention(views: Sequence[View], points: SparsePoints) -> Float[np.ndarray,
     """How much the photographs that saw a point show it in their middle."""
     total = np.zeros(len(points.positions))
     for view, saw in zip(views, points.saw, strict=True):
-        x, y, depth = projected(view, points.positions)
+        x, y, depth = view.project(points.positions)
         off = (x - 0.5 * view.width) ** 2 + (y - 0.5 * view.height) ** 2
         weight = np.exp(-0.5 * off / (MIDDLE * max(view.width, view.height)) ** 2)
         total += np.where(saw & (depth > 0), weight, 0.0)
     return total
-
-
-def projected(view: View, points: Float[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, y, depth) of points, in pixels; x and y mean nothing where the depth is not positive."""
-    local = (points - view.to_world[:3, 3]) @ view.to_world[:3, :3]
-    depth = local[:, 2]
-    ahead = np.where(depth > 0, depth, 1.0)
-    return view.centre[0] - view.focal * local[:, 0] / ahead, view.centre[1] - view.focal * local[:, 1] / ahead, depth
 
 
 def _weighted_median(values: Float[np.ndarray, "N d"], weight: Float[np.ndarray, " N"]) -> Float[np.ndarray, " d"]:
