@@ -38,6 +38,7 @@ class Priors:
     - `background`: the light is what the photographs show behind the object, where all of them agree on it.
     - `cameras`: cameras are about where they are said to be: object and cameras could move together, and no photograph
       would change.
+    - `points`: the surface is where photographs saw sparse points of the object, of a COLMAP model.
     """
 
     mask: float = 1.0
@@ -46,6 +47,7 @@ class Priors:
     white: float = 0.02
     background: float = 0.1
     cameras: float = 0.1
+    points: float = 1.0
 
     def __post_init__(self):
         not_negative(self)
@@ -154,7 +156,8 @@ LEVELS = (
 @dataclass(frozen=True)
 class ReconstructConfig:
     """Everything about one reconstruction. The same photographs, config and seed give the same result, bit for bit on
-    CPU. `unknown`: what is found beside the vertices. `holdout`: pattern of pictures that are held out, see
+    CPU. `unknown`: what is found beside the vertices; with "auto",
+    exposures of photographs that differ, too. `holdout`: pattern of pictures that are held out, see
     `jaxdr.load_views`.
 
     `masks`: a folder of masks. "auto": those of the folder, and if there are none they are found. "none": those of the
@@ -165,10 +168,11 @@ class ReconstructConfig:
     holdout: str = ""
     masks: str = "auto"
     seed: int = 0
-    unknown: tuple[Literal["albedo", "roughness", "light", "exposure", "cameras"], ...] = (
+    unknown: tuple[Literal["albedo", "roughness", "light", "exposure", "cameras", "auto"], ...] = (
         "albedo",
         "roughness",
         "light",
+        "auto",
     )
     start: Start = Start()
     integrator: Integrator = field(default_factory=lambda: Integrator(boundary="KernelDensity"))

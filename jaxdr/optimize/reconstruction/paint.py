@@ -42,6 +42,18 @@ def _medians(
     mesh: Mesh, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], photographs: Photographs
 ) -> Float[np.ndarray, "n 3"]:
     """Median colour of points on the surface over the photographs that see them; NaN where none does."""
+    seen = shown_colors(mesh, points, normals, photographs)
+    seen.sort(axis=0)  # NaN last; `nanmedian` takes ten times the memory, and longer
+    count = np.isfinite(seen[..., 0]).sum(0)
+    below, above = (np.maximum(middle, 0)[None, :, None] for middle in ((count - 1) // 2, count // 2))
+    above = np.minimum(above, len(seen) - 1)
+    return 0.5 * (np.take_along_axis(seen, below, 0) + np.take_along_axis(seen, above, 0))[0].astype(float)
+
+
+def shown_colors(
+    mesh: Mesh, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], photographs: Photographs
+) -> Float[np.ndarray, "N n 3"]:
+    """Colours that photographs show of points on the surface; NaN where one does not show a point."""
     seen = np.full((len(photographs), len(points), 3), np.nan, np.float32)
     for cut, shown in zip(photographs, seen, strict=True):
         height, width, _ = cut.color.shape
@@ -57,11 +69,7 @@ def _medians(
         whole = known[row, column] > 0.99
         free, column, row = free[whole], column[whole], row[whole]
         shown[free] = cut.color[row, column]
-    seen.sort(axis=0)  # NaN last; `nanmedian` takes ten times the memory, and longer
-    count = np.isfinite(seen[..., 0]).sum(0)
-    below, above = (np.maximum(middle, 0)[None, :, None] for middle in ((count - 1) // 2, count // 2))
-    above = np.minimum(above, len(seen) - 1)
-    return 0.5 * (np.take_along_axis(seen, below, 0) + np.take_along_axis(seen, above, 0))[0].astype(float)
+    return seen
 
 
 def detailed(

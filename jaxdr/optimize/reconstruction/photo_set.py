@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.optimize.reconstruction.pictures import Photographs, Pose, object_bounds
+from jaxdr.optimize.reconstruction.seen_points import SeenPoints
 from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop
 from jaxdr.views.reading import Kept
 from jaxdr.views.record import View
@@ -25,6 +26,8 @@ class PhotoSet:
         self.bounds = object_bounds(views, self.resolutions)
         self.kept = Kept(keep)
         self.pose = Pose(np.zeros(3), 1.0)  # until the first surface tells
+        self.exposure = np.zeros((len(views), 3))  # until it is known
+        self.seen: SeenPoints | None = None
         self._current: Photographs | None = None
         self._backdrops: dict[int, Backdrop | None] = {}
 
@@ -42,16 +45,19 @@ class PhotoSet:
             self._current = Photographs(self.views, self.bounds[resolution], self.pose, resolution, self.kept)
         return self._current
 
-    def paint(self, cameras: Float[Array, "N 6"] | None = None) -> Photographs:
+    def paint(
+        self, cameras: Float[Array, "N 6"] | None = None, exposure: Float[np.ndarray, "N 3"] | None = None
+    ) -> Photographs:
         """The photographs of the highest resolution, or some of them, from which the first colours are taken.
 
-        `cameras`: corrections of their poses.
+        `cameras`: corrections of their poses. `exposure`: of each, if it is no longer the first one.
         """
-        return self.at(max(self.resolutions)).with_corrections(cameras).spread(SOME)
+        exposure = self.exposure if exposure is None else exposure
+        return self.at(max(self.resolutions)).corrected(cameras, exposure).spread(SOME)
 
     def backdrop(self, rows: int) -> Backdrop | None:
         """The sky behind the object, from the photographs or some of them; see `find_backdrop`."""
         if rows not in self._backdrops:
-            some = np.linspace(0, len(self.views) - 1, min(SOME, len(self.views))).round()
-            self._backdrops[rows] = find_backdrop([self.views[int(i)] for i in some], rows)
+            some = np.linspace(0, len(self.views) - 1, min(SOME, len(self.views))).round().astype(int)
+            self._backdrops[rows] = find_backdrop([self.views[i] for i in some], rows, self.exposure[some])
         return self._backdrops[rows]

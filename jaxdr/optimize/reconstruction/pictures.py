@@ -53,7 +53,8 @@ class Photographs:
 
     Without masks nothing is cut off. Photographs that are smaller than that have a border. Light is averaged over the
     area of the new pixels. They are read when they are asked for, or ahead of that (`expect`); `kept` has as many as
-    fit. `bounds`: of the objects, see `object_bounds`. `corrections`: of the cameras.
+    fit. `bounds`: of the objects, see `object_bounds`. `corrections`: of the cameras. `exposure`: logarithms of the
+    factors by which photographs are too bright; their colours are divided by them.
     """
 
     def __init__(
@@ -64,9 +65,10 @@ class Photographs:
         resolution: int,
         kept: Kept,
         corrections: Float[Array, "N 6"] | None = None,
+        exposure: Float[np.ndarray, "N 3"] | None = None,
     ):
         self.views, self.bounds, self.pose, self.resolution, self.kept = views, bounds, pose, resolution, kept
-        self._corrections = corrections
+        self._corrections, self._exposure = corrections, exposure
         sizes = [reduced_size(view, resolution) for view in views]
         self.height, self.width = _window_size(bounds, (max(h for _, h in sizes), max(w for w, _ in sizes)))
         self._expected: dict[int, Future] = {}
@@ -113,16 +115,22 @@ class Photographs:
         """At most so many of them, spread evenly over all."""
         if count >= len(self):
             return self
-        chosen = [int(i) for i in np.linspace(0, len(self) - 1, count).round()]
-        return self._some(chosen, None if self._corrections is None else self._corrections[np.asarray(chosen)])
+        chosen = np.linspace(0, len(self) - 1, count).round().astype(int)
+        corrections = None if self._corrections is None else self._corrections[chosen]
+        exposure = None if self._exposure is None else self._exposure[chosen]
+        return self._some(chosen.tolist(), corrections, exposure)
 
-    def with_corrections(self, corrections: Float[Array, "N 6"] | None) -> "Photographs":
-        """All of them, with corrected cameras if there are corrections."""
-        return self if corrections is None else self._some(list(range(len(self))), corrections)
+    def corrected(
+        self, cameras: Float[Array, "N 6"] | None, exposure: Float[np.ndarray, "N 3"] | None
+    ) -> "Photographs":
+        """All of them, with corrected cameras and of one exposure, as far as these are given."""
+        return self._some(list(range(len(self))), cameras, exposure)
 
-    def _some(self, chosen: list[int], corrections: Float[Array, "M 6"] | None) -> "Photographs":
+    def _some(
+        self, chosen: list[int], corrections: Float[Array, "M 6"] | None, exposure: Float[np.ndarray, "M 3"] | None
+    ) -> "Photographs":
         views, bounds = [self.views[i] for i in chosen], [self.bounds[i] for i in chosen]
-        return Photographs(views, bounds, self.pose, self.resolution, self.kept, corrections)
+        return Photographs(views, bounds, self.pose, self.resolution, self.kept, corrections, exposure)
 
     def _read(self, number: int) -> Reduced:
         view = self.views[number]
@@ -130,6 +138,8 @@ class Photographs:
 
     def _cut(self, number: int, reduced: Reduced) -> Cut:
         color, alpha, trust = reduced
+        if self._exposure is not None:
+            color = color / np.exp(self._exposure[number]).astype(color.dtype)
         x0, y0 = self._corner(number)
         height, width = trust.shape
         rows, columns = _within(y0, self.height, height), _within(x0, self.width, width)

@@ -1,5 +1,6 @@
 """Reconstruction: from photographs with known cameras to a mesh with textures and the light."""
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +20,14 @@ from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
 from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
+from jaxdr.optimize.reconstruction.exposure import first_exposures
 from jaxdr.optimize.reconstruction.found_cameras import folder_with_cameras
 from jaxdr.optimize.reconstruction.hull import in_own_frame, initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
+from jaxdr.optimize.reconstruction.seen_points import seen_points, settled
 from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, mesh_of_level, next_unknowns
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
@@ -34,6 +37,7 @@ from jaxdr.views.evaluate import require_skimage
 from jaxdr.views.load import load_views
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View, Views
+from jaxdr.views.sparse_points import sparse_points
 from jaxdr.views.summary import summary as summary_of
 
 # Streams of random numbers under the run's seed.
@@ -120,6 +124,22 @@ class ReconstructionTask(Task[Current]):
         else:
             self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
         self.photos.pose = self.pose
+        points = sparse_points(views)
+        self.photos.seen = seen_points(views, points, self.pose)
+        self.config = self._chosen()
+
+    def _chosen(self) -> ReconstructConfig:
+        """The config with what is unknown in place of "auto". Photographs get their first exposures."""
+        config = self.config
+        asked = tuple(name for name in config.unknown if name != "auto")
+        if "exposure" in asked or "auto" in config.unknown:
+            mesh = self.surface if self.photos.masked else None
+            coarse = self.photos.at(min(self.photos.resolutions))
+            self.photos.exposure, differ = first_exposures(mesh, coarse)
+            if differ:
+                say(f"{config.folder}: {differ}; exposures are fitted")
+                asked = tuple(dict.fromkeys((*asked, "exposure")))
+        return dataclasses.replace(config, unknown=asked)
 
     def begin(self, saved: Checkpoint | None) -> Current:
         """The first level, or that of the checkpoint."""
@@ -145,10 +165,15 @@ class ReconstructionTask(Task[Current]):
 
     def fresh(self) -> tuple[Stage, State]:
         level = self.config.levels[0]
-        mesh = mesh_of_level(level, lambda: remesh_to(self.surface, level.vertices))
+        mesh = mesh_of_level(level, self.first_mesh)
         unknowns = first_unknowns(self.config, self.photos, mesh)
         stage = make_stage(self.config, self.photos, 0, 0, mesh, self.devices)
         return stage, stage.fresh(unknowns)
+
+    def first_mesh(self) -> Mesh:
+        """The first surface as the first level needs it, near the points of the object that photographs saw."""
+        mesh = remesh_to(self.surface, self.config.levels[0].vertices)
+        return mesh if self.photos.seen is None else settled(mesh, self.photos.seen)
 
     def restored(self, saved: Checkpoint) -> tuple[Stage, State]:
         """Stage and state of a checkpoint."""

@@ -66,8 +66,12 @@ def directions(rows: int) -> Float[np.ndarray, "H W 3"]:
     return np.stack([np.sin(theta) * np.sin(phi), height, -np.sin(theta) * np.cos(phi)], -1)
 
 
-def find_backdrop(views: Sequence[View], rows: int) -> Backdrop | None:
+def find_backdrop(
+    views: Sequence[View], rows: int, exposure: Float[np.ndarray, "N 3"] | None = None
+) -> Backdrop | None:
     """The sky behind the object in photographs that show it; None where they do not, or do not agree about it.
+
+    Colours are divided by the exposures, which are given as logarithms.
 
     Something near looks different in the same direction from other places. So the mean of every direction has to
     explain at least half of what varies between directions, over directions that several photographs show.
@@ -76,17 +80,19 @@ def find_backdrop(views: Sequence[View], rows: int) -> Backdrop | None:
         return None
     count = rows * columns_of(rows)
     columns = columns_of(rows)
+    factors = np.ones((len(views), 3)) if exposure is None else np.exp(exposure)
     total, number, clipped = np.zeros((count, 3)), np.zeros(count), np.zeros(count)
-    for texel, colors in read_ahead(lambda view: _background(view, rows, columns), views):
+    backgrounds = read_ahead(lambda view: _background(view, rows, columns), views)
+    for (texel, colors), factor in zip(backgrounds, factors, strict=True):
         for channel in range(3):
-            total[:, channel] += np.bincount(texel, colors[:, channel], count)
+            total[:, channel] += np.bincount(texel, colors[:, channel] / factor[channel], count)
         number += np.bincount(texel, minlength=count)
         clipped += np.bincount(texel, colors.max(1) >= WHITE, count)
     seen = number >= ENOUGH
     if not seen.any():
         return None
     # The same for each photograph's own mean of a texel, so that texture finer than a texel does not count.
-    if _explained(views, rows, columns) < AGREE:
+    if _explained(views, rows, columns, factors) < AGREE:
         return None
     mean = total / np.maximum(number, 1)[:, None]
     shape = (rows, columns)
@@ -117,14 +123,14 @@ def _background(view: View, rows: int, columns: int):
     return row * columns + column, image[y, x].astype(float)
 
 
-def _explained(views: Sequence[View], rows: int, columns: int) -> float:
+def _explained(views: Sequence[View], rows: int, columns: int, factors: Float[np.ndarray, "N 3"]) -> float:
     """Share of the variance of the photographs' means of texels that the mean over photographs explains."""
     count = rows * columns
     means = np.full((len(views), count), np.nan)
     backgrounds = read_ahead(lambda view: _background(view, rows, columns), views)
     for i, (texel, colors) in enumerate(backgrounds):
         number = np.bincount(texel, minlength=count)
-        logarithms = np.log(np.maximum(colors, DARKEST)).mean(1)
+        logarithms = np.log(np.maximum(colors / factors[i], DARKEST)).mean(1)
         enough = number >= ENOUGH
         means[i, enough] = np.bincount(texel, logarithms, count)[enough] / number[enough]
     several = np.isfinite(means).sum(0) >= 2

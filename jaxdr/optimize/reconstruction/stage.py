@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Array, Float
 
 from jaxdr.compilation import jit
 from jaxdr.geometry.mesh import Mesh
@@ -26,6 +27,7 @@ from jaxdr.optimize.reconstruction.paint import (
 )
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Photographs
+from jaxdr.optimize.reconstruction.seen_points import point_loss
 from jaxdr.optimize.reconstruction.sky import Backdrop, resampled, solid_angles
 from jaxdr.optimize.reconstruction.unknowns import (
     ROUGHEST,
@@ -93,9 +95,15 @@ def make_stage(
     expected = _expected(mesh, photos.backdrop(level.sky), level)
     weights = config.priors
 
+    def beside(unknowns: Unknowns) -> Float[Array, ""]:
+        loss = prior_loss(unknowns, expected, weights)
+        if photos.seen is not None:
+            loss += weights.points * point_loss(mesh, unknowns.vertices, photos.seen)
+        return loss
+
     @jit
     def update(state: State, gradient: Unknowns) -> State:
-        prior = jax.grad(prior_loss)(from_latent(steps, state.latent), expected, weights)
+        prior = jax.grad(beside)(from_latent(steps, state.latent))
         total = from_latent(steps, jax.tree.map(jnp.add, gradient, prior))
         updates, moments = transformation.update(total, state.optimizer, state.latent)
         return State(jax.tree.map(jnp.add, state.latent, updates), moments)
@@ -142,7 +150,7 @@ def first_unknowns(config: ReconstructConfig, photos: PhotoSet, mesh: Mesh) -> U
         _logit(albedo),
         np.full((count, 1), _logit(roughness)),
         resampled(np.log(radiance), level.sky),
-        np.zeros((len(photos.views), 3)),
+        photos.exposure,
         np.zeros((len(photos.views), 6)),
     )
     return Unknowns(*(jnp.asarray(value, float) for value in values))
@@ -165,7 +173,8 @@ def next_unknowns(
     albedo, roughness = unknowns.albedo, unknowns.roughness
     if albedo.ndim == 3:
         albedo = at_vertices(mesh, albedo)
-    photographs = partial(photos.paint, unknowns.cameras if "cameras" in config.unknown else None)
+    cameras = unknowns.cameras if "cameras" in config.unknown else None
+    photographs = partial(photos.paint, cameras, np.asarray(unknowns.exposure, float))
     problem = ""
     try:
         new = mesh_of_level(level, lambda: remesh_to(mesh, level.vertices))
