@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
@@ -135,6 +135,15 @@ class Views:
     def masked(self) -> bool:
         """Whether every photograph has alpha."""
         return all(view.masked for view in self.views)
+
+
+def in_mask(view: View, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
+    """Whether points of the world are inside of a photograph's mask, on the host."""
+    alpha = np.asarray(view.alpha)
+    x, y, depth = view.project(points)
+    framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
+    column, row = (np.where(framed, value, 0).astype(int) for value in (x, y))
+    return framed & (alpha[row, column] > 0.5)
 
 
 def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:

@@ -18,10 +18,12 @@ class Start:
     - `kind`: "hull" is the visual hull of the masks. "sphere" is a sphere around the point at which the cameras look.
       "auto" is the hull where there are masks.
     - `grid`: cells of the hull's grid along its longest side.
+    - `stereo`: look for points of the object in pairs of photographs; the first surface is moved to them.
     """
 
     kind: Literal["auto", "hull", "sphere"] = "auto"
     grid: int = 96
+    stereo: bool = True
 
     def __post_init__(self):
         require(16 <= self.grid <= 512, "grid", "must be between 16 and 512", self.grid)
@@ -47,7 +49,7 @@ class Priors:
     white: float = 0.02
     background: float = 0.1
     cameras: float = 0.1
-    points: float = 1.0
+    points: float = 10.0
 
     def __post_init__(self):
         not_negative(self)

@@ -83,7 +83,7 @@ def visual_hull(views: Sequence[View], grid: int, keep: int) -> tuple[Float[np.n
     values = _least(views, fields(), low, high, tuple(counts))
     if not (values > 0).any():
         raise ValueError('the masks have no volume in common; check masks and cameras, or take start.kind = "sphere"')
-    return _surface(values, low, (high - low) / (counts - 1))
+    return surface_of(values, low, (high - low) / (counts - 1))
 
 
 def _signed_distance(alpha: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
@@ -114,7 +114,7 @@ def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
     return np.where(unknown, np.minimum(least, -float(np.max(high - low)) / max(counts)), least).reshape(counts)
 
 
-def _surface(values, low, cell):
+def surface_of(values, low, cell):
     from skimage.measure import label, marching_cubes
 
     pieces = np.asarray(label(values > 0, connectivity=1))

@@ -19,6 +19,7 @@ from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
 from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
+from jaxdr.optimize.reconstruction.carving import carved
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.exposure import first_exposures
 from jaxdr.optimize.reconstruction.found_cameras import folder_with_cameras
@@ -27,8 +28,9 @@ from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
-from jaxdr.optimize.reconstruction.seen_points import seen_points, settled
+from jaxdr.optimize.reconstruction.seen_points import in_frame, of_sparse_points, seen_points, settled
 from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, mesh_of_level, next_unknowns
+from jaxdr.optimize.reconstruction.stereo import stereo_points
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
 from jaxdr.optimize.run import Say, Task, run
@@ -124,9 +126,25 @@ class ReconstructionTask(Task[Current]):
         else:
             self.surface, self.pose = initial_surface(self.fitted, kind, config.start.grid, keep)
         self.photos.pose = self.pose
-        points = sparse_points(views)
-        self.photos.seen = seen_points(views, points, self.pose)
+        if self.photos.masked:
+            self._see()
         self.config = self._chosen()
+
+    def _see(self) -> None:
+        """Look for points of the object that photographs saw, sparse ones of a COLMAP model and those of stereo.
+
+        What lies before them is carved away from the first surface.
+        """
+        found = [of_sparse_points(self.views, sparse_points(self.views))]
+        if self.config.start.stereo:
+            radius = self.pose.scale * float(np.linalg.norm(np.asarray(self.surface.vertices), axis=1).max())
+            found.append(stereo_points(self.fitted, self.pose, radius))
+        counts = " + ".join(f"{len(points):,}" for _, points in found)
+        say(f"{self.config.folder}: points of the object that photographs saw (sparse + stereo): {counts}")
+        rays = in_frame(found, self.pose)
+        self.photos.seen = seen_points(*rays)
+        if self.photos.seen is not None:
+            self.surface = Mesh(*carved(self.surface, *rays))
 
     def _chosen(self) -> ReconstructConfig:
         """The config with what is unknown in place of "auto". Photographs get their first exposures."""

@@ -1,5 +1,6 @@
 """Sparse points of the object, and how far the surface is from them where photographs saw them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.preconditioner import LargeSteps
 from jaxdr.optimize.reconstruction.objective import huber
 from jaxdr.optimize.reconstruction.pictures import Pose
-from jaxdr.views.record import Views
+from jaxdr.views.record import Views, in_mask
 from jaxdr.views.sparse_points import SparsePoints
 
 OWN = 0.8  # share of the photographs that saw a point and have it inside of their masks: then it is the object's
@@ -35,32 +36,36 @@ class SeenPoints(NamedTuple):
     point: Float[Array, "N 3"]
 
 
-def seen_points(views: Views, points: SparsePoints | None, pose: Pose) -> SeenPoints | None:
-    """The points that are inside of the masks of the fitted photographs which saw them; None where there are few."""
-    if points is None or not views.masked:
+Rows = tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]  # places of cameras, points
+
+
+def in_frame(found: Sequence[tuple[np.ndarray, np.ndarray]], pose: Pose) -> Rows:
+    """Rows of several sources one after the other, from the world to the frame of the object."""
+    origin, point = (np.concatenate(each) for each in zip(*found, strict=True))
+    return (origin - pose.centre) / pose.scale, (point - pose.centre) / pose.scale
+
+
+def seen_points(origin: Float[np.ndarray, "N 3"], point: Float[np.ndarray, "N 3"]) -> SeenPoints | None:
+    """Rays in the frame of the object, some of them if there are many; None where there are few."""
+    if len(point) < FEW:
         return None
+    chosen = np.linspace(0, len(point) - 1, min(MOST, len(point))).round().astype(int)
+    return SeenPoints(jnp.asarray(origin[chosen], float), jnp.asarray(point[chosen], float))
+
+
+def of_sparse_points(views: Views, points: SparsePoints | None) -> Rows:
+    """(places of cameras, sparse points they saw) of the points that are inside of the masks of fitted photographs."""
+    if points is None:
+        return np.zeros((0, 3)), np.zeros((0, 3))
     saw = points.saw & ~np.array([view.held_out for view in views.views])[:, None]
     inside = np.zeros_like(saw)
     for view, rows, found in zip(views.views, saw, inside, strict=True):
         if rows.any():
-            found[rows] = _in_mask(np.asarray(view.alpha), *view.project(points.positions[rows]))
+            found[rows] = in_mask(view, points.positions[rows])
     own = inside.sum(0) >= OWN * np.maximum(saw.sum(0), 1)
     camera, point = np.nonzero(saw & own)
-    if len(point) < FEW:
-        return None
-    chosen = np.linspace(0, len(point) - 1, min(MOST, len(point))).round().astype(int)
     places = np.stack([view.to_world[:3, 3] for view in views.views])
-    origin, point = (
-        (each - pose.centre) / pose.scale for each in (places[camera[chosen]], points.positions[point[chosen]])
-    )
-    return SeenPoints(jnp.asarray(origin, float), jnp.asarray(point, float))
-
-
-def _in_mask(alpha, x, y, depth):
-    height, width = alpha.shape
-    framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    column, row = (np.where(framed, value, 0).astype(int) for value in (x, y))
-    return framed & (alpha[row, column] > 0.5)
+    return places[camera], points.positions[point]
 
 
 def point_loss(mesh: Mesh, vertices: Float[Array, "V 3"], seen: SeenPoints) -> Float[Array, ""]:

@@ -8,7 +8,17 @@ import pytest
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.pictures import Pose
-from jaxdr.optimize.reconstruction.seen_points import FEW, WIDTH, SeenPoints, point_loss, seen_points, settled
+from jaxdr.optimize.reconstruction.seen_points import (
+    FEW,
+    MOST,
+    WIDTH,
+    SeenPoints,
+    in_frame,
+    of_sparse_points,
+    point_loss,
+    seen_points,
+    settled,
+)
 from jaxdr.views.record import View, Views
 from jaxdr.views.sparse_points import SparsePoints
 from tests.optimize.reconstruction.test_start import CENTRE, RADIUS, all_around
@@ -16,6 +26,7 @@ from tests.optimize.reconstruction.test_start import CENTRE, RADIUS, all_around
 DIRECTIONS = np.random.default_rng(0).normal(size=(2000, 3))
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 BALL = shapes.sphere(4, radius=0.5)
+POSE = Pose(CENTRE, 2 * RADIUS)
 
 
 def seen(radius) -> SeenPoints:
@@ -63,7 +74,7 @@ def views_with_points() -> tuple[Views, SparsePoints]:
 
 def test_points_inside_of_the_masks_are_taken():
     views, points = views_with_points()
-    found = seen_points(views, points, Pose(CENTRE, 2 * RADIUS))
+    found = seen_points(*in_frame([of_sparse_points(views, points)], POSE))
     assert found is not None
     np.testing.assert_allclose(np.linalg.norm(found.point, axis=1), 0.5, atol=1e-5)  # none of those behind
     np.testing.assert_allclose(np.linalg.norm(found.origin, axis=1), 2 / (2 * RADIUS), rtol=1e-5)
@@ -72,11 +83,13 @@ def test_points_inside_of_the_masks_are_taken():
     assert (np.einsum("ni,ni->n", found.origin, found.point) > 0).all()
 
 
-def test_without_points_or_masks_there_are_none():
+def test_few_points_tell_nothing_and_many_are_thinned_out():
     views, points = views_with_points()
-    pose = Pose(CENTRE, 2 * RADIUS)
-    assert seen_points(views, None, pose) is None
+    none = of_sparse_points(views, None)
+    assert none[1].shape == (0, 3)
     few = SparsePoints(points.positions, points.saw & (np.cumsum(points.saw, axis=1) < 2))
-    assert few.saw.sum() < FEW and seen_points(views, few, pose) is None
-    bare = tuple(View(**{**vars(view), "picture": type(view.picture)(view.image, None)}) for view in views.views)
-    assert seen_points(Views(views.folder, bare), points, pose) is None
+    assert 0 < few.saw.sum() < FEW
+    for rows in ([none], [none, of_sparse_points(views, few)]):
+        assert seen_points(*in_frame(rows, POSE)) is None
+    many = seen_points(*np.random.default_rng(0).normal(size=(2, 3 * MOST, 3)))
+    assert many is not None and many.point.shape == (MOST, 3)

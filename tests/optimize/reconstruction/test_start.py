@@ -67,7 +67,7 @@ def test_a_surface_through_nodes_of_the_grid_has_no_faces_without_area():
     assert (values == 0).sum() > 6
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mesh = jd.Mesh(*hull._surface(values, np.zeros(3), np.ones(3)))
+        mesh = jd.Mesh(*hull.surface_of(values, np.zeros(3), np.ones(3)))
     assert mesh.closed
 
 
