@@ -33,7 +33,7 @@ def carved(
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     inside = (fast_winding_number(nodes, vertices, faces) > 0.5).reshape(counts)
     values = cell * BAND * np.where(inside, 1.0, -1.0)
-    near = binary_dilation(inside, iterations=BAND) & ~binary_erosion(inside, iterations=BAND)
+    near = binary_dilation(inside, iterations=BAND) != binary_erosion(inside, iterations=BAND)
     some = nodes[near.ravel()].astype(np.float32)
     distance = np.minimum(surface_distances(some, vertices.astype(np.float32), faces), cell * BAND)
     values[near] = np.where(inside[near], distance, -distance)
