@@ -39,7 +39,7 @@ from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
 from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
-from jaxdr.optimize.reconstruction.config import reconstruct_config
+from jaxdr.optimize.reconstruction.config import QUALITIES, reconstruct_config
 from jaxdr.optimize.reconstruction.found_cameras import find_cameras_with_bars
 from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 from jaxdr.optimize.recovery.config import RecoveryConfig, is_recovery, recovery_config
@@ -317,11 +317,12 @@ def _reconstruct(options) -> int:
         source, table = options.config, read_toml(Path(options.config), options.set)
     else:
         source, table = "--set", override_table({}, options.set, "the defaults")
-    given = {"holdout": options.holdout or "", "masks": options.masks or ""}
-    config = reconstruct_config(table, source, options.folder, options.output, **given)
+    given = {name: getattr(options, name) or "" for name in ("holdout", "masks", "quality")}
+    asset = {name: value for name in ("up", "scale", "height") if (value := getattr(options, name)) is not None}
+    config = reconstruct_config(table, source, options.folder, options.output, **given, asset=asset)
     command = ["reconstruct", options.folder, "-o", options.output]
-    for name, value in (("--config", options.config), *((f"--{name}", value) for name, value in given.items())):
-        command += [name, value] if value else []
+    for name, value in ({"config": options.config} | given | asset).items():
+        command += [f"--{name}={value}"] if value else []
     with _way_to_go_on(*command, options=options):
         summary = reconstruct(config, **_how(options))
     overlap = f", overlap of masks {summary['iou']['mean']:.4f}" if "iou" in summary else ""
@@ -512,6 +513,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--holdout", metavar="PATTERN", help=what)
     what = "a folder of masks; auto: those beside the photographs, or they are found (default); none: they are not"
     command.add_argument("--masks", metavar="auto|none|FOLDER", help=what)
+    what = "pixels, vertices, texels and steps (default: normal); see docs/reconstruct.md for times"
+    command.add_argument("--up", metavar="AXIS", help="what is up: z, -y or 0,0.2,1 (default: as cameras are held)")
+    command.add_argument("--scale", type=float, metavar="METRES", help="of a unit of the cameras' world")
+    command.add_argument("--height", type=float, metavar="METRES", help="of the asset, in place of --scale")
+    command.add_argument("--quality", choices=sorted(QUALITIES), help=what)
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
     command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     _add_device_options(command)

@@ -117,9 +117,8 @@ def with_files(folder: Path) -> dict:
 
 
 def with_photographs(folder: Path) -> dict:
-    """Photographs, and a result that the page's code can read."""
-    write_nerf(folder / "PHOTOS")
-    (folder / "OUT").mkdir()
+    """A result that the page's code can read."""
+    write_nerf(folder / "OUT")
     jd.save_mesh(folder / "OUT/asset.glb", jd.shapes.sphere(1, radius=0.5))
     jd.write_image(folder / "OUT/light.exr", np.ones((4, 8, 3)))
     return {}

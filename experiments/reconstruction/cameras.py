@@ -13,6 +13,8 @@ REACH = 0.4  # from the middle of the object; its longest side is about one
 def camera_errors(true: Path, found: Path) -> dict[str, float]:
     """Root mean square of the error over cameras and points (degrees), of two files of instant-ngp's layout.
 
+    Those of a result (`to_asset`) are taken back to the world of the given cameras.
+
     `rms` as they are; `rms_aligned` after the best common motion and scale of all found cameras: that part is not in
     the photographs. Cameras of the files belong together by the names of their pictures.
     """
@@ -30,8 +32,15 @@ def camera_errors(true: Path, found: Path) -> dict[str, float]:
 
 
 def _poses(path: Path) -> dict[str, np.ndarray]:
-    frames = json.loads(path.read_text())["frames"]
-    return {"/".join(Path(f["file_path"]).with_suffix("").parts[-2:]): np.array(f["transform_matrix"]) for f in frames}
+    table = json.loads(path.read_text())
+    back = np.linalg.inv(np.array(table.get("to_asset", np.eye(4))))
+    poses = {"/".join(Path(f["file_path"]).with_suffix("").parts[-2:]): f["transform_matrix"] for f in table["frames"]}
+    return {name: _turned(back @ np.array(pose)) for name, pose in poses.items()}
+
+
+def _turned(pose: np.ndarray) -> np.ndarray:
+    """A pose whose axes are unit vectors again."""
+    return np.concatenate([pose[:, :3] / np.cbrt(np.linalg.det(pose[:3, :3])), pose[:, 3:]], 1)
 
 
 def _seen(points: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -32,10 +32,11 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--sky", type=Path, required=True, help="the sky of truth/relit")
     options = parser.parse_args()
-    photos, out, views = options.photos, options.out, jd.load_views(options.photos).held_out
-    light = jd.load_image(next(out.glob("light.*")))
+    photos, out = options.photos, options.out
+    views = jd.load_views(out).held_out  # the same photographs, with cameras in the frame of the asset
+    light = jd.EnvironmentMap(jd.load_image(next(out.glob("light.*"))))
     figures = {
-        "chamfer": chamfer(out / "asset.glb", photos / "truth" / "mesh.obj"),
+        "chamfer": chamfer(out, photos / "truth" / "mesh.obj"),
         "asset": _summary(jd.evaluate_views(under(out, light, views), views, spp=SPP, integrator=TRACER)),
         "relit": _summary(relit(photos, out, options.sky)),
     }
@@ -45,25 +46,32 @@ def main() -> None:
     print(json.dumps(figures, indent=2))
 
 
-def under(out: Path, radiance: np.ndarray, views: Sequence[jd.View]) -> jd.Scene:
+def under(out: Path, light: jd.EnvironmentMap, views: Sequence[jd.View]) -> jd.Scene:
     """The asset of a result under a sky."""
-    asset = jd.load_gltf(out / "asset.glb")
-    return jd.Scene(asset.shapes, views[0].camera, jd.EnvironmentMap(radiance, TO_WORLD))
+    return jd.Scene(jd.load_gltf(out / "asset.glb").shapes, views[0].camera, light)
+
+
+def to_asset(out: Path) -> np.ndarray:
+    """The similarity from the world of the given cameras to the frame of the asset."""
+    return np.array(json.loads((out / "transforms.json").read_text())["to_asset"])
 
 
 def relit(photos: Path, out: Path, sky: Path) -> Evaluation:
     """How the asset looks under the sky of `truth/relit`, after one factor for each colour channel."""
-    views = jd.load_views(photos).held_out
+    views, turn = jd.load_views(out).held_out, to_asset(out)
+    turn[:3, :3] /= np.cbrt(np.linalg.det(turn[:3, :3]))
+    turn[:3, 3] = 0
     other = [_relit(view, photos / "truth" / "relit" / f"r_{i}.png") for i, view in enumerate(views)]
-    scene = under(out, jd.load_image(sky), views)
+    scene = under(out, jd.EnvironmentMap(jd.load_image(sky), turn @ TO_WORLD), views)
     return jd.evaluate_views(scene, other, spp=SPP, integrator=TRACER, match_channels=True)
 
 
-def chamfer(found: Path, true: Path) -> float:
-    """Mean of both directions, over the longest side of the true mesh."""
-    target = jd.load_mesh(true)
+def chamfer(out: Path, true: Path) -> float:
+    """Of the asset and the true mesh in the world of the cameras: mean of both directions, over its longest side."""
+    target, found, back = jd.load_mesh(true), jd.load_mesh(out / "asset.glb"), np.linalg.inv(to_asset(out))
+    found = found.with_vertices(np.asarray(found.vertices, float) @ back[:3, :3].T + back[:3, 3])
     extent = np.ptp(np.asarray(target.vertices), axis=0)
-    return jd.chamfer(jd.load_mesh(found), target) * float(np.linalg.norm(extent) / extent.max())
+    return jd.chamfer(found, target) * float(np.linalg.norm(extent) / extent.max())
 
 
 def _picture(path: Path) -> np.ndarray:

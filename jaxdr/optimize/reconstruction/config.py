@@ -3,8 +3,10 @@
 Lengths are relative to the object: its longest side, at the start, is 1.
 """
 
+import dataclasses
 from dataclasses import dataclass, field
-from typing import Literal
+from math import isfinite
+from typing import Any, Literal
 
 from jaxdr.optimize.config import Integrator
 from jaxdr.optimize.config_checks import at_least, check_run, not_negative, positive, require
@@ -138,6 +140,41 @@ class Report:
         require(16 <= self.texture <= 8192, "texture", "must be between 16 and 8192", self.texture)
 
 
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+
+@dataclass(frozen=True)
+class Asset:
+    """The frame of the asset. It stands upright on y = 0, as glTF has it.
+
+    - `up`: a direction in the world of the cameras: an axis such as "z" or "-y", or "0,0.2,1". "auto": as people hold
+      cameras.
+    - `scale`: metres of a unit of this world. `height`: metres of the asset. Without both a unit stays a unit.
+    """
+
+    up: str = "auto"
+    scale: float | None = None
+    height: float | None = None
+
+    def __post_init__(self):
+        positive(self, "scale", "height")
+        require(self.scale is None or self.height is None, "height", "can't be given with scale", self.height)
+        rule = 'must be "auto", an axis such as "z" or "-y", or three numbers such as "0,0.2,1"'
+        try:
+            good = self.direction is None or (all(map(isfinite, self.direction)) and any(self.direction))
+        except ValueError:
+            good = False
+        require(good, "up", rule, self.up)
+
+    @property
+    def direction(self) -> tuple[float, float, float] | None:
+        """What is up, of any length; None if cameras tell."""
+        if self.up == "auto":
+            return None
+        x, y, z = AXES[self.up] if self.up in AXES else map(float, self.up.split(","))
+        return float(x), float(y), float(z)
+
+
 @dataclass(frozen=True)
 class Memory:
     """GiB of `pictures` that are kept in memory once they are read: half of it as they are in the files, half as levels
@@ -149,10 +186,25 @@ class Memory:
         not_negative(self)
 
 
-LEVELS = (
-    Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
-    Level(steps=220, resolution=200, vertices=12000, views=2, sky=33, texture=512),
-)
+# From coarse to fine; a finer quality has more steps, pixels, vertices and texels.
+QUALITIES: dict[str, tuple[Level, ...]] = {
+    "draft": (
+        Level(steps=90, resolution=100, vertices=3000, views=3, sky=17),
+        Level(steps=110, resolution=200, vertices=8000, views=2, sky=33, texture=512),
+    ),
+    "normal": (
+        Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
+        Level(steps=150, resolution=200, vertices=12000, views=2, sky=33, texture=512),
+        Level(steps=70, resolution=400, vertices=16000, views=2, sky=33, texture=1024),
+    ),
+    "high": (
+        Level(steps=150, resolution=100, vertices=3000, views=3, sky=17),
+        Level(steps=220, resolution=200, vertices=12000, views=2, sky=33, texture=512),
+        Level(steps=200, resolution=400, vertices=30000, views=2, sky=33, texture=1024),
+        Level(steps=100, resolution=800, vertices=50000, views=2, sky=33, texture=2048),
+    ),
+}
+LEVELS = QUALITIES["normal"]
 
 
 @dataclass(frozen=True)
@@ -184,6 +236,7 @@ class ReconstructConfig:
     levels: tuple[Level, ...] = LEVELS
     report: Report = Report()
     memory: Memory = Memory()
+    asset: Asset = Asset()
 
     def __post_init__(self):
         check_run(self)
@@ -206,12 +259,29 @@ class ReconstructConfig:
 
 
 def reconstruct_config(
-    table: dict, source: str, folder: str, output: str, holdout: str = "", masks: str = ""
+    table: dict,
+    source: str,
+    folder: str,
+    output: str,
+    holdout: str = "",
+    masks: str = "",
+    quality: str = "",
+    asset: dict | None = None,
 ) -> ReconstructConfig:
     """The config of a TOML table, for these photographs. Raises ValueError that names source, key and what is expected.
 
-    What the command line says goes before the table.
+    What the command line says goes before the table, also single fields of `asset`. `quality` chooses the levels, so
+    the table may not have any.
     """
     given = {"holdout": holdout, "masks": masks}
-    said = {"folder": folder, "output": output} | {name: value for name, value in given.items() if value}
+    said: dict[str, Any] = {"folder": folder, "output": output} | {
+        name: value for name, value in given.items() if value
+    }
+    if quality:
+        require(quality in QUALITIES, "--quality", f"must be one of {', '.join(QUALITIES)}", quality)
+        if "levels" in table:
+            raise ValueError(f"{source}: levels: --quality chooses them, too; leave out one of both")
+        said["levels"] = [dataclasses.asdict(level) for level in QUALITIES[quality]]
+    if asset:
+        said["asset"] = table.get("asset", {}) | asset
     return build(ReconstructConfig, table | said, source)

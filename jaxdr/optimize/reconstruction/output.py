@@ -29,7 +29,7 @@ class OutputFolder(RunFiles):
     """
 
     kind = "reconstruction"
-    free = ("output", "report", "memory")
+    free = ("output", "report", "memory", "asset")
     subfolders = ("pictures", "test")
 
     def __init__(self, config: ReconstructConfig, views: Views):

@@ -15,7 +15,7 @@ from jaxdr.images import diverging, to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.pictures import Pose
-from jaxdr.optimize.reconstruction.upright import circle, upright
+from jaxdr.optimize.reconstruction.upright import circle
 from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, Score
 from jaxdr.views.record import View
@@ -69,20 +69,20 @@ def report_page(rows: Sequence[str], scores: Evaluation, kind: str, turntable: b
 def save_turntable(
     folder: OutputFolder,
     scene: Scene,
-    views: Sequence[View],
+    like: View,
+    up: Float[np.ndarray, "3"],
     pose: Pose,
     frames: int,
     integrator: Integrator,
     seed: int,
 ) -> None:
-    """`turntable.gif`: the upright object from all around, at the distance of the first photograph, over black."""
-    like = views[0]
+    """`turntable.gif`: the upright object from all around, at the distance of a photograph, over black."""
     distance = float(np.linalg.norm(like.to_world[:3, 3] - pose.centre))
     scale = min(1.0, TURN_SIZE / max(like.width, like.height))
     width, height = round(like.width * scale), round(like.height * scale)
     blank = np.zeros((height, width, 3), np.float32)  # with alpha, so without the sky behind
     small = dataclasses.replace(like.with_picture(blank, blank[..., 0]), focal=like.focal * scale)
-    around = circle(upright(views), pose.centre, distance, frames)
+    around = circle(up, pose.centre, distance, frames)
     turns = [dataclasses.replace(small, to_world=turned, centre=(width / 2, height / 2)) for turned in around]
     pictures = render_views(scene, turns, spp=TURN_SPP, seed=seed, integrator=integrator)
     images = [Image.fromarray(to_srgb(picture[..., :3])) for picture in pictures]

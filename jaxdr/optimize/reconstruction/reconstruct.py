@@ -270,8 +270,9 @@ class ReconstructionTask(Task[Current]):
             shown_if_possible(done, partial(self.folder.save_picture, done, *current.picture), say)
 
     def save_asset(self, current: Current) -> Result:
-        """Write the asset and the light as they are; returns them in the world of the cameras."""
-        result = Result.of(current.stage.mesh, current.stage.unknowns(current.state), self.pose)
+        """Write the asset and the light as they are; returns what was found."""
+        unknowns = current.stage.unknowns(current.state)
+        result = Result.of(current.stage.mesh, unknowns, self.pose, self.views, self.config.asset)
         save_asset(self.folder, result, self.config.report.texture)
         return result
 

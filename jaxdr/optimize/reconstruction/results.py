@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -13,8 +12,9 @@ from jaxtyping import PRNGKeyArray
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.progress import Progress
 from jaxdr.optimize.reconstruction.asset import write_glb
+from jaxdr.optimize.reconstruction.asset_frame import AssetFrame
 from jaxdr.optimize.reconstruction.cameras import sizes, with_corrections
-from jaxdr.optimize.reconstruction.config import ReconstructConfig
+from jaxdr.optimize.reconstruction.config import Asset, ReconstructConfig
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.page import page_row, report_page, save_turntable
 from jaxdr.optimize.reconstruction.pictures import Pose
@@ -32,17 +32,20 @@ FINER = 4  # the light is written with so many texels for one, interpolated as i
 
 
 class Result(NamedTuple):
-    """What was found: `mesh` in the world of the cameras, `unknowns` with its vertices, `pose` of the object."""
+    """What was found: `mesh` in the world of the cameras, `unknowns` with its vertices, `pose` of the object, and the
+    `frame` of the asset."""
 
     mesh: Mesh
     unknowns: Unknowns
     pose: Pose
+    frame: AssetFrame
 
     @classmethod
-    def of(cls, mesh: Mesh, unknowns: Unknowns, pose: Pose) -> "Result":
+    def of(cls, mesh: Mesh, unknowns: Unknowns, pose: Pose, views: Views, asset: Asset) -> "Result":
         """From the frame of the object to the world of the cameras."""
         vertices = unknowns.vertices * pose.scale + jnp.asarray(pose.centre, unknowns.vertices.dtype)
-        return cls(mesh.with_vertices(vertices), unknowns._replace(vertices=vertices), pose)
+        frame = AssetFrame.of(np.asarray(vertices, float), views.views, asset)
+        return cls(mesh.with_vertices(vertices), unknowns._replace(vertices=vertices), pose, frame)
 
     def scene(self, view: View) -> Scene:
         """The scene with the camera of a photograph."""
@@ -50,12 +53,13 @@ class Result(NamedTuple):
 
 
 def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
-    """`asset.glb` and the light."""
+    """`asset.glb` and the light, in the frame of the asset."""
+    mesh = result.mesh.with_vertices(jnp.asarray(result.frame.points(np.asarray(result.mesh.vertices, float)), float))
     albedo = np.asarray(reflectance(result.unknowns.albedo), float)
     roughness = np.asarray(roughness_of(result.unknowns.roughness), float)
-    write_glb(folder.path / "asset.glb", result.mesh, albedo, roughness, size)
+    write_glb(folder.path / "asset.glb", mesh, albedo, roughness, size)
     light = np.asarray(result.unknowns.light, float)
-    folder.save_light(resampled(np.exp(light), FINER * (len(light) - 1) + 1))
+    folder.save_light(result.frame.light(resampled(np.exp(light), FINER * (len(light) - 1) + 1)))
 
 
 def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
@@ -69,7 +73,7 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     if "cameras" in config.unknown:
         corrections, scale = result.unknowns.cameras, result.pose.scale
         views, found = with_corrections(views, corrections, scale), {"cameras": sizes(corrections, scale)}
-    save_cameras(folder, views.views)
+    save_cameras(folder, views, result.frame)
     shown = views.held_out or views.fitted
     tracer = dataclasses.replace(config.integrator.build(), boundary=None)
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
@@ -90,14 +94,19 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     evaluation = Evaluation(tuple(scores))
     kind = "held out" if views.held_out else "fitted"
     if config.report.turntable:
-        save_turntable(folder, scene, views.views, result.pose, config.report.turntable, tracer, seed)
+        up = result.frame.rotation[1]
+        save_turntable(folder, scene, views.views[0], up, result.pose, config.report.turntable, tracer, seed)
     folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
     gains = {key: value for key, value in Evaluation(tuple(matched)).to_dict().items() if key.startswith("psnr")}
+    found["to_asset"] = result.frame.matrix.tolist()
     return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict(), "with_gains": gains}
 
 
-def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
-    """`transforms.json`: the cameras of all photographs, as instant-ngp has them."""
+def save_cameras(folder: OutputFolder, views: Views, frame: AssetFrame) -> None:
+    """`transforms.json`: the cameras of all photographs in the frame of the asset, as instant-ngp has them.
+
+    `to_asset` is the frame: it takes points of the world of the given cameras there.
+    """
     frames = [
         {
             "file_path": str(view.path.resolve()),
@@ -106,6 +115,7 @@ def save_cameras(folder: OutputFolder, views: Sequence[View]) -> None:
         }
         | lens_entries(view.lens)
         | ({"mask_path": str(mask.resolve())} if (mask := folder.mask(view)) else {})
-        for view in views
+        for view in frame.views(views).views
     ]
-    folder.write_text("transforms.json", json.dumps({"frames": frames}, indent=1) + "\n")
+    text = json.dumps({"to_asset": frame.matrix.tolist(), "frames": frames}, indent=1)
+    folder.write_text("transforms.json", text + "\n")

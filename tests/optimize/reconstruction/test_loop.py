@@ -14,7 +14,8 @@ import jaxdr as jd
 from jaxdr.cli import main
 from jaxdr.optimize.progress import Interrupted, Stopped
 from jaxdr.optimize.reconstruction import reconstruct
-from jaxdr.optimize.reconstruction.config import LEVELS, ReconstructConfig, reconstruct_config
+from jaxdr.optimize.reconstruction.asset_frame import AssetFrame
+from jaxdr.optimize.reconstruction.config import LEVELS, QUALITIES, ReconstructConfig, reconstruct_config
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.results import save_cameras
 from jaxdr.views import pictures
@@ -61,7 +62,10 @@ def test_everything_is_there(folder, finished):
     assert pixels.shape == (SIZE, SIZE, 4)
     mesh = trimesh.load_scene(output / "asset.glb", process=False).to_geometry()
     low, high = mesh.bounds
-    assert (np.abs(low + high) < 0.3).all() and 0.4 < (high - low).max() < 2  # where the cameras look
+    assert abs(low[1]) < 1e-5 and (np.abs(low + high)[[0, 2]] < 1e-5).all() and 0.4 < (high - low).max() < 2
+    back = np.linalg.inv(np.array(summary["to_asset"]))
+    middle = back[:3, :3] @ (low + high) / 2 + back[:3, 3]
+    assert (np.abs(middle) < 0.3).all()  # where the cameras look
     assert list(jd.load_gltf(output / "asset.glb").shapes) == ["object"]
     light = next(output.glob("light.*"))
     assert jd.load_image(light).shape == (9, 16, 3) and (jd.load_image(light) > 0).all()
@@ -72,7 +76,7 @@ def test_everything_is_there(folder, finished):
     assert [row["level"] for row in rows] == ["1", "1", "2", "2"]
     assert all(0 < float(row["loss"]) < 1 for row in rows)
     again = jd.load_views(output)  # transforms.json is in a layout of ours
-    np.testing.assert_allclose(again.views[3].to_world, views.views[3].to_world, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(back @ again.views[3].to_world, views.views[3].to_world, rtol=0, atol=1e-9)
     assert again.views[3].focal == pytest.approx(views.views[3].focal)
 
 
@@ -187,6 +191,15 @@ def test_a_file_of_settings_and_overrides(tmp_path):
     assert made.levels == LEVELS and made.steps == sum(level.steps for level in LEVELS)
 
 
+def test_quality_chooses_the_levels():
+    for name, levels in QUALITIES.items():
+        assert reconstruct_config({"seed": 3}, "--set", "photos", "out", quality=name).levels == levels
+    with pytest.raises(ValueError, match="must be one of draft, normal, high"):
+        reconstruct_config({}, "--set", "photos", "out", quality="best")
+    with pytest.raises(ValueError, match=r"settings\.toml: levels: --quality chooses them"):
+        reconstruct_config({"levels": []}, "settings.toml", "photos", "out", quality="draft")
+
+
 def test_bidirectional_paths_are_refused():
     with pytest.raises(ValueError, match=r"integrator\.kind: must be \"path\" here"):
         reconstruct_config({"integrator": {"kind": "bdpt"}}, "settings.toml", "photos", "out")
@@ -200,9 +213,9 @@ def test_cameras_are_corrected_and_written(tmp_path):
     changes = {"unknown": ["light", "cameras"], "levels": [level], "rates": {"cameras": 0.01}}
     summary = reconstruct.reconstruct(config(photos, output, **changes))
     assert 0 < summary["cameras"]["largest_turn_degrees"] < 5 and 0 < summary["cameras"]["largest_shift"] < 0.1
-    found = jd.load_views(output)
+    found, back = jd.load_views(output), np.linalg.inv(np.array(summary["to_asset"]))
     for before, after in zip(given.views, found.views, strict=True):
-        assert (np.abs(before.to_world - after.to_world).max() > 1e-4) != before.held_out
+        assert (np.abs(before.to_world - back @ after.to_world).max() > 1e-4) != before.held_out
 
 
 @pytest.mark.parametrize("name", ["train/r_3.png", "test/r_1.png", "transforms_train.json"])
@@ -236,7 +249,7 @@ def test_masks_are_named_for_those_who_read_the_result_again(tmp_path):
     assert views.masked and views.views[0].mask is not None
     folder = OutputFolder(config(tmp_path / "photos", tmp_path / "out"), views)
     folder.path.mkdir()
-    save_cameras(folder, views.views)
+    save_cameras(folder, views, AssetFrame(np.eye(3), 1.0, np.zeros(3)))
     again = jd.load_views(tmp_path / "out")
     for one, other in zip(views.views, again.views, strict=True):
         assert other.mask == one.mask and (other.alpha == one.alpha).all()
