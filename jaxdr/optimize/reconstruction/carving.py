@@ -1,17 +1,31 @@
 """Space carving: what lies before points that cameras saw is empty (Kutulakos and Seitz 2000, by rays of points)."""
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.geometry.queries import Geometry, Rays, closest_hit
 from jaxdr.optimize.reconstruction.hull import surface_of
 from jaxdr.optimize.warp_distances import surface_distances
 
+DEEP = 0.03  # of the longest side: beyond what points are off by
+HOLLOW = 0.1  # share of the points from which on the outlines alone are no good start
 CELLS = 96  # along the longest side
 BEFORE = 1.5  # cells: points are about right to so much, so that rays end so far before them
 RAYS = 3  # through a cell that is empty, at least: a wrong point alone empties nothing
 BAND = 3  # cells: distances are exact so near to the surface
 AT_ONCE = 1 << 14  # rays
+
+
+def hollow(mesh: Mesh, origin: Float[np.ndarray, "N 3"], point: Float[np.ndarray, "N 3"]) -> float:
+    """Share of the rays from cameras to points they saw, on which a surface is well before the point."""
+    if not len(point):
+        return 0.0
+    rays = Rays(*(jnp.asarray(a, jnp.float32) for a in (origin, point - origin, np.full(len(point), 1.0))))
+    hit = closest_hit(Geometry(mesh.vertices, mesh.faces), rays)
+    before = (1 - np.asarray(hit.t)) * np.linalg.norm(point - origin, axis=1)
+    return float(((np.asarray(hit.face) >= 0) & (before > DEEP)).mean())
 
 
 def carved(

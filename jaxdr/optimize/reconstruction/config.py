@@ -61,10 +61,9 @@ class Priors:
 class Rates:
     """Step sizes at the start; all fall to the share `final` of them, exponentially, until the end.
 
-    `vertices` is that of `adam_uniform` on the latent coordinates of `LargeSteps`. It is a fifth of that where points of
-    the object are known: then the surface starts about right. The others are those of Adam, on logits of albedo and
-    roughness, on logarithms of light and exposure, and on corrections of cameras (radians, and shares of the longest
-    side).
+    `vertices` is that of `adam_uniform` on the latent coordinates of `LargeSteps`. It is a fifth of that where points
+    hold the surface: then it starts about right. The others are those of Adam, on logits of albedo and roughness, on
+    logarithms of light and exposure, and on corrections of cameras (radians, and shares of the longest side).
     """
 
     vertices: float = 0.05

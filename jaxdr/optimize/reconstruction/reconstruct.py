@@ -19,7 +19,7 @@ from jaxdr.optimize.progress import NotFinite
 from jaxdr.optimize.reconstruction.atlas import require_xatlas
 from jaxdr.optimize.reconstruction.automatic_masks.find import Found as FoundMasks
 from jaxdr.optimize.reconstruction.automatic_masks.find import find_masks, with_masks
-from jaxdr.optimize.reconstruction.carving import carved
+from jaxdr.optimize.reconstruction.carving import HOLLOW, carved, hollow
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.exposure import first_exposures
 from jaxdr.optimize.reconstruction.found_cameras import folder_with_cameras
@@ -133,17 +133,22 @@ class ReconstructionTask(Task[Current]):
     def _see(self) -> None:
         """Look for points of the object that photographs saw, sparse ones of a COLMAP model and those of stereo.
 
-        What lies before them is carved away from the first surface.
+        Where many of them are deep under the first surface, it is carved, and the points hold it. Else outlines tell
+        more.
         """
         found = [of_sparse_points(self.views, sparse_points(self.views))]
         if self.config.start.stereo:
             radius = self.pose.scale * float(np.linalg.norm(np.asarray(self.surface.vertices), axis=1).max())
             found.append(stereo_points(self.fitted, self.pose, radius))
-        counts = " + ".join(f"{len(points):,}" for _, points in found)
-        say(f"{self.config.folder}: points of the object that photographs saw (sparse + stereo): {counts}")
         rays = in_frame(found, self.pose)
-        self.photos.seen = seen_points(*rays)
-        if self.photos.seen is not None:
+        share = hollow(self.surface, *rays)
+        counts = " + ".join(f"{len(points):,}" for _, points in found)
+        say(
+            f"{self.config.folder}: points of the object that photographs saw (sparse + stereo): {counts}; {share:.0%} "
+            f"are deep under the first surface, {'so it is carved' if share > HOLLOW else 'which is good'}"
+        )
+        if share > HOLLOW:
+            self.photos.seen = seen_points(*rays)
             self.surface = Mesh(*carved(self.surface, *rays))
 
     def _chosen(self) -> ReconstructConfig:

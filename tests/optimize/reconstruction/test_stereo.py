@@ -7,7 +7,7 @@ import pytest
 
 from jaxdr.geometry import shapes
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.reconstruction.carving import carved
+from jaxdr.optimize.reconstruction.carving import carved, hollow
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.optimize.reconstruction.stereo import NARROW, WIDE, pairs_of, rectified, stereo_points
 from jaxdr.optimize.warp_distances import surface_distances
@@ -95,6 +95,14 @@ def test_what_lies_before_points_is_carved_away():
     np.testing.assert_allclose(floor[:, 2], 0.2, atol=0.03)
     below = vertices[vertices[:, 2] < 0]
     np.testing.assert_allclose(np.linalg.norm(below, axis=1), 0.5, atol=0.01)
+
+
+def test_points_deep_under_a_surface_are_counted():
+    ball = shapes.sphere(4, radius=0.5)
+    assert hollow(ball, *straight_down(0.2)) == 1
+    on_top = [np.concatenate([a, b]) for a, b in zip(straight_down(0.49), straight_down(0.2), strict=True)]
+    assert 0.5 <= hollow(ball, *on_top) < 0.6
+    assert hollow(ball, np.zeros((0, 3)), np.zeros((0, 3))) == 0
 
 
 def test_few_rays_carve_nothing():
