@@ -129,6 +129,7 @@ class ReconstructionTask(Task[Current]):
         if self.photos.masked:
             self._see()
         self.config = self._chosen()
+        self.steps = self.config.steps
 
     def _see(self) -> None:
         """Look for points of the object that photographs saw, sparse ones of a COLMAP model and those of stereo.
@@ -152,7 +153,8 @@ class ReconstructionTask(Task[Current]):
             self.surface = Mesh(*carved(self.surface, *rays))
 
     def _chosen(self) -> ReconstructConfig:
-        """The config with what is unknown in place of "auto". Photographs get their first exposures."""
+        """The config with what is unknown in place of "auto", and without the coarsest level where points already do what
+        this one is for. Photographs get their first exposures."""
         config = self.config
         asked = tuple(name for name in config.unknown if name != "auto")
         if "exposure" in asked or "auto" in config.unknown:
@@ -162,7 +164,8 @@ class ReconstructionTask(Task[Current]):
             if differ:
                 say(f"{config.folder}: {differ}; exposures are fitted")
                 asked = tuple(dict.fromkeys((*asked, "exposure")))
-        return dataclasses.replace(config, unknown=asked)
+        levels = config.levels if self.photos.seen is None or len(config.levels) == 1 else config.levels[1:]
+        return dataclasses.replace(config, unknown=asked, levels=levels)
 
     def begin(self, saved: Checkpoint | None) -> Current:
         """The first level, or that of the checkpoint."""
