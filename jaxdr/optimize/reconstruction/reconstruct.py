@@ -153,8 +153,10 @@ class ReconstructionTask(Task[Current]):
             self.surface = Mesh(*carved(self.surface, *rays))
 
     def _chosen(self) -> ReconstructConfig:
-        """The config with what is unknown in place of "auto", and without the coarsest level where points already do what
-        this one is for. Photographs get their first exposures."""
+        """The config with what is unknown in place of "auto". Photographs get their first exposures.
+
+        The coarsest level is for a rough surface, so it is left out where points hold the surface.
+        """
         config = self.config
         asked = tuple(name for name in config.unknown if name != "auto")
         if "exposure" in asked or "auto" in config.unknown:
