@@ -10,7 +10,7 @@ from jaxdr.optimize.reconstruction.hull import surface_of
 from jaxdr.optimize.warp_distances import surface_distances
 
 DEEP = 0.03  # of the longest side: beyond what points are off by
-HOLLOW = 0.1  # share of the points from which on the outlines alone are no good start
+HOLLOW = 0.15  # share of the points from which on the outlines alone are no good start
 CELLS = 96  # along the longest side
 BEFORE = 1.5  # cells: points are about right to so much, so that rays end so far before them
 RAYS = 3  # through a cell that is empty, at least: a wrong point alone empties nothing
