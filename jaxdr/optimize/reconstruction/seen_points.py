@@ -101,4 +101,5 @@ def settled(mesh: Mesh, seen: SeenPoints) -> Mesh:
     moments = transformation.init(latent)
     for _ in range(STEPS):
         latent, moments = step(latent, moments)
-    return mesh.with_vertices(steps.from_latent(latent))
+    # Made anew: the order of its edges follows from its vertices, for a run that is resumed as well.
+    return Mesh(np.asarray(steps.from_latent(latent)), np.asarray(mesh.faces))

@@ -107,6 +107,37 @@ def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_p
     assert [line.rpartition(",")[0] for line in lines[0]] == [line.rpartition(",")[0] for line in lines[1]]
 
 
+def test_points_hold_the_surface_and_a_resumed_run_ends_with_the_same_bits(folder, tmp_path, monkeypatch):
+    """Points at half the depth of the hull: the coarsest level is left out, and the surface is near them."""
+
+    def points(views, pose, radius):
+        away = np.stack([view.to_world[:3, 3] - pose.centre for view in views])
+        turned = (
+            np.random.default_rng(0).normal(0, 0.3, (60, len(views), 3)) + away / np.linalg.norm(away, axis=-1)[:, None]
+        )
+        inner = pose.centre + 0.25 * pose.scale * turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+        return np.broadcast_to(away + pose.centre, turned.shape).reshape(-1, 3), inner.reshape(-1, 3)
+
+    monkeypatch.setattr(reconstruct, "stereo_points", points)
+    step = reconstruct.ReconstructionTask.step
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    summary = reconstruct.reconstruct(config(folder, whole))
+    assert summary["steps"] == 2  # of four
+
+    def press(self, current, done, say):
+        assert current.stage.mesh.vertices.shape[0] < 200 and self.photos.seen is not None
+        self.interruption.requested = done == 0
+        return step(self, current, done, say)
+
+    monkeypatch.setattr(reconstruct.ReconstructionTask, "step", press)
+    with pytest.raises(Interrupted, match="stopped after step 1"):
+        reconstruct.reconstruct(config(folder, parts))
+    monkeypatch.setattr(reconstruct.ReconstructionTask, "step", step)
+    reconstruct.reconstruct(config(folder, parts), resume=True)
+    for name in ("asset.glb", "test/r_0.png", "transforms.json"):
+        assert (whole / name).read_bytes() == (parts / name).read_bytes(), name
+
+
 def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_path, monkeypatch):
     whole, _ = finished
     output, read = tmp_path / "streamed", []
