@@ -17,6 +17,7 @@ from jaxdr.views.masks import mask_in, warn_of_idle_masks
 from jaxdr.views.pictures import PictureFile
 from jaxdr.views.reading import Kept, read_ahead
 from jaxdr.views.record import View, Views, common_point
+from jaxdr.views.resample import UPRIGHT
 
 # In a folder of several layouts the first one counts.
 LAYOUTS: tuple[Any, ...] = (transforms, colmap, neus, llff, middlebury, metashape)
@@ -52,7 +53,8 @@ def load_views(
     Pictures are resampled to pinholes with square pixels: lens distortion is taken away (by pycolmap), and `longest` is
     the most pixels along the longer side. Every pixel is the mean over its area, of linear light. Pictures may have
     several sizes and cameras. A picture that is smaller than its camera as a whole counts as reduced. Where the
-    camera has the size of the upright picture, EXIF's orientation turns it.
+    camera has the size of the upright picture, EXIF's orientation turns it. Pictures upside down, whose size does not
+    tell, and square ones, are turned if the size tells so of another picture of the folder.
 
     PNG and JPEG hold sRGB; EXR, HDR and PFM hold linear RGB. Masks are white where the object is. They lie in `masks`
     or `mask` under the names of the pictures, beside the pictures as `NAME_mask.png`, or `mask_path` names them; PNG or
@@ -89,7 +91,7 @@ def load_views(
         if not any(frame.mask for frame in frames):
             raise ValueError(f"{masks}: has no mask of any photograph; call that of NAME.jpg NAME.png")
     kept = Kept(int(keep * 2**30))
-    pictures = [PictureFile.of(each.path, each.mask, each.lens, each.source, kept, longest) for each in frames]
+    pictures = _pictures(frames, kept, longest)
     if masks is None:
         warn_of_idle_masks(folder, {frame.mask for frame in frames if frame.mask})
     frames, pictures = _masked_alike(folder, frames, pictures)
@@ -102,6 +104,23 @@ def load_views(
 def has_cameras(folder: Path) -> bool:
     """Whether a folder has cameras in a layout that is known."""
     return any(layout.files(folder) for layout in LAYOUTS)
+
+
+def _pictures(frames: Sequence[Frame], kept: Kept, longest: int | None) -> list[PictureFile]:
+    """The pictures of frames.
+
+    The size of a camera does not tell which way is up in a picture upside down, or a square one. If another picture of
+    the folder is turned, the program that wrote the cameras heeded EXIF.
+    """
+
+    def read(prefer_upright: bool) -> list[PictureFile]:
+        return [
+            PictureFile.of(each.path, each.mask, each.lens, each.source, kept, longest, prefer_upright)
+            for each in frames
+        ]
+
+    pictures = read(False)
+    return read(True) if any(picture.turn != UPRIGHT for picture in pictures) else pictures
 
 
 def _masked_alike(

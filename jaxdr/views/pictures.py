@@ -87,19 +87,27 @@ class PictureFile:
 
     @classmethod
     def of(
-        cls, path: Path, mask: Path | None, told: Lens, source: str, kept: Kept, longest: int | None = None
+        cls,
+        path: Path,
+        mask: Path | None,
+        told: Lens,
+        source: str,
+        kept: Kept,
+        longest: int | None = None,
+        prefer_upright: bool = False,
     ) -> "PictureFile":
         """A picture from its headers, and what `source` tells of its lens.
 
-        The camera's size tells whether its picture is the one that is stored, or the upright one of EXIF. A mask may be
-        either, too, and of another size.
+        The camera's size tells whether its picture is the one that is stored, or the upright one of EXIF. Where both
+        have this size, `prefer_upright` decides. A mask may be either, too, and of another size.
 
         Raises ValueError, with the file, for headers that are damaged or don't agree.
         """
         width, height, channels = image_size(path)
         exif = orientation(path)
         stored, upright = (width, height), turned_size((width, height), exif)
-        turn = exif if (told.width, told.height) == upright != stored else UPRIGHT
+        both = stored == upright
+        turn = exif if (told.width, told.height) == upright and (prefer_upright or not both) else UPRIGHT
         size = turned_size(stored, turn)
         lens = told.of_picture(*size, source, path.name)
         mask_turn = UPRIGHT

@@ -8,6 +8,7 @@ from PIL import Image
 
 import jaxdr as jd
 from jaxdr.image_formats import png
+from jaxdr.images import to_srgb
 from jaxdr.views.area import area_mean
 from jaxdr.views.layouts.transforms import FROM_OPENGL, lens_entries
 from jaxdr.views.lens import ONE_FOCAL, Lens
@@ -184,6 +185,23 @@ def test_the_cameras_size_tells_which_picture_it_is_of(tmp_path, turn, upright_c
     expected = turned(mask[..., None], turn if upright_camera else 1)[..., 0] / 255
     np.testing.assert_allclose(view.alpha, expected, atol=0.03)
     np.testing.assert_allclose(view.image[..., 0], expected, atol=0.03)
+
+
+@pytest.mark.parametrize("upright_cameras", [False, True])
+def test_pictures_upside_down_go_with_those_whose_size_tells(tmp_path, upright_cameras):
+    """One picture that lies on its side tells whether the cameras heed EXIF, also in one that is upside down."""
+    stored = np.random.default_rng(0).integers(0, 256, (12, 20, 3), np.uint8)
+    frames = []
+    for turn, pose in zip((6, 3), poses(2), strict=True):
+        picture = Image.fromarray(stored)
+        picture.getexif()[0x0112] = turn
+        picture.save(tmp_path / f"{turn}.png", exif=picture.getexif())
+        width, height = turned_size((20, 12), turn) if upright_cameras else (20, 12)
+        frames.append({"file_path": f"{turn}.png", "transform_matrix": (pose @ FROM_OPENGL).tolist()})
+        frames[-1] |= {"w": width, "h": height}
+    write_json(tmp_path / "transforms.json", {"fl_x": 30.0, "frames": frames})
+    for turn, view in zip((6, 3), jd.load_views(tmp_path).views, strict=True):
+        np.testing.assert_array_equal(to_srgb(view.image), turned(stored, turn if upright_cameras else 1))
 
 
 NAMES = ("masks/train_0.png", "masks/train_0.png.png", "mask/train_0.jpg", "masks/train_0_mask.png", "beside")
