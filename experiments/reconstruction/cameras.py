@@ -1,6 +1,7 @@
 """How wrong cameras are: by how much points of the object are seen in other directions than by the true cameras."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,11 @@ REACH = 0.4  # from the middle of the object; its longest side is about one
 def camera_errors(true: Path, found: Path) -> dict[str, float]:
     """Root mean square of the error over cameras and points (degrees), of two files of instant-ngp's layout.
 
-    Those of a result (`to_asset`) are taken back to the world of the given cameras.
-
     `rms` as they are; `rms_aligned` after the best common motion and scale of all found cameras: that part is not in
-    the photographs. Cameras of the files belong together by the names of their pictures.
+    the photographs. Cameras of the files belong together by the names of their pictures. Those of a result (`to_asset`)
+    are taken back to the world of the given cameras.
     """
-    truth = _poses(true)
-    pairs = [(truth[name], pose) for name, pose in _poses(found).items() if name in truth]
+    pairs = pairs_of_poses(true, found)
     points = REACH * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
     def errors(motion: np.ndarray) -> np.ndarray:
@@ -27,8 +26,39 @@ def camera_errors(true: Path, found: Path) -> dict[str, float]:
         return np.concatenate([(_seen(points, one) - _seen(moved, other)).ravel() for one, other in pairs])
 
     start = np.zeros(7)
-    aligned = least_squares(errors, start).fun
+    # Worlds of cameras that were found from photographs alone have nothing in common with the true one.
+    motion = alignment(pairs)
+    size = np.cbrt(np.linalg.det(motion[:3, :3]))
+    back = Rotation.from_matrix(motion[:3, :3] / size).inv()
+    near = np.concatenate([back.as_rotvec(), -back.apply(motion[:3, 3]) / size, [-np.log(size)]])
+    aligned = min((least_squares(errors, each).fun for each in (start, near)), key=lambda found: (found**2).sum())
     return {"rms": _degrees(errors(start)), "rms_aligned": _degrees(aligned)}
+
+
+def pairs_of_poses(true: Path, found: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(true, found) poses of the same pictures: same name and folder, or same name if only one picture has it."""
+    truth = _poses(true)
+    stems = [name.split("/")[-1] for name in truth]
+    alone = {name.split("/")[-1]: pose for name, pose in truth.items() if stems.count(name.split("/")[-1]) == 1}
+    both = [(truth.get(name, alone.get(name.split("/")[-1])), pose) for name, pose in _poses(found).items()]
+    return [(one, other) for one, other in both if one is not None]
+
+
+def alignment(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The similarity (4 x 4) from the found to the true world that brings the centres of cameras closest (Umeyama).
+
+    Raises ValueError for fewer than three cameras.
+    """
+    if len(pairs) < 3:
+        raise ValueError(f"{len(pairs)} cameras have a true one; an alignment needs three")
+    true, found = np.array([one[:3, 3] for one, _ in pairs]), np.array([other[:3, 3] for _, other in pairs])
+    to, of = true - true.mean(0), found - found.mean(0)
+    u, stretch, v = np.linalg.svd(to.T @ of)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])  # no mirror
+    motion = np.eye(4)
+    motion[:3, :3] = (stretch * signs).sum() / (of**2).sum() * (u * signs) @ v
+    motion[:3, 3] = true.mean(0) - motion[:3, :3] @ found.mean(0)
+    return motion
 
 
 def _poses(path: Path) -> dict[str, np.ndarray]:

@@ -5,9 +5,14 @@
 It prints JSON with these figures:
 
 - Chamfer distance: the mean of both directions, where the longest side of the true mesh is 1;
-- PSNR and overlap of masks of the held-out views, for the pictures that were written;
+- PSNR (of the picture, and inside of the mask), SSIM and overlap of masks of the held-out views, for the pictures that
+  were written;
 - the same for `asset.glb` and the light, read back by `load_gltf`;
 - PSNR under another sky, after one factor for each colour channel.
+
+Where `truth/cameras.json` has the true cameras (see `spoil`), meshes and light are compared in the true world. The
+similarity that brings the cameras of OUT closest to the true ones leads there, and `cameras` says how far these are
+apart, in degrees.
 """
 
 import argparse
@@ -18,10 +23,14 @@ from pathlib import Path
 import numpy as np
 
 import jaxdr as jd
+from experiments.reconstruction.cameras import alignment, camera_errors, pairs_of_poses
 from jaxdr.images import load_image
 from jaxdr.optimize.reconstruction.sky import TO_WORLD
 from jaxdr.views.evaluate import Evaluation, score_pictures
+from jaxdr.views.layouts.transforms import FROM_OPENGL
+from jaxdr.views.pictures import Pixels
 
+CAMERAS = "truth/cameras.json"
 SPP, TRACER = 256, jd.PathTracer(max_depth=3, boundary=None)
 
 
@@ -36,10 +45,12 @@ def main() -> None:
     views = jd.load_views(out).held_out  # the same photographs, with cameras in the frame of the asset
     light = jd.EnvironmentMap(jd.load_image(next(out.glob("light.*"))))
     figures = {
-        "chamfer": chamfer(out, photos / "truth" / "mesh.obj"),
+        "chamfer": chamfer(out, photos),
         "asset": _summary(jd.evaluate_views(under(out, light, views), views, spp=SPP, integrator=TRACER)),
         "relit": _summary(relit(photos, out, options.sky)),
     }
+    if (photos / CAMERAS).exists():
+        figures["cameras"] = camera_errors(photos / CAMERAS, out / "transforms.json")
     if any((out / "test").glob("*.png")):  # a run that was stopped has none
         pictures = [_picture(out / "test" / f"{view.name}.png") for view in views]
         figures["pictures"] = _summary(score_pictures(pictures, views))
@@ -51,25 +62,47 @@ def under(out: Path, light: jd.EnvironmentMap, views: Sequence[jd.View]) -> jd.S
     return jd.Scene(jd.load_gltf(out / "asset.glb").shapes, views[0].camera, light)
 
 
-def to_asset(out: Path) -> np.ndarray:
-    """The similarity from the world of the given cameras to the frame of the asset."""
-    return np.array(json.loads((out / "transforms.json").read_text())["to_asset"])
+def to_truth(photos: Path, out: Path) -> np.ndarray:
+    """The similarity (4 x 4) from the frame of the asset to the true world."""
+    true, found = photos / CAMERAS, out / "transforms.json"
+    to_asset = np.array(json.loads(found.read_text())["to_asset"])
+    aligned = alignment(pairs_of_poses(true, found)) if true.exists() else np.eye(4)
+    return aligned @ np.linalg.inv(to_asset)
 
 
 def relit(photos: Path, out: Path, sky: Path) -> Evaluation:
     """How the asset looks under the sky of `truth/relit`, after one factor for each colour channel."""
-    views, turn = jd.load_views(out).held_out, to_asset(out)
-    turn[:3, :3] /= np.cbrt(np.linalg.det(turn[:3, :3]))
-    turn[:3, 3] = 0
-    other = [_relit(view, photos / "truth" / "relit" / f"r_{i}.png") for i, view in enumerate(views)]
-    scene = under(out, jd.EnvironmentMap(jd.load_image(sky), turn @ TO_WORLD), views)
+    back = np.linalg.inv(to_truth(photos, out))
+    turn = np.eye(4)
+    turn[:3, :3] = back[:3, :3] / np.cbrt(np.linalg.det(back[:3, :3]))
+    pictures = photos / "truth" / "relit"
+    if (photos / CAMERAS).exists():
+        other = _true_views(photos, pictures, back, turn)
+    else:
+        other = [_relit(view, pictures / f"r_{i}.png") for i, view in enumerate(jd.load_views(out).held_out)]
+    scene = under(out, jd.EnvironmentMap(jd.load_image(sky), turn @ TO_WORLD), other)
     return jd.evaluate_views(scene, other, spp=SPP, integrator=TRACER, match_channels=True)
 
 
-def chamfer(out: Path, true: Path) -> float:
-    """Of the asset and the true mesh in the world of the cameras: mean of both directions, over its longest side."""
-    target, found, back = jd.load_mesh(true), jd.load_mesh(out / "asset.glb"), np.linalg.inv(to_asset(out))
-    found = found.with_vertices(np.asarray(found.vertices, float) @ back[:3, :3].T + back[:3, 3])
+def _true_views(photos: Path, pictures: Path, back: np.ndarray, turn: np.ndarray) -> list[jd.View]:
+    """Held-out views of the true cameras, in the frame of the asset: `back` leads there, `turn` is its rotation."""
+    frames = json.loads((photos / CAMERAS).read_text())["frames"]
+    views = []
+    for i, frame in enumerate(frame for frame in frames if frame["held_out"]):
+        path, pose = pictures / f"r_{i}.png", np.array(frame["transform_matrix"]) @ FROM_OPENGL
+        place = turn @ pose
+        place[:3, 3] = (back @ pose[:, 3])[:3]
+        pixels = load_image(path)
+        picture = Pixels(pixels[..., :3], pixels[..., 3])
+        views.append(jd.View(path.stem, path, picture, place, frame["fl_x"], (frame["cx"], frame["cy"]), True, False))
+    return views
+
+
+def chamfer(out: Path, photos: Path) -> float:
+    """Of asset and true mesh in the true world: mean of both directions, over the longest side of the true mesh."""
+    target, found = jd.load_mesh(photos / "truth/mesh.obj"), jd.load_mesh(out / "asset.glb")
+    motion = to_truth(photos, out)
+    found = found.with_vertices(np.asarray(found.vertices, float) @ motion[:3, :3].T + motion[:3, 3])
     extent = np.ptp(np.asarray(target.vertices), axis=0)
     return jd.chamfer(found, target) * float(np.linalg.norm(extent) / extent.max())
 

@@ -155,7 +155,7 @@ def run(name: str, photos: Path, work: Path, share: float, sky: Path | None) -> 
     figures = {name: found[name]["mean"] for name in ("psnr", "ssim", "iou")}
     figures |= {
         "psnr_worst": found["psnr"]["worst"],
-        "chamfer": chamfer(work / "out", photos / "truth/mesh.obj"),
+        "chamfer": chamfer(work / "out", photos),
     }
     if "camera" in name:
         errors = camera_errors(photos / "transforms_train.json", work / "out/transforms.json")
