@@ -27,7 +27,7 @@ from jaxdr.optimize.reconstruction.hull import in_own_frame, initial_surface
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.photo_set import PhotoSet
 from jaxdr.optimize.reconstruction.pictures import Cut
-from jaxdr.optimize.reconstruction.results import Result, judge, save_asset
+from jaxdr.optimize.reconstruction.results import Result, judge, save_asset, save_cameras
 from jaxdr.optimize.reconstruction.seen_points import in_frame, of_sparse_points, seen_points, settled
 from jaxdr.optimize.reconstruction.stage import Stage, first_unknowns, make_stage, mesh_of_level, next_unknowns
 from jaxdr.optimize.reconstruction.stereo import stereo_points
@@ -289,7 +289,8 @@ class ReconstructionTask(Task[Current]):
     def stopped(self, current: Current, say: Say) -> None:
         """Write the asset as it is."""
         say("writing the asset as it is")
-        self.save_asset(current)
+        result = self.save_asset(current)
+        save_cameras(self.folder, result.views(self.views, self.config), result.frame)
 
     def finish(self, current: Current, done: int) -> dict:
         """Write the asset, judge it by the held-out photographs, write the report."""

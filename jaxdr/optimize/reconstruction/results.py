@@ -47,6 +47,12 @@ class Result(NamedTuple):
         frame = AssetFrame.of(np.asarray(vertices, float), views.views, asset)
         return cls(mesh.with_vertices(vertices), unknowns._replace(vertices=vertices), pose, frame)
 
+    def views(self, views: Views, config: ReconstructConfig) -> Views:
+        """The photographs with the cameras that were found."""
+        if "cameras" not in config.unknown:
+            return views
+        return with_corrections(views, self.unknowns.cameras, self.pose.scale)
+
     def scene(self, view: View) -> Scene:
         """The scene with the camera of a photograph."""
         return scene_of(self.mesh, self.unknowns, view.camera)
@@ -69,10 +75,10 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
 
     Without held-out photographs it shows those that were fitted, and says so.
     """
-    found = {}
+    found: dict = {}
     if "cameras" in config.unknown:
-        corrections, scale = result.unknowns.cameras, result.pose.scale
-        views, found = with_corrections(views, corrections, scale), {"cameras": sizes(corrections, scale)}
+        found["cameras"] = sizes(result.unknowns.cameras, result.pose.scale)
+    views = result.views(views, config)
     save_cameras(folder, views, result.frame)
     shown = views.held_out or views.fitted
     tracer = dataclasses.replace(config.integrator.build(), boundary=None)

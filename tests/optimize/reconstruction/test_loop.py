@@ -93,6 +93,7 @@ def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_p
     with pytest.raises(Interrupted, match="stopped after step 3"):
         reconstruct.reconstruct(config(folder, output))
     assert (output / "asset.glb").exists() and list(output.glob("light.*")) and not (output / "metrics.json").exists()
+    assert len(jd.load_views(output).views) == 8  # cameras in the frame of the asset
     monkeypatch.setattr(reconstruct.ReconstructionTask, "step", step)
     resumed = reconstruct.reconstruct(config(folder, output), resume=True)
     timeless = lambda d: {k: v for k, v in d.items() if not k.startswith("seconds")}  # noqa: E731
