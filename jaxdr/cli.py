@@ -513,11 +513,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--holdout", metavar="PATTERN", help=what)
     what = "a folder of masks; auto: those beside the photographs, or they are found (default); none: they are not"
     command.add_argument("--masks", metavar="auto|none|FOLDER", help=what)
-    what = "pixels, vertices, texels and steps (default: normal); see docs/reconstruct.md for times"
     command.add_argument("--up", metavar="AXIS", help="what is up: z, -y or 0,0.2,1 (default: as cameras are held)")
     command.add_argument("--scale", type=float, metavar="METRES", help="of a unit of the cameras' world")
     command.add_argument("--height", type=float, metavar="METRES", help="of the asset, in place of --scale")
-    command.add_argument("--quality", choices=sorted(QUALITIES), help=what)
+    what = "pixels, vertices, texels and steps (default: normal)"
+    command.add_argument("--quality", choices=list(QUALITIES), help=what)
     command.add_argument("--resume", action="store_true", help="go on from the checkpoint in the output folder")
     command.add_argument("--overwrite", action="store_true", help="delete earlier results in the output folder")
     _add_device_options(command)

@@ -65,10 +65,10 @@ def _poses(path: Path) -> dict[str, np.ndarray]:
     table = json.loads(path.read_text())
     back = np.linalg.inv(np.array(table.get("to_asset", np.eye(4))))
     poses = {"/".join(Path(f["file_path"]).with_suffix("").parts[-2:]): f["transform_matrix"] for f in table["frames"]}
-    return {name: _turned(back @ np.array(pose)) for name, pose in poses.items()}
+    return {name: unit_axes(back @ np.array(pose)) for name, pose in poses.items()}
 
 
-def _turned(pose: np.ndarray) -> np.ndarray:
+def unit_axes(pose: np.ndarray) -> np.ndarray:
     """A pose whose axes are unit vectors again."""
     return np.concatenate([pose[:, :3] / np.cbrt(np.linalg.det(pose[:3, :3])), pose[:, 3:]], 1)
 

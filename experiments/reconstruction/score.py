@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxdr as jd
-from experiments.reconstruction.cameras import alignment, camera_errors, pairs_of_poses
+from experiments.reconstruction.cameras import alignment, camera_errors, pairs_of_poses, unit_axes
 from jaxdr.images import load_image
 from jaxdr.optimize.reconstruction.sky import TO_WORLD
 from jaxdr.views.evaluate import Evaluation, score_pictures
@@ -74,24 +74,23 @@ def relit(photos: Path, out: Path, sky: Path) -> Evaluation:
     """How the asset looks under the sky of `truth/relit`, after one factor for each colour channel."""
     back = np.linalg.inv(to_truth(photos, out))
     turn = np.eye(4)
-    turn[:3, :3] = back[:3, :3] / np.cbrt(np.linalg.det(back[:3, :3]))
+    turn[:3, :3] = unit_axes(back)[:3, :3]
     pictures = photos / "truth" / "relit"
     if (photos / CAMERAS).exists():
-        other = _true_views(photos, pictures, back, turn)
+        other = _true_views(photos, pictures, back)
     else:
         other = [_relit(view, pictures / f"r_{i}.png") for i, view in enumerate(jd.load_views(out).held_out)]
     scene = under(out, jd.EnvironmentMap(jd.load_image(sky), turn @ TO_WORLD), other)
     return jd.evaluate_views(scene, other, spp=SPP, integrator=TRACER, match_channels=True)
 
 
-def _true_views(photos: Path, pictures: Path, back: np.ndarray, turn: np.ndarray) -> list[jd.View]:
-    """Held-out views of the true cameras, in the frame of the asset: `back` leads there, `turn` is its rotation."""
+def _true_views(photos: Path, pictures: Path, back: np.ndarray) -> list[jd.View]:
+    """Held-out views of the true cameras, in the frame of the asset: `back` leads there."""
     frames = json.loads((photos / CAMERAS).read_text())["frames"]
     views = []
     for i, frame in enumerate(frame for frame in frames if frame["held_out"]):
         path, pose = pictures / f"r_{i}.png", np.array(frame["transform_matrix"]) @ FROM_OPENGL
-        place = turn @ pose
-        place[:3, 3] = (back @ pose[:, 3])[:3]
+        place = unit_axes(back @ pose)
         pixels = load_image(path)
         picture = Pixels(pixels[..., :3], pixels[..., 3])
         views.append(jd.View(path.stem, path, picture, place, frame["fl_x"], (frame["cx"], frame["cy"]), True, False))

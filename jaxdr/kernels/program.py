@@ -330,6 +330,11 @@ def _goes_apart(value: Value) -> bool:
     )
 
 
+def _is_batched(equation: Equation) -> bool:
+    """Whether a `while` is many loops, by `vmap`: each goes on by its own test, along the first axes of all values."""
+    return bool(equation.parameters["cond_jaxpr"].out_avals[0].shape)
+
+
 def _loop(equation: Equation, counts: Counts, apart: set[Value]) -> _Loop:
     parameters, inputs, outputs = equation.parameters, equation.inputs, equation.outputs
     known = [v.constant for v in inputs]
@@ -343,7 +348,7 @@ def _loop(equation: Equation, counts: Counts, apart: set[Value]) -> _Loop:
         return _Loop(equation, [Program(parameters["jaxpr"], counts, fixed, given, returned)], tuple(given), returned)
     if equation.name == "while":
         a, b = parameters["cond_nconsts"], parameters["body_nconsts"]
-        carries = [_goes_apart(v) for v in outputs]
+        carries = [not _is_batched(equation) and _goes_apart(v) for v in outputs]
         given = [*(v in apart for v in inputs[: a + b]), *carries]
         nothing = [None] * len(outputs)
         test = Program(parameters["cond_jaxpr"], counts, known[:a] + nothing, given[:a] + carries, [False])
@@ -377,10 +382,21 @@ def _run_loop(loop: _Loop, arrays: _Arrays) -> list[list[Any]]:
     if equation.name == "while":
         a, b = parameters["cond_nconsts"], parameters["body_nconsts"]
         test, body = loop.programs
-        return jax.lax.while_loop(
-            lambda state: test([*given[:a], *state])[0][0],
-            lambda state: body([*given[a : a + b], *state]),
-            given[a + b :],
-        )
+
+        def goes_on(state):
+            return test([*given[:a], *state])[0][0]
+
+        def turned(state):
+            return body([*given[a : a + b], *state])
+
+        if not _is_batched(equation):
+            return jax.lax.while_loop(goes_on, turned, given[a + b :])
+
+        def turned_where_it_goes_on(state):
+            going = goes_on(state)
+            kept = [jnp.expand_dims(going, tuple(range(going.ndim, old.ndim))) for (old,) in state]
+            return [[jnp.where(k, new, old)] for k, (new,), (old,) in zip(kept, turned(state), state, strict=True)]
+
+        return jax.lax.while_loop(lambda state: goes_on(state).any(), turned_where_it_goes_on, given[a + b :])
     branches: list[Callable] = [lambda *x, p=p: p(list(x)) for p in loop.programs]
     return jax.lax.switch(given[0][0], branches, *given[1:])

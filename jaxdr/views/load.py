@@ -113,14 +113,15 @@ def _pictures(frames: Sequence[Frame], kept: Kept, longest: int | None) -> list[
     the folder is turned, the program that wrote the cameras heeded EXIF.
     """
 
-    def read(prefer_upright: bool) -> list[PictureFile]:
-        return [
-            PictureFile.of(each.path, each.mask, each.lens, each.source, kept, longest, prefer_upright)
-            for each in frames
-        ]
+    def read(frame: Frame, prefer_upright: bool = False) -> PictureFile:
+        return PictureFile.of(frame.path, frame.mask, frame.lens, frame.source, kept, longest, prefer_upright)
 
-    pictures = read(False)
-    return read(True) if any(picture.turn != UPRIGHT for picture in pictures) else pictures
+    pictures = list(map(read, frames))
+    turned = [picture.turn != UPRIGHT for picture in pictures]
+    if not any(turned):
+        return pictures
+    pairs = zip(frames, pictures, turned, strict=True)
+    return [picture if done else read(frame, prefer_upright=True) for frame, picture, done in pairs]
 
 
 def _masked_alike(

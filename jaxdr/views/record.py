@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxdr.scene.camera import Perspective
 from jaxdr.scene.film import Box, Film
@@ -96,6 +96,15 @@ class View:
         y = self.centre[1] - self.focal * local[:, 1] / ahead
         return x, y, depth
 
+    def pixels(
+        self, points: Float[np.ndarray, "N 3"]
+    ) -> tuple[Bool[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+        """(whether it is in the picture, row, column) of points of the world on the host; zeros where it is not."""
+        x, y, depth = self.project(points)
+        framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < self.width) & (y < self.height)
+        row, column = (np.where(framed, value, 0).astype(int) for value in (y, x))
+        return framed, row, column
+
     @property
     def over_black(self) -> Float[np.ndarray, "H W 3"]:
         """Linear RGB of the object over black."""
@@ -139,11 +148,8 @@ class Views:
 
 def in_mask(view: View, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
     """Whether points of the world are inside of a photograph's mask, on the host."""
-    alpha = np.asarray(view.alpha)
-    x, y, depth = view.project(points)
-    framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
-    column, row = (np.where(framed, value, 0).astype(int) for value in (x, y))
-    return framed & (alpha[row, column] > 0.5)
+    framed, row, column = view.pixels(points)
+    return framed & (np.asarray(view.alpha)[row, column] > 0.5)
 
 
 def over_black(image: Float[np.ndarray, "H W 3"], alpha: Float[np.ndarray, "H W"] | None) -> Float[np.ndarray, "H W 3"]:

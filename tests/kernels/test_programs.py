@@ -46,6 +46,21 @@ def test_loops_whose_end_is_a_value(x):
     both(lambda x: lax.while_loop(lambda s: (s[0] < 4) & (s[1][0, 0] < 1e9), body, (0, x)), x, rtol=1e-5)
 
 
+def test_loops_that_end_one_by_one(x):
+    """Many loops by `vmap`: those that have ended keep their values while others go on."""
+
+    def rows(x, count):
+        return lax.while_loop(lambda s: s[0] < count, lambda s: (s[0] + 1, jnp.sin(s[1]) + s[0]), (0, x))
+
+    def numbers(count):
+        return lax.while_loop(lambda s: s[0] < count, lambda s: (s[0] + 1, s[1] * 1.01), (0, 1.0))
+
+    counts = jnp.asarray([0, 3, 7])
+    both(lambda x, counts: jax.vmap(rows, (None, 0))(x, counts), x, counts, rtol=1e-5, atol=1e-6)
+    both(lambda x, counts: jax.vmap(rows)(x * jnp.ones((3, 1, 1)), counts), x, counts, rtol=1e-5, atol=1e-6)
+    both(jax.vmap(numbers), jnp.arange(N) % 9, rtol=1e-5)
+
+
 @pytest.mark.parametrize("mode", ["drop", "clip"])
 def test_rows_that_a_loop_adds_to(x, mode):
     """To a table that is too large for sums of each thread's own; twice to some rows, and past the end."""

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxdr.optimize.reconstruction.config import Asset
-from jaxdr.optimize.reconstruction.sky import TO_WORLD, columns_of, directions
+from jaxdr.optimize.reconstruction.sky import TO_WORLD, directions
 from jaxdr.optimize.reconstruction.upright import upright
+from jaxdr.scene.environment_map import EnvironmentMap
 from jaxdr.views.record import View, Views
 
 STEEP = 0.99  # sine of the height of the cameras from which on no side is the front
@@ -57,15 +59,8 @@ class AssetFrame(NamedTuple):
 
     def light(self, radiance: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
         """A map of the light whose own frame is this one, from one as `sky.environment` has it; bilinear."""
-        from scipy.ndimage import map_coordinates
-
-        rows, columns = len(radiance), columns_of(len(radiance))
-        local = directions(rows).reshape(-1, 3) @ self.rotation @ TO_WORLD[:3, :3]
-        row = np.arccos(np.clip(local[:, 1], -1, 1)) / np.pi * (rows - 1)
-        column = np.arctan2(local[:, 0], -local[:, 2]) / (2 * np.pi) % 1 * columns - 0.5
-        around = np.concatenate([radiance[:, -1:], radiance, radiance[:, :1]], 1).astype(float)
-        channels = [map_coordinates(around[..., i], [row, column + 1], order=1) for i in range(3)]
-        return np.stack(channels, -1).reshape(rows, columns, 3).astype(radiance.dtype)
+        towards = directions(len(radiance)) @ self.rotation
+        return np.asarray(EnvironmentMap(radiance, TO_WORLD).eval(jnp.asarray(towards, float)))
 
 
 def _axes(up: Float[np.ndarray, "3"], front: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

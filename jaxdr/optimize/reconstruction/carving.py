@@ -53,8 +53,8 @@ def carved(
     values[near] = np.where(inside[near], distance, -distance)
     empty = _passed(origin, point, low, cell, counts) >= RAYS
     # The border of what is empty, smooth over a cell, as a distance.
-    hollow = 2 * cell * (0.5 - gaussian_filter(empty.astype(float), 1.0))
-    least = np.where(hollow < 0.5 * cell, np.minimum(values, hollow), values)
+    border = 2 * cell * (0.5 - gaussian_filter(empty.astype(float), 1.0))
+    least = np.where(border < 0.5 * cell, np.minimum(values, border), values)
     if not (least > 0).any():
         raise ValueError("nothing of the first surface is left in front of the points that photographs saw")
     return surface_of(least, low, np.full(3, cell))

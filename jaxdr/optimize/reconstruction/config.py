@@ -20,7 +20,8 @@ class Start:
     - `kind`: "hull" is the visual hull of the masks. "sphere" is a sphere around the point at which the cameras look.
       "auto" is the hull where there are masks.
     - `grid`: cells of the hull's grid along its longest side.
-    - `stereo`: look for points of the object in pairs of photographs; the first surface is moved to them.
+    - `stereo`: look for points of the object in pairs of photographs. Where many are deep under the first surface,
+      it is carved and moved to them.
     """
 
     kind: Literal["auto", "hull", "sphere"] = "auto"
@@ -42,7 +43,7 @@ class Priors:
     - `background`: the light is what the photographs show behind the object, where all of them agree on it.
     - `cameras`: cameras are about where they are said to be: object and cameras could move together, and no photograph
       would change.
-    - `points`: the surface is where photographs saw sparse points of the object, of a COLMAP model.
+    - `points`: the surface is where photographs saw points of the object, sparse ones of a COLMAP model or of stereo.
     """
 
     mask: float = 1.0
@@ -210,9 +211,8 @@ LEVELS = QUALITIES["normal"]
 @dataclass(frozen=True)
 class ReconstructConfig:
     """Everything about one reconstruction. The same photographs, config and seed give the same result, bit for bit on
-    CPU. `unknown`: what is found beside the vertices; with "auto",
-    exposures of photographs that differ, too. `holdout`: pattern of pictures that are held out, see
-    `jaxdr.load_views`.
+    CPU. `unknown`: what is found beside the vertices; with "auto", exposures of photographs that differ, too.
+    `holdout`: pattern of pictures that are held out, see `jaxdr.load_views`.
 
     `masks`: a folder of masks. "auto": those of the folder, and if there are none they are found. "none": those of the
     folder or nothing."""
@@ -273,10 +273,8 @@ def reconstruct_config(
     What the command line says goes before the table, also single fields of `asset`. `quality` chooses the levels, so
     the table may not have any.
     """
-    given = {"holdout": holdout, "masks": masks}
-    said: dict[str, Any] = {"folder": folder, "output": output} | {
-        name: value for name, value in given.items() if value
-    }
+    said: dict[str, Any] = {"folder": folder, "output": output}
+    said |= {name: value for name, value in (("holdout", holdout), ("masks", masks)) if value}
     if quality:
         require(quality in QUALITIES, "--quality", f"must be one of {', '.join(QUALITIES)}", quality)
         if "levels" in table:

@@ -9,15 +9,14 @@ from PIL import Image
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.paint import shown_colors
 from jaxdr.optimize.reconstruction.pictures import Photographs
+from jaxdr.views.photographs import EXIF
 from jaxdr.views.record import View
 
-DIFFER = (
-    0.04  # standard deviation of logarithms beyond which photographs have exposures of their own; shading makes 0.02
-)
+DIFFER = 0.04  # standard deviation of logarithms: shading makes half of it, photographs that differ make more
 POINTS = 1000  # of the surface: medians over more of them change little
 DARKEST, BRIGHTEST = 0.01, 0.99  # linear; what is darker is noise, what is brighter is clipped
 ROUNDS = 30
-TABLE, TIME, FNUMBER, ISO = 0x8769, 33434, 33437, 34855  # EXIF
+TIME, FNUMBER, ISO = 33434, 33437, 34855  # of EXIF
 
 
 def told_exposures(views: Sequence[View]) -> Float[np.ndarray, " N"] | None:
@@ -32,7 +31,7 @@ def _told(view: View) -> float | None:
         return None
     try:
         with Image.open(view.path) as image:
-            table = image.getexif().get_ifd(TABLE)
+            table = image.getexif().get_ifd(EXIF)
             time, number, speed = (float(table[tag]) for tag in (TIME, FNUMBER, ISO))
     except (OSError, KeyError, ValueError, TypeError, ZeroDivisionError, SyntaxError):
         return None  # no picture for Pillow, or tables that lack a number

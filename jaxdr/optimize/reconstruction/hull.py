@@ -114,7 +114,13 @@ def _least(views, fields, low, high, counts) -> Float[np.ndarray, "X Y Z"]:
     return np.where(unknown, np.minimum(least, -float(np.max(high - low)) / max(counts)), least).reshape(counts)
 
 
-def surface_of(values, low, cell):
+def surface_of(
+    values: Float[np.ndarray, "X Y Z"], low: Float[np.ndarray, "3"], cell: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "V 3"], np.ndarray]:
+    """(vertices, faces) of the closed surface around positive values on a grid, without its small pieces.
+
+    `low`: where the first node is; `cell`: sides of a cell.
+    """
     from skimage.measure import label, marching_cubes
 
     pieces = np.asarray(label(values > 0, connectivity=1))

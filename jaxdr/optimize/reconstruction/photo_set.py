@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxdr.optimize.reconstruction.evenly import evenly
 from jaxdr.optimize.reconstruction.pictures import Photographs, Pose, object_bounds
 from jaxdr.optimize.reconstruction.seen_points import SeenPoints
 from jaxdr.optimize.reconstruction.sky import Backdrop, find_backdrop
@@ -53,11 +54,11 @@ class PhotoSet:
         `cameras`: corrections of their poses. `exposure`: of each, if it is no longer the first one.
         """
         exposure = self.exposure if exposure is None else exposure
-        return self.at(max(self.resolutions)).corrected(cameras, exposure).spread(SOME)
+        return self.at(max(self.resolutions)).with_corrections(cameras, exposure).spread(SOME)
 
     def backdrop(self, rows: int) -> Backdrop | None:
         """The sky behind the object, from the photographs or some of them; see `find_backdrop`."""
         if rows not in self._backdrops:
-            some = np.linspace(0, len(self.views) - 1, min(SOME, len(self.views))).round().astype(int)
+            some = evenly(len(self.views), SOME)
             self._backdrops[rows] = find_backdrop([self.views[i] for i in some], rows, self.exposure[some])
         return self._backdrops[rows]

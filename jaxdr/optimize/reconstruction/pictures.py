@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxdr.optimize.reconstruction.cameras import corrected
+from jaxdr.optimize.reconstruction.evenly import evenly
 from jaxdr.views.area import area_mean
 from jaxdr.views.reading import THREADS, Kept, read_ahead
 from jaxdr.views.record import View, over_black
@@ -115,16 +116,16 @@ class Photographs:
         """At most so many of them, spread evenly over all."""
         if count >= len(self):
             return self
-        chosen = np.linspace(0, len(self) - 1, count).round().astype(int)
+        chosen = evenly(len(self), count)
         corrections = None if self._corrections is None else self._corrections[chosen]
         exposure = None if self._exposure is None else self._exposure[chosen]
         return self._some(chosen.tolist(), corrections, exposure)
 
-    def corrected(
-        self, cameras: Float[Array, "N 6"] | None, exposure: Float[np.ndarray, "N 3"] | None
+    def with_corrections(
+        self, corrections: Float[Array, "N 6"] | None, exposure: Float[np.ndarray, "N 3"] | None = None
     ) -> "Photographs":
         """All of them, with corrected cameras and of one exposure, as far as these are given."""
-        return self._some(list(range(len(self))), cameras, exposure)
+        return self._some(list(range(len(self))), corrections, exposure)
 
     def _some(
         self, chosen: list[int], corrections: Float[Array, "M 6"] | None, exposure: Float[np.ndarray, "M 3"] | None

@@ -45,6 +45,7 @@ from jaxdr.views.summary import summary as summary_of
 # Streams of random numbers under the run's seed.
 STEPS, PICTURES = range(2)
 FINER = 2  # photographs are read with so many pixels for one of the finest level, and judged at this size
+SETTLED = 0.2  # of the rate of the vertices, where points hold the surface: larger steps tear it up again
 STEPS_AHEAD = 2  # steps whose photographs are read while one goes on
 
 
@@ -155,7 +156,7 @@ class ReconstructionTask(Task[Current]):
     def _chosen(self) -> ReconstructConfig:
         """The config with what is unknown in place of "auto". Photographs get their first exposures.
 
-        The coarsest level is for a rough surface, so it is left out where points hold the surface.
+        Where points hold the surface, steps are small, and the coarsest level, for a rough surface, is left out.
         """
         config = self.config
         asked = tuple(name for name in config.unknown if name != "auto")
@@ -166,8 +167,11 @@ class ReconstructionTask(Task[Current]):
             if differ:
                 say(f"{config.folder}: {differ}; exposures are fitted")
                 asked = tuple(dict.fromkeys((*asked, "exposure")))
-        levels = config.levels if self.photos.seen is None or len(config.levels) == 1 else config.levels[1:]
-        return dataclasses.replace(config, unknown=asked, levels=levels)
+        config = dataclasses.replace(config, unknown=asked)
+        if self.photos.seen is None:
+            return config
+        rates = dataclasses.replace(config.rates, vertices=SETTLED * config.rates.vertices)
+        return dataclasses.replace(config, rates=rates, levels=config.levels[1:] or config.levels)
 
     def begin(self, saved: Checkpoint | None) -> Current:
         """The first level, or that of the checkpoint."""

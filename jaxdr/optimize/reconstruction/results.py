@@ -15,6 +15,7 @@ from jaxdr.optimize.reconstruction.asset import write_glb
 from jaxdr.optimize.reconstruction.asset_frame import AssetFrame
 from jaxdr.optimize.reconstruction.cameras import sizes, with_corrections
 from jaxdr.optimize.reconstruction.config import Asset, ReconstructConfig
+from jaxdr.optimize.reconstruction.evenly import evenly
 from jaxdr.optimize.reconstruction.output import OutputFolder
 from jaxdr.optimize.reconstruction.page import page_row, report_page, save_turntable
 from jaxdr.optimize.reconstruction.pictures import Pose
@@ -85,7 +86,7 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
     scene = result.scene(shown[0])
     spp = max(LEAST, min(config.samples.pictures, PATHS // (shown[0].width * shown[0].height)))
-    on_page = {int(i) for i in np.linspace(0, len(shown) - 1, min(ROWS, len(shown))).round()}
+    on_page = set(evenly(len(shown), ROWS).tolist())
     scores, matched, rows = [], [], []
     with Progress("render views", len(shown)) as progress:
         for i, view in enumerate(shown):  # one by one: there may be thousands

@@ -1,4 +1,4 @@
-"""Sparse points of the object, and how far the surface is from them where photographs saw them."""
+"""Points of the object that photographs saw, and how far the surface is from them there."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from jaxdr.geometry.queries import Geometry, Rays, closest_hit
 from jaxdr.geometry.vector import dot
 from jaxdr.optimize.adam import adam_uniform
 from jaxdr.optimize.preconditioner import LargeSteps
+from jaxdr.optimize.reconstruction.evenly import evenly
 from jaxdr.optimize.reconstruction.objective import huber
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.views.record import Views, in_mask
@@ -30,7 +31,7 @@ STEPS, RATE, LAM, FINAL = 200, 0.1, 16.0, 0.1
 
 
 class SeenPoints(NamedTuple):
-    """Rays from cameras to sparse points of the object that they saw, in the frame of the object."""
+    """Rays from cameras to points of the object that they saw, in the frame of the object."""
 
     origin: Float[Array, "N 3"]
     point: Float[Array, "N 3"]
@@ -49,7 +50,7 @@ def seen_points(origin: Float[np.ndarray, "N 3"], point: Float[np.ndarray, "N 3"
     """Rays in the frame of the object, some of them if there are many; None where there are few."""
     if len(point) < FEW:
         return None
-    chosen = np.linspace(0, len(point) - 1, min(MOST, len(point))).round().astype(int)
+    chosen = evenly(len(point), MOST)
     return SeenPoints(jnp.asarray(origin[chosen], float), jnp.asarray(point[chosen], float))
 
 

@@ -1,6 +1,5 @@
 """A level of a reconstruction: its mesh, photographs, and what is compiled for it."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import NamedTuple
@@ -44,7 +43,6 @@ from jaxdr.optimize.reconstruction.unknowns import (
 from jaxdr.optimize.remesh import remesh_to
 
 FIRST_ROUGHNESS = 0.5
-SETTLED = 0.2  # of the rate of the vertices, where points say where the surface is: larger steps tear it up again
 DIM = 0.02  # of the mean: the darkest light to start with; logarithms of less take long to come back
 
 
@@ -93,10 +91,7 @@ def make_stage(
     """A level for a mesh."""
     level = config.levels[number]
     steps = LargeSteps(mesh, level.lam)
-    rates = config.rates
-    if photos.seen is not None:
-        rates = dataclasses.replace(rates, vertices=SETTLED * rates.vertices)
-    transformation = optimizer(rates, config.unknown, config.steps, start)
+    transformation = optimizer(config.rates, config.unknown, config.steps, start)
     expected = _expected(mesh, photos.backdrop(level.sky), level)
     weights = config.priors
 

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.images import to_srgb
-from jaxdr.optimize.reconstruction.automatic_masks.pictures import require_cv2
+from jaxdr.optimize.reconstruction.evenly import evenly
+from jaxdr.optimize.reconstruction.opencv import require_cv2
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View, in_mask
@@ -76,8 +77,7 @@ def pairs_of(views: Sequence[View], pose: Pose) -> list[tuple[int, int]]:
         partners = np.flatnonzero(row)
         order = np.argsort(np.abs(angle[number, partners] - BEST), kind="stable")
         chosen += [(number, int(partner)) for partner in partners[order][:PARTNERS]]
-    spread = np.linspace(0, len(chosen) - 1, min(PAIRS, len(chosen))).round().astype(int)
-    return [chosen[i] for i in spread]
+    return [chosen[i] for i in evenly(len(chosen), PAIRS)]
 
 
 def _points_of(one: View, other: View, pose: Pose, radius: float) -> Float[np.ndarray, "n 3"]:
@@ -116,7 +116,7 @@ def _points_of(one: View, other: View, pose: Pose, radius: float) -> Float[np.nd
     disparity = matcher.compute(left, right).astype(float)[:, margin:-margin] / PART
     mask = cv2.warpPerspective((np.asarray(one.alpha) > 0.5).astype(np.uint8), maps[0], size, flags=cv2.INTER_NEAREST)
     y, x = np.nonzero((disparity >= lowest) & (mask > 0))
-    some = np.linspace(0, len(y) - 1, min(FROM_PAIR, len(y))).round().astype(int)
+    some = evenly(len(y), FROM_PAIR)
     y, x = y[some], x[some]
     middle = pair.frame @ (pose.centre - one.to_world[:3, 3])
     depth = pair.focal * pair.base / (disparity[y, x] + pair.focal * pair.base / pair.depth)

@@ -11,17 +11,10 @@ from jaxdr.optimize.reconstruction.asset_frame import AssetFrame
 from jaxdr.optimize.reconstruction.config import Asset, reconstruct_config
 from jaxdr.optimize.reconstruction.sky import TO_WORLD, columns_of, directions
 from jaxdr.optimize.reconstruction.upright import circle
-from jaxdr.views.pictures import Pixels
-from jaxdr.views.record import View, Views
+from jaxdr.views.record import Views
+from tests.optimize.reconstruction.test_upright import CENTRE, UP, views
 
-UP = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
-CENTRE = np.array([5.0, 3.0, -2.0])
 POINTS = CENTRE + np.random.default_rng(0).uniform(-0.5, 0.5, (200, 3))
-
-
-def views(poses) -> list[View]:
-    picture = Pixels(np.zeros((4, 4, 3), np.float32))
-    return [View(f"v{i}", Path(f"v{i}.png"), picture, pose, 4.0, (2.0, 2.0)) for i, pose in enumerate(poses)]
 
 
 AROUND = views(circle(UP, CENTRE, 3.0, 9)[:4])

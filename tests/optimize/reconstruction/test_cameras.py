@@ -55,7 +55,7 @@ def test_only_fitted_cameras_are_corrected_and_shifts_are_in_longest_sides():
 def test_paint_is_looked_up_with_corrected_cameras():
     fitted = cuts(views().fitted, Pose(np.array([1.0, 0.0, 0.0]), 2.0), 8)
     corrections = jnp.stack([jnp.zeros(6), jnp.asarray(CORRECTION, float)])
-    moved = fitted.corrected(corrections, None)
+    moved = fitted.with_corrections(corrections)
     some = moved.spread(1)
     np.testing.assert_allclose(some.camera(0).to_world, fitted.camera(0).to_world, atol=1e-6)
     expected = corrected(fitted.camera(1).to_world, corrections[1])

@@ -84,7 +84,7 @@ def test_the_start_is_that_of_exif_where_it_explains_the_colours(tmp_path):
 
 def test_paint_and_sky_are_found_without_the_exposures():
     views = all_around(paint=paint)
-    same = photographs(exposed(views)).corrected(None, GAINS)
+    same = photographs(exposed(views)).with_corrections(None, GAINS)
     expected = seen_colors(BALL, photographs(views))
     np.testing.assert_allclose(seen_colors(BALL, same), expected, rtol=1e-4, atol=1e-6)
     assert np.abs(seen_colors(BALL, photographs(exposed(views))) - expected).max() > 0.02

@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxdr.geometry.mesh import Mesh
-from jaxdr.optimize.reconstruction.automatic_masks.pictures import BALL, Guess, require_cv2
+from jaxdr.optimize.reconstruction.automatic_masks.pictures import BALL, Guess
 from jaxdr.optimize.reconstruction.automatic_masks.region import Region
 from jaxdr.optimize.reconstruction.hull import outward
+from jaxdr.optimize.reconstruction.opencv import require_cv2
 from jaxdr.views.record import View
 
 CELLS = 72  # along the cube around the ball
@@ -31,9 +32,7 @@ def agreed_solid(views: Sequence[View], masks: Masks, region: Region) -> Mesh:
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3) + region.centre
     inside, shown = np.zeros(len(cells)), np.zeros(len(cells))
     for view, mask in zip(views, masks, strict=True):
-        x, y, depth = view.project(cells)
-        framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
-        row, column = (np.where(framed, value, 0).astype(int) for value in (y, x))
+        framed, row, column = view.pixels(cells)
         inside += framed & mask[row, column]
         shown += framed
     share = np.where(shown >= SHOWN * len(views), inside / np.maximum(shown, 1), 0.0)

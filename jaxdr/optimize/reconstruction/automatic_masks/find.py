@@ -9,8 +9,9 @@ from jaxtyping import Bool
 
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.reconstruction.automatic_masks.consensus import agreed_solid, next_guess, overlap, silhouette
-from jaxdr.optimize.reconstruction.automatic_masks.pictures import Guess, cut_out, first_guess, require_cv2
+from jaxdr.optimize.reconstruction.automatic_masks.pictures import Guess, cut_out, first_guess
 from jaxdr.optimize.reconstruction.automatic_masks.region import Region, find_region
+from jaxdr.optimize.reconstruction.opencv import require_cv2
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import Views
 from jaxdr.views.sparse_points import SparsePoints, sparse_points

@@ -7,6 +7,7 @@ from jaxtyping import Bool, UInt8
 
 from jaxdr.images import to_srgb
 from jaxdr.optimize.reconstruction.automatic_masks.region import Region
+from jaxdr.optimize.reconstruction.opencv import require_cv2
 from jaxdr.views.record import View
 from jaxdr.views.sparse_points import SparsePoints
 
@@ -85,10 +86,9 @@ def _convex(view: View, points: np.ndarray) -> Bool[np.ndarray, "H W"]:
 
 def _mark(marks: UInt8[np.ndarray, "H W"], view: View, points: np.ndarray, mark: int) -> None:
     cv2 = require_cv2()
-    x, y, depth = view.project(points)
-    framed = (depth > 0) & (x >= 0) & (y >= 0) & (x < view.width) & (y < view.height)
+    framed, rows, columns = view.pixels(points)
     radius = max(1, round(MARK * max(view.width, view.height)))
-    for column, row in zip(x[framed].astype(int), y[framed].astype(int), strict=True):
+    for column, row in zip(columns[framed], rows[framed], strict=True):
         cv2.circle(marks, (int(column), int(row)), radius, mark, -1)
 
 
@@ -101,13 +101,3 @@ def _window(possible: Bool[np.ndarray, "H W"]) -> tuple[slice, slice]:
         margin = (high - low) // 2
         bounds.append(slice(max(0, low - margin), min(possible.shape[1 - axis], high + margin)))
     return bounds[0], bounds[1]
-
-
-def require_cv2():
-    """OpenCV. Raises ImportError, which says how to install it."""
-    try:
-        import cv2
-    except ImportError as missing:
-        problem = 'automatic masks need OpenCV, which is optional: pip install "jaxdr[reconstruct]"'
-        raise ImportError(problem) from missing
-    return cv2
