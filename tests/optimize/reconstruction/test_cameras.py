@@ -83,8 +83,8 @@ def test_gradient_by_corrections_is_that_of_the_loss(monkeypatch):
     )
     tracer = jd.PathTracer(max_depth=2, primary="fixed_ray")
     of_view = objective.view_gradient(tracer, Samples(image=SAMPLES, gradient=SAMPLES), 1.0, cameras=True)
-    gradients = jax.jit(jax.vmap(lambda key: of_view(mesh, unknowns, pinhole, photograph, key)[1].cameras[0]))
-    found = np.asarray(gradients(jax.random.split(jax.random.key(0), KEYS)), float)
+    gradient = jax.jit(lambda key: of_view(mesh, unknowns, pinhole, photograph, key)[1].cameras[0])
+    found = np.asarray([gradient(key) for key in jax.random.split(jax.random.key(0), KEYS)], float)
     mean, error = found.mean(0), found.std(0, ddof=1) / np.sqrt(KEYS)
 
     many = Samples(image=1024, gradient=1)
