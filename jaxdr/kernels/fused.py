@@ -14,12 +14,13 @@ from jax.interpreters import ad, batching, mlir
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import most_products, small_constant
 from jaxdr.kernels.program import Counts, Program
+from jaxdr.kernels.rows import LEAST
 
 logger = logging.getLogger("jaxdr.kernels")
 
 
 def fused(function: Callable, fewest: int = 0) -> Callable:
-    """The same function of arrays in pytrees. `vmap` of it is `fused` of the function's `vmap`.
+    """The same function of arrays in pytrees. `vmap` of it is `fused` of the function's `vmap`, or one call a member.
 
     XLA computes all of a program if none of its products has as many numbers as `fewest`: then kernels do not pay.
 
@@ -70,8 +71,24 @@ def _abstract(*operands, closed, fewest):
 
 
 def _batched(operands, axes, closed, fewest):
-    run = jax.vmap(core.jaxpr_as_fun(closed), in_axes=tuple(a if isinstance(a, int) else None for a in axes))
-    results = fused(run, fewest)(*operands)
+    """Members with enough rows for kernels run one after another on CPUs: their kernels are those of one member."""
+    axes = tuple(a if isinstance(a, int) else None for a in axes)
+    together = fused(jax.vmap(core.jaxpr_as_fun(closed), in_axes=axes), fewest)
+
+    def one_by_one(*operands):
+        moved = [x if a is None else jnp.moveaxis(x, a, 0) for x, a in zip(operands, axes, strict=True)]
+
+        def of_member(members):
+            left = iter(members)
+            given = [x if a is None else next(left) for x, a in zip(moved, axes, strict=True)]
+            return _fused.bind(*given, closed=closed, fewest=fewest)
+
+        return jax.lax.map(of_member, [x for x, a in zip(moved, axes, strict=True) if a is not None])
+
+    if most_products(closed) < max(fewest, LEAST):
+        results = together(*operands)
+    else:
+        results = jax.lax.platform_dependent(*operands, cpu=one_by_one, default=together)
     return results, [0] * len(results)
 
 

@@ -114,6 +114,23 @@ def test_batches(x):
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
+def test_members_of_a_batch_have_the_kernels_and_the_bits_of_one(x, caplog):
+    def function(x, scale):
+        return lax.fori_loop(0, 40, lambda i, x: jnp.sin(x) * scale + i, x).sum(0)
+
+    def run(function, scale):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, "jaxdr.kernels"):
+            return np.asarray(jax.jit(function)(x, scale)), caplog.text
+
+    scales = jnp.arange(24.0).reshape(2, 4, 3)
+    found, text = run(jax.vmap(jax.vmap(fused(function), (None, 0)), (None, 1)), scales)
+    for i, j in np.ndindex(2, 4):
+        one, text_of_one = run(fused(function), scales[i, j])
+        np.testing.assert_array_equal(found[j, i], one)
+    assert text == text_of_one and "kernels; left to XLA" in text
+
+
 def test_arrays_that_a_function_closes_over(x):
     table = jnp.arange(4000.0)
     np.testing.assert_array_equal(fused(lambda y: y[:, 0] + table[:N])(x), x[:, 0] + table[:N])
