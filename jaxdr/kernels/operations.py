@@ -19,6 +19,7 @@ FUNCTIONS = frozenset(
     "exp exp2 log log1p expm1 sin cos tan tanh asin acos atan logistic erf cbrt sign".split()
 )  # `v_NAME` in vector.h; of floats
 COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
+IN_TOTAL_ORDER = {"lt_to": "<", "le_to": "<="}  # of `searchsorted`
 ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*"}
 BITS = {"and": "&", "or": "|", "xor": "^"}
 OF_BOOLS = {"add": "or", "add_any": "or", "mul": "and", "max": "or", "min": "and", "sub": "xor"}
@@ -80,6 +81,8 @@ def _rule(equation: Equation) -> Callable[..., str] | None:
         if kind == "bool":  # true is -1 here
             return lambda a, b: f"B(I({b}) {COMPARISONS[name]} I({a}))"
         return lambda a, b: f"B({a} {COMPARISONS[name]} {b})"
+    if name in IN_TOTAL_ORDER:
+        return lambda a, b: f"B(v_order({a}) {IN_TOTAL_ORDER[name]} v_order({b}))"
     if name in ARITHMETIC or name in BITS:
         return lambda a, b: f"{a} {(ARITHMETIC | BITS)[name]} {b}"
     if name in FUNCTIONS:

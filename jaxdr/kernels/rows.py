@@ -17,7 +17,7 @@ THREEFRY = "key<fry>"  # the type of JAX's default keys
 SUMMED = 1 << 15  # numbers in a table: each task has its own, so sums into larger tables are left to XLA
 # Operations on components, each by its own rule in `operations`.
 ELEMENTWISE = frozenset(
-    "add sub mul div add_any max min rem and or xor lt gt le ge eq ne shift_left shift_right_logical "
+    "add sub mul div add_any max min rem and or xor lt gt le ge eq ne lt_to le_to shift_left shift_right_logical "
     "shift_right_arithmetic pow atan2 neg not abs sign sqrt rsqrt square exp exp2 log log1p expm1 sin cos tan tanh "
     "asin acos atan logistic erf cbrt floor ceil round integer_pow is_finite clamp convert_element_type "
     "bitcast_convert_type select_n copy copy_p".split()

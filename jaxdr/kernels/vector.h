@@ -118,6 +118,10 @@ HERE U v_shift_left(U a, U b) { return b < U(32) ? a << (b & U(31)) : U(0); }
 HERE I v_shift_left(I a, I b) { return (I)v_shift_left((U)a, (U)b); }
 HERE U v_shift_right_logical(U a, U b) { return b < U(32) ? a >> (b & U(31)) : U(0); }
 HERE I v_shift_right_logical(I a, I b) { return (I)v_shift_right_logical((U)a, (U)b); }
+// Numbers in the order of IEEE's totalOrder: -0 before 0, and NaNs at the ends.
+HERE I v_order(F a) { return (I)a ^ (((I)a >> 31) & I(0x7fffffff)); }
+HERE I v_order(I a) { return a; }
+HERE U v_order(U a) { return a; }
 HERE I v_shift_right_arithmetic(I a, I b) { return a >> (I)v_min((U)b, U(31)); }
 HERE U v_shift_right_arithmetic(U a, U b) { return (U)v_shift_right_arithmetic((I)a, (I)b); }  // of the sign bit, as XLA
 

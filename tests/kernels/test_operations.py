@@ -23,11 +23,13 @@ UNARY = {
 BINARY = {
     **dict.fromkeys(("add", "sub", "mul", "max", "min"), "fiu"),
     **dict.fromkeys(("lt", "gt", "le", "ge", "eq", "ne"), "fiub"),
+    **dict.fromkeys(("lt_to", "le_to"), "fiu"),
     **dict.fromkeys(("and", "or", "xor"), "iub"),
     **dict.fromkeys(("shift_left", "shift_right_logical", "shift_right_arithmetic"), "iu"),
     "div": "fiu", "rem": "fiu", "pow": "f", "atan2": "f",
 }  # fmt: skip
 NAMES = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
+IN_ORDER = {"lt_to": lax.lt_to_p, "le_to": lax.le_to_p}
 # These have tests of their own, or the same rule as another. XLA's cube root is off by 1e-6.
 ELSEWHERE = set(
     "cbrt add_any round integer_pow clamp convert_element_type bitcast_convert_type select_n copy copy_p".split()
@@ -52,7 +54,18 @@ def test_unary(name, kind):
 
 @pytest.mark.parametrize(("name", "kind"), [(n, k) for n, kinds in BINARY.items() for k in kinds])
 def test_binary(name, kind):
-    both(getattr(lax, NAMES.get(name, name)), *pairs(kind), rtol=3e-6)
+    operation = IN_ORDER[name].bind if name in IN_ORDER else getattr(lax, NAMES.get(name, name))
+    both(operation, *pairs(kind), rtol=3e-6)
+
+
+def test_a_search_is_one_kernel():
+    table, wanted = jnp.sort(pairs("f")[0][:1000]), pairs("f")[1]
+
+    def search(table, wanted):
+        return jnp.searchsorted(table, wanted, side="left"), jnp.searchsorted(table, wanted, side="right")
+
+    both(search, table, wanted)
+    assert not operations(search, table, wanted)[1]
 
 
 @pytest.mark.parametrize("given", "fiub")
