@@ -8,9 +8,9 @@ kernels with other numbers of rows. So whatever a kernel needs is there when it 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from jaxdr.kernels.flatten import Equation, Value
+from jaxdr.kernels.flatten import SMALL, Equation, Value
 from jaxdr.kernels.operations import has_rule
-from jaxdr.kernels.rows import is_sum, row_axis, rows_of
+from jaxdr.kernels.rows import KINDS, STRUCTURAL, is_sum, row_axis, rows_of
 
 
 class Cluster(NamedTuple):
@@ -41,7 +41,7 @@ def planned(equations: Sequence[Equation]) -> Plan:
             (_above(equation, i, v, makers, level, rows, free) for i, v in enumerate(equation.inputs)), default=0
         )
         makers |= dict.fromkeys(equation.outputs, equation)
-        if rows[equation] and _is_free(equation, rows[equation]):
+        if _is_free(equation, rows[equation]):
             free |= dict.fromkeys(equation.outputs, equation)
         elif rows[equation]:
             key = level[equation], rows[equation]
@@ -63,7 +63,11 @@ def _rows(equation: Equation) -> int:
 
 
 def _is_free(equation: Equation, rows: int) -> bool:
-    """Whether rows are made of nothing but a few numbers that all share."""
+    """Whether rows are made of nothing but a few numbers that all share, or these numbers are only placed anew."""
+    if not rows:
+        return equation.name in STRUCTURAL and all(
+            v.size <= SMALL and v.kind in KINDS for v in (*equation.inputs, *equation.outputs)
+        )
     if is_sum(equation) or equation.name in ("gather", "random_bits"):
         return False
     return all(row_axis(v.shape, rows) is None for v in equation.inputs)
@@ -76,7 +80,7 @@ def _above(equation, position: int, value: Value, makers, level, rows, free) -> 
         return 0
     at = level[maker]
     if value in free:
-        return at
+        return at + 1 if rows[equation] and not rows[maker] else at
     if not rows[equation]:
         return at + 1 if rows[maker] else at
     is_table = equation.name == "gather" and position == 0

@@ -355,7 +355,8 @@ def _loop(equation: Equation, counts: Counts, apart: set[Value]) -> _Loop:
         body = Program(parameters["body_jaxpr"], counts, known[a : a + b] + nothing, given[a:], carries)
         return _Loop(equation, [test, body], tuple(given), tuple(carries))
     given = [v in apart for v in inputs]
-    returned = tuple(_goes_apart(v) for v in outputs)
+    # Branches hand on much of what they were given, and loops collect what branches return: both as a whole.
+    returned = (False,) * len(outputs)
     programs = [Program(branch, counts, known[1:], given[1:], returned) for branch in parameters["branches"]]
     return _Loop(equation, programs, tuple(given), returned)
 

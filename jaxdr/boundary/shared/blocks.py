@@ -10,7 +10,7 @@ from jaxtyping import Array, Int
 from jaxdr import loops
 from jaxdr.geometry.queries import rematerialised
 
-BLOCKS = 6
+BLOCKS = 8  # most lists have a power of two of slots; then no block needs padding
 
 
 def sum_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any, used: Int[Array, ""]) -> Any:
@@ -32,7 +32,8 @@ def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
     length = jax.tree.leaves(slots)[0].shape[0]
     part, _, blocks = _split(function, slots, used)
     stacked = loops.scan(lambda _, block: (None, part(block)), None, blocks)[1]
-    return jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:])[:length], stacked)
+    whole = jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:]), stacked)
+    return jax.tree.map(lambda t: t[:length], whole) if length % BLOCKS else whole
 
 
 def _split(function, slots, used):
@@ -41,11 +42,12 @@ def _split(function, slots, used):
     The function gives zeros for blocks after the first `used` slots.
     """
     length = jax.tree.leaves(slots)[0].shape[0]
-    size = length // BLOCKS + 1  # always with padding, so that the program is the same for all lengths
+    size = -(-length // BLOCKS)
     padding = size * BLOCKS - length
 
     def split(table):
-        table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
+        if padding:
+            table = jnp.concatenate([table, jnp.repeat(table[-1:], padding, axis=0)])
         return table.reshape(BLOCKS, size, *table.shape[1:])
 
     # Rematerialise twice. Without it around the block the loop would stack the branch's residuals; without it inside
