@@ -162,7 +162,7 @@ def _placed(equation: Equation, rows: int, given: Sequence[Sequence[Any]]) -> tu
             return [np.broadcast_to(number.reshape(wide), shape)], every
         case "unstack":
             axis = parameters["axis"]
-            return [np.take(number, i, axis) for i in range(len(equation.outputs))], every
+            return [np.asarray(np.take(number, i, axis)) for i in range(len(equation.outputs))], every
         case "stack":
             return [np.stack([number, *others], parameters["axis"])], every
         case "concatenate":

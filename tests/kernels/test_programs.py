@@ -96,6 +96,18 @@ def test_rows_that_count(share, rows, size):
     assert not operations(function, numbers)[1]
 
 
+def test_numbers_that_all_rows_share(x):
+    """They are taken apart and put together in kernels, and for XLA, too."""
+
+    def function(x, frame, total):
+        a, b, c = jnp.unstack(frame)
+        turned = jnp.stack([b, jnp.squeeze(lax.slice(total * c, (1,), (2,))) * jnp.ones(3), a[::-1]])
+        apart = jnp.unstack(turned.reshape(-1))
+        return x * apart[0] + x @ turned + apart[4], jnp.linalg.norm(turned), x.sum(0) * jnp.stack(apart[:3])
+
+    both(function, x, x[:3], x[0], rtol=1e-5, atol=1e-4)
+
+
 def test_branches(x):
     def branch(x, k):
         return lax.cond(k > 0, lambda x: (x * 2, x.sum()), lambda x: (x[:, ::-1], x.max()), x + 1)
