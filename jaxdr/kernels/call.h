@@ -42,8 +42,7 @@ extern "C" XLA_FFI_Error* jaxdr_run(XLA_FFI_CallFrame* f, const Kernel* kernel) 
     c.D[i] = argument(f, i)->dims;
   }
   for (int i = 0; i < writes; i++) c.R[i] = (char*)result(f, i)->data;
-  // The only attribute: the number of rows.
-  c.rows = *(int64_t*)((XLA_FFI_Scalar*)f->attrs.attrs[0])->value;
+  c.rows = number(f, 0);
   c.task_rows = TASK_ROWS;
   if (sums) {
     const int64_t share = (c.rows + SUM_TASKS - 1) / SUM_TASKS;

@@ -76,3 +76,7 @@ static bool is_question(XLA_FFI_CallFrame* f) {
 }
 static XLA_FFI_Buffer* argument(XLA_FFI_CallFrame* f, int i) { return (XLA_FFI_Buffer*)f->args.args[i]; }
 static XLA_FFI_Buffer* result(XLA_FFI_CallFrame* f, int i) { return (XLA_FFI_Buffer*)f->rets.rets[i]; }
+// An attribute that is a whole number; attributes come in the order of their names.
+static int64_t number(XLA_FFI_CallFrame* f, int i) {
+  return *(int64_t*)((XLA_FFI_Scalar*)f->attrs.attrs[i])->value;
+}

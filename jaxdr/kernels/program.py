@@ -14,6 +14,7 @@ from jax.extend import core
 
 from jaxdr.kernels import machine
 from jaxdr.kernels.flatten import Equation, Value, flat
+from jaxdr.kernels.handled import handled, has_handler, target_of
 from jaxdr.kernels.levels import Cluster, planned
 from jaxdr.kernels.rows import KINDS, LEAST, STRUCTURAL, THREEFRY, changes_entries, is_sum, row_axis, width
 from jaxdr.kernels.text import Kernel, KernelWriter, Part
@@ -22,7 +23,6 @@ LOOPS = ("scan", "while", "cond")
 WIDEST = 16  # components; wider values go through loops as a whole
 # Operations of XLA that move rows, and do the same to every component.
 BY_COMPONENT = ("dynamic_slice", "dynamic_update_slice", "slice", "concatenate", "pad")
-HANDLERS = {"rows_where": "rows_where.h"}  # operations that have a handler in C++, which is no kernel
 INTO_ROWS = {"scatter-add": jax.lax.scatter_add, "scatter": jax.lax.scatter}
 
 
@@ -94,9 +94,8 @@ class Program:
                 self.apart |= made
                 steps.append(writer)
                 continue
-            if step.name in HANDLERS:
-                text = machine.declarations() + machine.library_text(HANDLERS[step.name])
-                counts.targets.append(machine.target(text, kernel=False))
+            if has_handler(step):
+                counts.targets.append(target_of(step))
                 steps.append(_Handled(counts.targets[-1], step))
                 continue
             counts.left[step.name] = counts.left.get(step.name, 0) + 1
@@ -222,10 +221,8 @@ def _run(step: Any, arrays: _Arrays) -> None:
             else:
                 arrays.arrays[value] = result[0]
     elif isinstance(step, _Handled):
-        (out,) = step.equation.outputs
-        call = jax.ffi.ffi_call(step.target, jax.ShapeDtypeStruct(out.shape, out.aval.dtype))
-        (mask,) = step.equation.inputs
-        arrays.arrays[out] = call(arrays.whole(mask), fill=np.int64(step.equation.parameters["fill"]))
+        (given,), (out,) = step.equation.inputs, step.equation.outputs
+        arrays.arrays[out] = handled(step.target, step.equation, arrays.whole(given))
     elif isinstance(step, _Moved):
         (out,) = step.equation.outputs
         arrays.parts[out] = dict(enumerate(_moved(step.equation, arrays)))

@@ -40,7 +40,7 @@ extern "C" XLA_FFI_Error* jaxdr_handler(XLA_FFI_CallFrame* f) {
   c.rows = argument(f, 0)->dims[0];
   c.out = (int*)result(f, 0)->data;
   c.size = result(f, 0)->dims[0];
-  const int fill = (int)*(int64_t*)((XLA_FFI_Scalar*)f->attrs.attrs[0])->value;
+  const int fill = (int)number(f, 0);
   c.share = (c.rows + MOST_TASKS - 1) / MOST_TASKS;
   if (c.share < 4096) c.share = 4096;
   const int64_t tasks = (c.rows + c.share - 1) / c.share;

@@ -96,6 +96,22 @@ def test_rows_that_count(share, rows, size):
     assert not operations(function, numbers)[1]
 
 
+@pytest.mark.parametrize("reverse", [False, True])
+def test_running_sums(x, reverse):
+    def sums(x):
+        whole = (10 * x).astype(jnp.int32)
+        table = x.reshape(17, -1, 3)
+        sums_of_table = [lax.cumsum(table, axis, reverse=reverse) for axis in range(3)]
+        return lax.cumsum(x[:, 0], reverse=reverse), lax.cumsum(whole[:, 1], reverse=reverse), sums_of_table, x * 2
+
+    both(sums, x, rtol=1e-4, atol=1e-5)
+    assert "cumsum" not in operations(sums, x)[1]
+    many = jnp.full(1 << 22, 0.1)
+    found = jax.jit(fused(lambda x: lax.cumsum(x, reverse=reverse)))(many)
+    exact = np.cumsum(np.asarray(many, float))
+    np.testing.assert_allclose(found, exact[::-1] if reverse else exact, rtol=1e-6)
+
+
 def test_numbers_that_all_rows_share(x):
     """They are taken apart and put together in kernels, and for XLA, too."""
 
