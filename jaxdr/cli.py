@@ -505,8 +505,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default 0)")
     command.add_argument("--overwrite", action="store_true", help="replace earlier cameras in the output folder")
 
-    command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs with known cameras.")
-    command.add_argument("folder", metavar="FOLDER", help="NeRF synthetic scene, instant-ngp or COLMAP folder")
+    command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs.")
+    command.add_argument("folder", metavar="FOLDER", help="photographs, with their cameras (see docs/reconstruct.md) or without")
     command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for asset.glb and the rest")
     command.add_argument("--config", metavar="CONFIG.toml", help="settings that differ from the defaults")
     what = "pictures that are held out and not used, such as '*_7' (default: the test pictures, or every eighth)"
