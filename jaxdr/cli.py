@@ -506,7 +506,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--overwrite", action="store_true", help="replace earlier cameras in the output folder")
 
     command = add("reconstruct", _reconstruct, "Find mesh, textures and light from photographs.")
-    command.add_argument("folder", metavar="FOLDER", help="photographs, with their cameras (see docs/reconstruct.md) or without")
+    command.add_argument(
+        "folder", metavar="FOLDER", help="photographs, with their cameras (see docs/reconstruct.md) or without"
+    )
     command.add_argument("-o", "--output", required=True, metavar="OUT", help="folder for asset.glb and the rest")
     command.add_argument("--config", metavar="CONFIG.toml", help="settings that differ from the defaults")
     what = "pictures that are held out and not used, such as '*_7' (default: the test pictures, or every eighth)"

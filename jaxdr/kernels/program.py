@@ -221,8 +221,8 @@ def _run(step: Any, arrays: _Arrays) -> None:
             else:
                 arrays.arrays[value] = result[0]
     elif isinstance(step, _Handled):
-        (given,), (out,) = step.equation.inputs, step.equation.outputs
-        arrays.arrays[out] = handled(step.target, step.equation, arrays.whole(given))
+        (out,) = step.equation.outputs
+        arrays.arrays[out] = handled(step.target, step.equation, [arrays.whole(v) for v in step.equation.inputs])
     elif isinstance(step, _Moved):
         (out,) = step.equation.outputs
         arrays.parts[out] = dict(enumerate(_moved(step.equation, arrays)))

@@ -19,6 +19,7 @@ from jaxdr.kernels.levels import Cluster, planned
 from jaxdr.kernels.rows import SUMMED
 from jaxdr.kernels.text import KernelWriter
 from jaxdr.transport.compaction import rows_where
+from jaxdr.transport.keys import fixed_key, inner_key
 from tests.kernels.programs import N, both, operations
 
 
@@ -110,6 +111,19 @@ def test_running_sums(x, reverse):
     found = jax.jit(fused(lambda x: lax.cumsum(x, reverse=reverse)))(many)
     exact = np.cumsum(np.asarray(many, float))
     np.testing.assert_allclose(found, exact[::-1] if reverse else exact, rtol=1e-6)
+
+
+def test_keys_that_follow_from_a_key(x):
+    """By a handler, bit for bit as `jaxdr.transport.keys` has them; batches of keys are left to XLA."""
+
+    def derived(x, seed):
+        key = inner_key(jax.random.key(seed))
+        keys = [jax.random.fold_in(key, ~seed), *jax.random.split(key), *jax.random.split(key, (2, 3)).ravel()]
+        return [jax.random.key_data(key) for key in keys], x * 2
+
+    both(derived, x, jnp.uint32(7))
+    assert not {"random_split", "random_fold_in"} & operations(derived, x, jnp.uint32(7))[1]
+    both(lambda x: jax.random.key_data(jax.vmap(jax.random.split)(jax.random.split(fixed_key(3), 5))) + x.sum(), x)
 
 
 def test_numbers_that_all_rows_share(x):
