@@ -24,6 +24,7 @@ import numpy as np
 import warp
 from tqdm import tqdm
 
+from jaxdr import __version__
 from jaxdr.aovs import NAMES, render_aovs
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.boundary.named import OUTSIDE, estimator_class
@@ -433,6 +434,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxdr", description="Differentiable rendering in JAX.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"jaxdr {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
     def add(name, function, summary, compiles=True):

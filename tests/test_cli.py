@@ -274,6 +274,12 @@ def test_mistakes_end_with_one_line(workplace, capsys, arguments, message):
     assert (workplace / "out.png").read_text() == "old"
 
 
+def test_the_version(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--version"])
+    assert not ended.value.code and capsys.readouterr().out == f"jaxdr {jd.__version__}\n"
+
+
 def test_debug_shows_the_traceback():
     with pytest.raises(ValueError, match=r"nothing\.xml"):
         cli.main(["render", "nothing.xml", "-o", "out.png", "--debug"])

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = (".csv", ".npz", ".css", ".js", ".txt")
+DATA = (".csv", ".npz", ".css", ".js", ".txt", ".h", ".typed")
 
 
 def call(*command: object, cwd: Path) -> str:
