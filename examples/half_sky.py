@@ -4,13 +4,14 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
+import jaxdr as jd
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import components
 from jaxdr.scene.color import as_rgb
-from jaxdr.scene.emitters import Environment, UniformDirections
+from jaxdr.scene.emitters import UniformDirections
 
 
-class HalfSky(Environment):
+class HalfSky(jd.Environment):
     """`radiance` from the directions on the +x side of a plane through the z axis; the plane is turned by `azimuth`."""
 
     radiance: Float[Array, "3"]

@@ -2,12 +2,13 @@
 
 import jax.numpy as jnp
 
+import jaxdr as jd
 from jaxdr.geometry.vector import components, from_components, normalize, z_of
-from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample
+from jaxdr.scene.bsdf.base import DeltaSample
 from jaxdr.scene.bsdf.parameters import Number, Value, number
 
 
-class StretchedMirror(DeltaBSDF):
+class StretchedMirror(jd.DeltaBSDF):
     """Light leaves as from a mirror, but with `stretch` times the slope; black from behind."""
 
     stretch: Number

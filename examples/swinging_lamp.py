@@ -5,14 +5,14 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+import jaxdr as jd
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import from_components, scale
 from jaxdr.scene.color import as_rgb, luminance
-from jaxdr.scene.lights import DeltaLight
 from jaxdr.scene.lights.base import vector
 
 
-class SwingingLamp(DeltaLight):
+class SwingingLamp(jd.DeltaLight):
     """RGB `intensity` (W / sr) from the end of a rod of `length` below `pivot`, turned by `angle` towards +x."""
 
     pivot: Float[Array, "*n 3"]

@@ -7,13 +7,12 @@ import jax.numpy as jnp
 
 import jaxdr as jd
 from jaxdr.geometry.vector import scale, z_of
-from jaxdr.scene.bsdf import BSDF
 from jaxdr.scene.bsdf.base import both_above
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, number, rgb
 from jaxdr.scene.sampling import cosine_hemisphere
 
 
-class Minnaert(BSDF):
+class Minnaert(jd.BSDF):
     """f = reflectance (k + 1) / (2 pi) (cos_i cos_o)^(k - 1): k = 1 is diffuse, larger k darkens the rim."""
 
     reflectance: Color

@@ -42,6 +42,7 @@ from jaxdr.plan.plan import plan as plan
 from jaxdr.plan.report import Plan as Plan
 from jaxdr.render import derivative_terms as derivative_terms
 from jaxdr.render import render as render
+from jaxdr.scene.bsdf import BSDF as BSDF
 from jaxdr.scene.bsdf import Blend as Blend
 from jaxdr.scene.bsdf import BumpMap as BumpMap
 from jaxdr.scene.bsdf import Conductor as Conductor
@@ -57,12 +58,14 @@ from jaxdr.scene.bsdf import RoughDielectric as RoughDielectric
 from jaxdr.scene.bsdf import RoughPlastic as RoughPlastic
 from jaxdr.scene.bsdf import ThinDielectric as ThinDielectric
 from jaxdr.scene.bsdf import TwoSided as TwoSided
+from jaxdr.scene.bsdf.base import DeltaBSDF as DeltaBSDF
 from jaxdr.scene.camera import Orthographic as Orthographic
 from jaxdr.scene.camera import Perspective as Perspective
 from jaxdr.scene.camera import ThinLens as ThinLens
 from jaxdr.scene.camera import look_at as look_at
 from jaxdr.scene.emitters import AreaEmitter as AreaEmitter
 from jaxdr.scene.emitters import ConstantEnvironment as ConstantEnvironment
+from jaxdr.scene.emitters import Environment as Environment
 from jaxdr.scene.environment_map import EnvironmentMap as EnvironmentMap
 from jaxdr.scene.film import Box as Box
 from jaxdr.scene.film import Film as Film

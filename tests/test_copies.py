@@ -116,7 +116,7 @@ MADE = {
         {"v": jnp.ones(3)}
     ),  # its state; optax's pairs of closures are not for files
 }
-ABSTRACT = {"DeltaLight", "Term", "Texture"}
+ABSTRACT = {"BSDF", "DeltaBSDF", "DeltaLight", "Environment", "Term", "Texture"}
 WAYS = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy, "copy": copy.copy}
 
 
