@@ -17,7 +17,7 @@ from jaxdr.render import render
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
-from jaxdr.transport.keys import inner_key
+from jaxdr.transport.keys import check_key, inner_key
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.whole_numbers import check_spp
 
@@ -69,6 +69,7 @@ def render_aovs(
             raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
     if not isinstance(scene, Scene):
         raise ValueError(f"render_aovs: expected a jaxdr.Scene, got {type(scene).__name__}")
+    check_key("render_aovs", key)
     check_spp("render_aovs", spp)
     found = _images(_Settings(names, int(spp), rays), scene, inner_key(key))
     return {name: found[name] for name in names}

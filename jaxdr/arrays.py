@@ -32,6 +32,14 @@ def as_array(value, dtype: DTypeLike | None = float) -> Array:
             return jax.device_put(np.array(value, dtype and jnp.result_type(dtype)))
 
 
+def as_numbers(value, name: str) -> Array:
+    """`as_array` of what a user gives for `name`. Raises ValueError, with the name, for what is not made of numbers."""
+    try:
+        return as_array(value)
+    except (TypeError, ValueError) as problem:
+        raise ValueError(f"{name} must be made of numbers, got {value!r}") from problem
+
+
 def on_host(array: Array) -> Array | np.ndarray:
     """The array as a NumPy array, unless it is traced. For computations whose result goes into `as_array`."""
     return array if isinstance(array, Tracer) else np.asarray(array)

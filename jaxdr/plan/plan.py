@@ -18,6 +18,7 @@ from jaxdr.plan.report import Plan
 from jaxdr.plan.static_look import StaticLook, static_look
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene
+from jaxdr.transport.keys import check_key
 from jaxdr.whole_numbers import whole
 
 PIXELS = 48 * 48  # most pixels of the pilots' film
@@ -54,6 +55,8 @@ def plan(
     if no estimator can differentiate the scene.
     """
     _check(scene, budget, max_depth, spp, integrator, boundary)
+    if key is not None:
+        check_key("plan", key)
     key_direction, key_depth, key_pilot = jax.random.split(jax.random.key(0) if key is None else key, 3)
     integrator = None if integrator is None else settled(integrator, scene)
     along = direction(scene, params, key_direction)

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxdr.arrays import as_array, broadcast
+from jaxdr.arrays import as_numbers, broadcast
 from jaxdr.geometry.vector import components
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -25,7 +25,7 @@ def magnitude(rgb: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 
 def as_rgb(value, name: str) -> Float[Array, "3"]:
     """RGB from one number or three numbers. Raises ValueError, with the parameter's name, for any other shape."""
-    array = as_array(value)
+    array = as_numbers(value, name)
     if array.shape not in ((), (1,), (3,)):
         raise ValueError(f"{name} must be a number or three numbers (RGB), got shape {array.shape}")
     return broadcast(array, (3,))

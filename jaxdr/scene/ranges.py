@@ -5,6 +5,7 @@ such as a roughness, it computes with `within`.
 """
 
 import math
+import os
 from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
@@ -120,7 +121,12 @@ def within(
 
 
 def floats(value: Any, name: str) -> Any:
-    """The value. Raises ValueError, with the name, for an image of whole numbers, as files of 8 bits have them."""
+    """The value. Raises ValueError, with the name, for an image of whole numbers, as files of 8 bits have them.
+
+    The same for the name of a file.
+    """
+    if isinstance(value, str | os.PathLike):
+        raise ValueError(f"{name} must be an array of floats, got {str(value)!r}; jd.load_image reads files")
     kind = getattr(value, "dtype", None)
     if kind is not None and not jnp.issubdtype(kind, jnp.floating):
         raise ValueError(f"{name} must be floats, linear, got {kind}; jd.load_image reads files as such")

@@ -47,6 +47,9 @@ class Shape(eqx.Module):
 
 
 def _sorted_by_id(members: Mapping) -> dict:
+    if not isinstance(members, Mapping):
+        kind = type(members).__name__
+        raise ValueError(f"Scene: shapes and lights are dictionaries by id, such as {{'ball': shape}}, got a {kind}")
     # JAX sorts dictionaries when it flattens them: sorting here keeps the order the same before and after.
     return dict(sorted(members.items()))
 

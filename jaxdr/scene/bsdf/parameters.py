@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxdr.arrays import as_array, on_host
+from jaxdr.arrays import as_array, as_numbers, on_host
 from jaxdr.scene.bsdf.fresnel import ETA as ETA
 from jaxdr.scene.bsdf.materials import DIELECTRICS, METALS
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, SMOOTHEST
@@ -38,7 +38,7 @@ def number(value, name: str, low: float = -np.inf, high: float = np.inf) -> Numb
     """
     if isinstance(value, Texture):
         return _texture(value, name, 1, low, high)
-    array = as_array(value)
+    array = as_numbers(value, name)
     if array.shape != ():
         raise ValueError(f"{name} must be a number, got shape {array.shape}")
     if (low, high) != (-np.inf, np.inf):

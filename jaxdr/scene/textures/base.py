@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_array, broadcast, on_host
 from jaxdr.geometry.vector import components, from_components, transform
-from jaxdr.scene.ranges import Parametric
+from jaxdr.scene.ranges import Parametric, floats
 
 
 class TexturePoint(NamedTuple):
@@ -117,7 +117,7 @@ def channels_last(value: ArrayLike, name: str, axes: int) -> Float[Array, "..."]
 
     Raises ValueError, with the parameter's name, for another shape, and for integers unless `axes` is 0.
     """
-    array = as_array(value, None)
+    array = as_array(floats(value, name) if axes else value, None)
     if not jnp.issubdtype(array.dtype, jnp.floating) and axes:
         raise ValueError(f"{name} must be floats, linear, got {array.dtype}")
     array = on_host(as_array(array))
