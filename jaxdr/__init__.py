@@ -81,6 +81,7 @@ from jaxdr.scene.lights import PointLight as PointLight
 from jaxdr.scene.lights import Projector as Projector
 from jaxdr.scene.lights import SpotLight as SpotLight
 from jaxdr.scene.lights import TexturedSpotLight as TexturedSpotLight
+from jaxdr.scene.move import move as move
 from jaxdr.scene.scene import Scene as Scene
 from jaxdr.scene.scene import Shape as Shape
 from jaxdr.scene.textures import Bitmap as Bitmap

@@ -86,6 +86,7 @@ BUILT = {
     "load_shape": lambda of: jd.load_shape(of.folder / "m.obj"),
     "load_views": lambda of: jd.load_views(of.folder / "photographs").views[0].image,
     "look_at": lambda of: jd.look_at((0, -4, 1), np.zeros(3), (0, 0, 1)),
+    "move": lambda of: jd.move(scene(of), {"ball.translate": (1, 0, 2), "ball.scale.x": 2.0, "camera.rotate.z": 0.1}),
     "remesh": lambda of: jd.remesh(jd.shapes.sphere(1), 0.5, iterations=1),
     "shapes": lambda of: [
         jd.shapes.sphere(0, 2.0, (1, 2, 3)),

@@ -47,6 +47,8 @@ class BSDF(Parametric, eqx.Module):
       other BSDF is black from behind.
     - `tangential`: its x axis has to be along increasing u (the texture coordinate). Otherwise it may be any tangent.
     - `inside`: the BSDFs that an `Adapter` is made of; empty for every other BSDF.
+
+    Raises TypeError for a class that holds a BSDF and is no `Adapter`.
     """
 
     transmissive: ClassVar[bool] = False
