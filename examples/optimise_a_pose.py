@@ -24,15 +24,12 @@ def make_scene() -> jd.Scene:
 def main(steps: int = STEPS) -> jax.Array:
     """Prints the error as it falls; returns the pose that was found."""
     scene = make_scene()
-    vertices = scene.parameters()["box.vertices"]
     tracer = jd.PathTracer(max_depth=2)
 
     def image(pose, key, spp=SAMPLES):
         x, y, angle = pose
-        cosine, sine = jnp.cos(angle), jnp.sin(angle)
-        turn = jnp.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        placed = vertices @ turn.T + jnp.array([x, y, 0.0])
-        return jd.render(scene.replace({"box.vertices": placed}), key, spp=spp, integrator=tracer)
+        placed = jd.move(scene, {"box.translate.x": x, "box.translate.y": y, "box.rotate.z": angle})
+        return jd.render(placed, key, spp=spp, integrator=tracer)
 
     target = image(TRUE, jax.random.key(0), spp=256)
     optimiser = optax.adam(optax.cosine_decay_schedule(0.04, steps, alpha=0.05))
