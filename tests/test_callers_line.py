@@ -30,6 +30,20 @@ def test_a_mesh_names_the_line_that_made_it():
     assert caught[0].filename == __file__
 
 
+def test_a_scene_without_light_is_told():
+    camera = jd.Perspective(jd.look_at((0, -4, 0), (0, 0, 0), (0, 0, 1)), 40.0, jd.Film(4, 4))
+    dark, key = jd.Scene({"ball": jd.Shape(jd.shapes.sphere(1))}, camera), jax.random.key(0)
+    with pytest.warns(UserWarning, match="the scene has no light, so its image is black") as caught:
+        jax.eval_shape(lambda key: jd.render(dark, key, 1), key)
+    assert caught[0].filename == __file__
+    lights = {"lights": {"bulb": jd.PointLight((0, 0, 3), 1.0)}}, {"environment": jd.ConstantEnvironment(1.0)}
+    glowing = {"ball": jd.Shape(jd.shapes.sphere(1), emitter=jd.AreaEmitter(1.0))}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for lit in (*(jd.Scene(dark.shapes, camera, **light) for light in lights), jd.Scene(glowing, camera)):
+            jax.eval_shape(lambda key, lit=lit: jd.render(lit, key, 1), key)
+
+
 def test_without_a_caller_the_outermost_frame_is_named(monkeypatch):
     monkeypatch.setattr(callers_line, "_inner", lambda frame: True)
     with warnings.catch_warnings(record=True) as caught:
