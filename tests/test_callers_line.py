@@ -44,6 +44,16 @@ def test_a_scene_without_light_is_told():
             jax.eval_shape(lambda key, lit=lit: jd.render(lit, key, 1), key)
 
 
+def test_a_reflectance_above_one_is_told():
+    with pytest.warns(UserWarning, match=r"reflectance is \[255.0, 0.0, 0.0\]; above 1") as caught:
+        jd.Diffuse((255, 0, 0))
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jd.Diffuse((1.0, 0.0, 0.5))
+        jax.eval_shape(lambda x: jd.Diffuse(x).reflectance, jax.ShapeDtypeStruct((3,), "float32"))
+
+
 def test_without_a_caller_the_outermost_frame_is_named(monkeypatch):
     monkeypatch.setattr(callers_line, "_inner", lambda frame: True)
     with warnings.catch_warnings(record=True) as caught:
