@@ -3,35 +3,34 @@
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxdr.arrays import traced
+from jaxdr.arrays import on_host
 from jaxdr.callers_line import warn
 from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.parameters import Color, Value, color
 from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import cosine_hemisphere
+from jaxdr.scene.textures import Texture
 
 
 class Diffuse(BSDF):
     """Lambertian reflection; black from behind.
 
-    `reflectance` is RGB; a number means grey. It is in [0, 1] for a surface that conserves energy; the constructor warns
-    of more. Raises ValueError for values that are negative or not finite.
+    `reflectance` is RGB; a number means grey. It is in [0, 1] for a surface that conserves energy; a warning tells of
+    more. Raises ValueError for values that are negative or not finite.
     """
 
     reflectance: Color = eqx.field(metadata=ranged(0.0, math.inf))
 
     def __init__(self, reflectance: Value = 0.5):
         self.reflectance = color(reflectance, "Diffuse: reflectance")
-        if isinstance(self.reflectance, jax.Array) and not traced(self.reflectance) and self.reflectance.max() > 1:
-            got = np.asarray(self.reflectance).tolist()
-            warn(
-                f"jaxdr: Diffuse: reflectance is {got}; above 1 a surface sends out more light than it gets (8-bit / 255)"
-            )
+        values = None if isinstance(self.reflectance, Texture) else on_host(self.reflectance)
+        if isinstance(values, np.ndarray) and values.max() > 1:
+            excess = "above 1 a surface sends out more light than it gets"
+            warn(f"jaxdr: Diffuse: reflectance is {values.tolist()}; {excess}")
 
     def eval(self, wi, wo):
         cosine = jnp.where(both_above(wi, wo), z_of(wo), 0.0)
