@@ -29,8 +29,8 @@ class Diffuse(BSDF):
         self.reflectance = color(reflectance, "Diffuse: reflectance")
         values = None if isinstance(self.reflectance, Texture) else on_host(self.reflectance)
         if isinstance(values, np.ndarray) and values.max() > 1:
-            excess = "above 1 a surface sends out more light than it gets"
-            warn(f"jaxdr: Diffuse: reflectance is {values.tolist()}; {excess}")
+            got = values.tolist()
+            warn(f"jaxdr: Diffuse: reflectance is {got}; above 1 a surface sends out more light than it gets")
 
     def eval(self, wi, wo):
         cosine = jnp.where(both_above(wi, wo), z_of(wo), 0.0)
