@@ -234,12 +234,7 @@ def _derivative(program: Program, active: tuple[bool, ...], moved, floats, other
 
     primal, tangent, packed = jax.jvp(moving_leaves, (at,), (moved,), has_aux=True)
     leaves, structure = jax.tree.flatten(packed)
-
-    def prepare(key):
-        return _prepare(_join(program, floats, others), packed, integrator, moving, key)
-
-    # Nobody differentiates it, and it is short: kernels save time to compile, whatever the number of rows.
-    prepared, key = computed(prepare, program.compute, fewest=0)(key)
+    prepared, key = _prepare(_join(program, floats, others), packed, integrator, moving, key)
     fixed = [leaf for leaf, m in zip(leaves, moves, strict=True) if not m], prepared, arrays, key
     term = _Chunk(program, moving, structure, moves)
     _, _, width, height = packed.camera.film.window

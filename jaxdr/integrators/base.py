@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal
 from jaxdr.boundary.shared.term import Chunk, Context, Term, detached, named_key
+from jaxdr.kernels import computed
 from jaxdr.moving import Moving
 from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
@@ -42,11 +43,16 @@ class ConnectedEstimator(Protocol):
     ) -> Float[Array, "C N 3"]: ...
 
 
-def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray) -> dict[str, Any]:
-    """The states of terms by name, detached. Terms that are zero here are left out."""
+def prepare_terms(context: Context, terms: Sequence[Term], key: PRNGKeyArray, compute: str = "xla") -> dict[str, Any]:
+    """The states of terms by name, detached. Terms that are zero here are left out. `compute` is as in `computed`."""
     still = context._replace(packed=stop_gradient(context.packed))
-    states = {term.name: term.prepare(still, named_key(key, term.name)) for term in terms}
-    return {name: stop_gradient(state) for name, state in states.items() if state is not None}
+
+    def prepare(key):
+        states = {term.name: term.prepare(still, named_key(key, term.name)) for term in terms}
+        return {name: state for name, state in states.items() if state is not None}
+
+    # It is short: kernels save time to compile, whatever the number of rows.
+    return stop_gradient(computed(prepare, compute, fewest=0)(key))
 
 
 def term_images(

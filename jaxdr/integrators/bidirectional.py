@@ -181,7 +181,7 @@ class BidirectionalPathTracer(eqx.Module):
         refuse(self.boundary_refusals, asked)
         if not any(moving.seen):
             return None
-        return prepare_terms(self._context(packed, moving), self._terms(), key)
+        return prepare_terms(self._context(packed, moving), self._terms(), key, self.compute)
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:
         settings = PathSettings(self.max_depth, True, self.rays)

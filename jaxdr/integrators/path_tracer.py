@@ -178,7 +178,7 @@ class PathTracer(eqx.Module):
         _warn_of_caustics(packed, self.max_depth)
         if self.primary == "warp" and cutting_planes(packed.camera):
             warn_of_cuts()
-        return prepare_terms(self._context(packed, moving), self._terms(moving, apart), key)
+        return prepare_terms(self._context(packed, moving), self._terms(moving, apart), key, self.compute)
 
     def _context(self, packed: PackedScene, moving: Moving) -> Context:
         packed = dataclasses.replace(packed, environment_turns=moving.environment)
