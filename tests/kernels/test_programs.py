@@ -275,12 +275,8 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", ["lamp", *(pytest.param(name, marks=pytest.mark.slow) for name in SCENES if name != "lamp")]
-)
-def test_renderings(name):
-    """Images and gradients by kernels are those of XLA. A comparison that rounding turns over changes single paths."""
-    bsdf, integrator = SCENES[name]
+def loss_of(bsdf, integrator):
+    """(offset of a ball, key) -> (mean square of its image, the image)."""
     lamp = jd.shapes.transformed(jd.shapes.rectangle(1.0, 1.0), jd.look_at((2, 1, 4), (0, 0, 0.5), (0, 1, 0)))
     scene = jd.Scene(
         shapes={
@@ -290,21 +286,40 @@ def test_renderings(name):
         },
         camera=jd.Perspective(jd.look_at((0, -4, 2.5), (0, 0, 0.5), (0, 0, 1)), fov=35.0, film=jd.Film(16, 16)),
     )
-    vertices = scene.parameters()["ball.vertices"]
+
+    def loss(offset, key):
+        image = jd.render(jd.move(scene, {"ball.translate": offset}), key, 8, integrator)
+        return jnp.square(image).mean(), image
+
+    return loss
+
+
+@pytest.mark.parametrize(
+    "name", ["lamp", *(pytest.param(name, marks=pytest.mark.slow) for name in SCENES if name != "lamp")]
+)
+def test_renderings(name):
+    """Images and gradients by kernels are those of XLA. A comparison that rounding turns over changes single paths."""
+    bsdf, integrator = SCENES[name]
 
     def values(compute):
-        own = dataclasses.replace(integrator, compute=compute)
-
-        def loss(offset, key):
-            image = jd.render(scene.replace({"ball.vertices": vertices + offset}), key, 8, own)
-            return jnp.square(image).mean(), image
-
+        loss = loss_of(bsdf, dataclasses.replace(integrator, compute=compute))
         return jax.jit(jax.grad(loss, has_aux=True))(jnp.asarray([0.1, 0.0, 0.0]), jax.random.key(0))
 
     (gradient, image), (expected, reference) = values("kernels"), values("xla")
     np.testing.assert_allclose(gradient, expected, atol=0.01 * np.abs(expected).max())
     off = np.abs(image - reference).max(-1) > 1e-4 * np.abs(reference).max()
     assert off.mean() < 0.02
+
+
+def test_a_batch_of_renderings():
+    """By keys and by places, the images and gradients of single calls."""
+    gradient = jax.grad(loss_of(jd.Diffuse(0.5), jd.PathTracer(max_depth=2, compute="kernels")), has_aux=True)
+    keys, offsets = jax.random.split(jax.random.key(0), 3), jnp.linspace(0.0, 0.2, 3)[:, None] * jnp.ones(3)
+    found, one = jax.jit(jax.vmap(gradient))(offsets, keys), jax.jit(gradient)
+    for i in range(3):
+        expected = one(offsets[i], keys[i])
+        np.testing.assert_allclose(found[0][i], expected[0], atol=1e-5 * np.abs(expected[0]).max())
+        np.testing.assert_allclose(found[1][i], expected[1], atol=1e-6)
 
 
 def test_few_rows_are_left_to_xla(x, caplog):
