@@ -32,10 +32,10 @@ HANDLERS: Mapping[str, Handler] = {
 
 def has_handler(equation: Equation) -> bool:
     """Whether a handler takes an operation on these operands. Keys are derived one by one."""
-    handler, first = HANDLERS.get(equation.name), equation.inputs[0] if equation.inputs else None
-    if handler is None or first is None or first.kind not in handler.kinds:
+    handler = HANDLERS.get(equation.name)
+    if handler is None or equation.inputs[0].kind not in handler.kinds:
         return False
-    return first.kind != KEY or all(not v.shape for v in equation.inputs)
+    return equation.inputs[0].kind != KEY or all(not v.shape for v in equation.inputs)
 
 
 def target_of(equation: Equation) -> str:

@@ -1,6 +1,7 @@
 """One-parameter motions of a scene by name, for derivative images: `spot.translate.x`, `camera.rotate.z`, …"""
 
 import difflib
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,6 +20,12 @@ def rounding_step(value: Float[Array, "*n"], speed: float) -> float:
     cached by the content of the scene, so they are built anew.
     """
     return 4 * EPSILON * float(np.abs(np.asarray(value)).max()) / max(speed, 1e-12)
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Words for a message about an unknown name: the known one that is most like it, if there is one."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Array, "*n"]]:
@@ -50,8 +57,7 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     if name in plain:
         return name, parameters[name], as_array(np.ones(parameters[name].shape), parameters[name].dtype)
     moves = [f"{o}.{k}.{a}" for o in owners for k in ("translate", "rotate") for a in AXES]
-    close = difflib.get_close_matches(name, [*moves, *plain], n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    hint = closest(name, [*moves, *plain])
     known = [f"{o}.translate|rotate.x|y|z" for o in owners]
     raise ValueError(
         f"{name!r} is not a motion or parameter of this scene{hint} (known: {', '.join([*known, *plain])})"

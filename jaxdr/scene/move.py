@@ -1,6 +1,5 @@
 """Shapes and the camera, translated, turned and scaled by name: the motions of `motion`, by more than a little."""
 
-import difflib
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxdr.arrays import as_numbers, traced
 from jaxdr.geometry.rotation import rotation_matrix
-from jaxdr.scene.motion import AXES
+from jaxdr.scene.motion import AXES, closest
 from jaxdr.scene.scene import Scene
 
 KINDS = ("scale", "rotate", "translate")  # in the order in which they are done
@@ -72,8 +71,7 @@ def _parsed(scene: Scene, name: str, value: ArrayLike) -> tuple[str, _Motion]:
     known |= {f"camera.{kind}": "camera" for kind in KINDS if kind != "scale"}
     names = {f"{start}{axis}": (start, axis[1:]) for start in known for axis in ("", *(f".{a}" for a in AXES))}
     if name not in names:
-        close = difflib.get_close_matches(name, names, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = closest(name, names)
         raise ValueError(f"move: {name!r} is no motion of this scene{hint} (known: {', '.join(known)}; .x, .y, .z)")
     start, axis = names[name]
     kind, array = start.rpartition(".")[2], as_numbers(value, f"move: {name}")

@@ -32,8 +32,7 @@ def map_over_blocks(function: Callable[[Any, Int[Array, " b"]], Any], slots: Any
     length = jax.tree.leaves(slots)[0].shape[0]
     part, _, blocks = _split(function, slots, used)
     stacked = loops.scan(lambda _, block: (None, part(block)), None, blocks)[1]
-    whole = jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:]), stacked)
-    return jax.tree.map(lambda t: t[:length], whole) if length % BLOCKS else whole
+    return jax.tree.map(lambda t: t.reshape(-1, *t.shape[2:])[:length], stacked)
 
 
 def _split(function, slots, used):
