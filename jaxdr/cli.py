@@ -21,7 +21,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp
 from tqdm import tqdm
 
 from jaxdr import __version__
@@ -68,7 +67,6 @@ PASS = 1 << 24  # paths of an image between two steps of the progress bar
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; `arguments` default to those of the process."""
-    warp.config.log_level = warp.LOG_WARNING  # no banner and no compilation notes between the command's lines
     try:
         options = _parser().parse_args(arguments)
         if options.divides:

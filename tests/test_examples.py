@@ -27,7 +27,7 @@ SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if "__ma
 
 
 def run(script: Path, folder: Path, programs: Path) -> str:
-    """What a script prints, without the lines of Warp; `programs` keeps compiled ones.
+    """What a script prints; `programs` keeps compiled ones.
 
     Scripts are compiled as users compile them: without the flags that make the tests' own programs fast to compile.
     """
@@ -36,7 +36,7 @@ def run(script: Path, folder: Path, programs: Path) -> str:
     environment = os.environ | kept | {"PYTHONPATH": str(ROOT), "XLA_FLAGS": ""}
     done = subprocess.run([sys.executable, str(script)], cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return "\n".join(line for line in done.stdout.splitlines() if not re.match("Warp|Module| {3}", line))
+    return done.stdout
 
 
 def numbers(text: str) -> list[float]:
@@ -133,6 +133,13 @@ def test_mesh_from_views(printed, tmp_path):
     before, after = numbers(printed("mesh_from_views"))
     assert after < before / 4
     assert jd.load_mesh(tmp_path / "figure.glb").closed
+
+
+@pytest.mark.slow
+def test_torch_optimiser(printed):
+    pytest.importorskip("torch", reason='PyTorch is not installed: pip install -e ".[torch]"')
+    found = numbers(printed("torch_optimiser").splitlines()[-1])
+    np.testing.assert_allclose(found, [0.4, 0.1, 0.2, 0.8, 0.4, 0.1], atol=0.06)
 
 
 @pytest.mark.slow

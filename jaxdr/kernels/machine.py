@@ -46,7 +46,9 @@ def _build() -> _Compiler:
         import warp as wp  # here, because most of jaxdr starts without it
         from warp._src import build, context
 
-        wp.init()
+        from jaxdr.quiet_warp import start_warp
+
+        start_warp()
         if context.runtime.llvm is None:
             raise CompilerError("Warp has no compiler for the CPU on this machine")
         machine = f"{wp.get_cpu_kernel_cache_key(cpu_compiler_flags=FLAGS)} {FLAGS}"

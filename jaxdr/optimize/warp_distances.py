@@ -6,11 +6,14 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float, Int
 
+from jaxdr.quiet_warp import load_module, start_warp
+
 
 def surface_distances(
     points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, " N"]:
     """Distance from each point to the nearest point of the triangles, in the units of the input; float32 accuracy."""
+    start_warp()
     mesh = wp.Mesh(
         points=wp.array(vertices, dtype=wp.vec3, device="cpu"),
         indices=wp.array(np.asarray(faces, np.int32).ravel(), dtype=wp.int32, device="cpu"),
@@ -18,6 +21,7 @@ def surface_distances(
     reach = float(np.linalg.norm(np.ptp(np.concatenate([points, vertices]), axis=0)))
     distance = wp.empty(len(points), dtype=float, device="cpu")
     inputs = [mesh.id, wp.array(points, dtype=wp.vec3, device="cpu"), 2.0 * reach, distance]
+    load_module(_surface_distance, "cpu")
     wp.launch(_surface_distance, dim=len(points), inputs=inputs, device="cpu")
     return distance.numpy()
 

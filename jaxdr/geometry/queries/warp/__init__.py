@@ -5,3 +5,7 @@ by `tree_kernels`), and launches `kernels`, `sector_kernels` and `bundle_kernels
 over threads on CPUs. `records` passes JAX's arrays to the kernels as structs. Kernels are in Warp's language, so type
 checkers skip this folder.
 """
+
+from jaxdr.quiet_warp import start_warp
+
+start_warp()

@@ -3,34 +3,26 @@
 Every kernel works on the slice that starts at its argument `start`, so that a CPU launch can be split over threads.
 """
 
-import threading
 import warnings
 
 import numpy as np
 import warp as wp
 
 from jaxdr.geometry.queries.warp.threads import run_all
+from jaxdr.quiet_warp import load_module
 
 # Rays in a slice. The number is fixed, so that results have the same order with any number of threads.
 SLICE = 8192
-
-_loading = threading.Lock()
-
-
-def _load(kernel, device) -> None:
-    """Compile or load a kernel's module before threads launch it; the lock is for programs that run in parallel."""
-    with _loading:
-        wp.load_module(kernel.module, device=device)
 
 
 def launch(kernel, count: int, leading: list, rest: list, device, each: int = SLICE) -> None:
     """Run `kernel(*leading, start, *rest)` over `count` rays or numbers, `each` at a time."""
     if count == 0:
         return
+    load_module(kernel, device)
     if not device.is_cpu:
         wp.launch(kernel, dim=count, inputs=[*leading, 0, *rest], device=device, record_tape=False)
         return
-    _load(kernel, device)
 
     def run(start):
         size = min(each, count - start)
@@ -74,12 +66,12 @@ def _run(kernel, leading, rest, total, probability, lists, counts, device) -> np
     lists[0].fill_(-1)
     for table in lists[1:]:
         table.zero_()
+    load_module(kernel, device)
     if not device.is_cpu:
         found = wp.zeros(counts, dtype=int, device=device)
         inputs = [*leading, 0, *rest, probability, *lists, found]
         wp.launch(kernel, dim=total, inputs=inputs, device=device, record_tape=False)
         return found.numpy()
-    _load(kernel, device)
 
     def run(start):
         size = min(SLICE, total - start)

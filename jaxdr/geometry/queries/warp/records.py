@@ -6,6 +6,8 @@ from collections.abc import Callable
 import warp as wp
 from warp import JaxCallableGraphMode, jax_callable
 
+from jaxdr.quiet_warp import quiet
+
 
 @wp.struct
 class Geometry:
@@ -159,4 +161,5 @@ class Call:
         # Warp numbers the traced calls and writes the number into the program. This would defeat JAX's compilation
         # cache. The number only tells static arguments apart, and there are none.
         self.call.call_id = 0
-        return self.call(*arrays, output_dims=dict(zip(self.outputs, dims, strict=True)))
+        with quiet():  # the module of the kernels is loaded here
+            return self.call(*arrays, output_dims=dict(zip(self.outputs, dims, strict=True)))
