@@ -59,4 +59,5 @@ except ValueError:
 
 
 def test_without_standard_error_it_starts():
-    assert ran("import os; os.close(2)\nfrom jaxdr.quiet_warp import start_warp; start_warp(); print(1)").stdout == "1\n"
+    program = "import os; os.close(2)\nfrom jaxdr.quiet_warp import start_warp; start_warp(); print(1)"
+    assert ran(program).stdout == "1\n"
