@@ -131,6 +131,7 @@ CODE = {
     "docs/devices.md": (with_a_scene("spot"), True),
     "docs/guided_edges.md": (with_a_scene("bunny"), True),
     "docs/how_programs_run.md": (imports, False),
+    "docs/index.md": (nothing, True),
     "docs/plan.md": (with_a_scene("spot"), True),
     "docs/quickstart.md": (nothing, False),
     "docs/reconstruct.md": (with_photographs, False),

@@ -29,7 +29,7 @@ def test_npy_and_png(tmp_path, image):
 
 
 def test_exr_keeps_every_value(tmp_path, image):
-    OpenEXR = pytest.importorskip("OpenEXR", reason='EXR is optional: pip install "jaxdr[exr]"')
+    OpenEXR = pytest.importorskip("OpenEXR", reason='EXR is optional: pip install -e ".[exr]"')
     write_image(tmp_path / "a.exr", image)
     with OpenEXR.File(str(tmp_path / "a.exr")) as file:
         np.testing.assert_array_equal(file.channels()["RGB"].pixels, image)

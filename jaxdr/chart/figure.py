@@ -15,7 +15,7 @@ COLORS = (*(f"C{i}" for i in range(10)), "black", "navy", "lime", "gold")
 def require_matplotlib() -> None:
     """Raises ImportError, which says what to install, if matplotlib is missing."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise ImportError('charts need matplotlib, which is optional: pip install "jaxdr[experiments]"')
+        raise ImportError('charts need matplotlib, which is optional: pip install -e ".[experiments]"')
 
 
 def chart_png(title: str, rows: Sequence[dict], prefix: str = "", until: float = 0.0) -> bytes | None:

@@ -15,7 +15,7 @@ GUIDING = {"Mitsuba, unguided": "none", "Mitsuba, octree": "octree"}
 def require_mitsuba() -> None:
     """Raises ImportError, which says what to install, if Mitsuba is missing or finds no LLVM."""
     if importlib.util.find_spec("mitsuba") is None:
-        raise ImportError('peers = true needs Mitsuba, which is optional: pip install "jaxdr[peers]"')
+        raise ImportError('peers = true needs Mitsuba, which is optional: pip install -e ".[peers]"')
     import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     try:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from jaxdr.untrusted import MOST_PIXELS, check_pixels, damage
 
 MOST_VALUES = 4 * MOST_PIXELS
-INSTALL = 'EXR files need OpenEXR, which is optional: pip install "jaxdr[exr]"'
+INSTALL = 'EXR files need OpenEXR, which is optional: pip install -e ".[exr]"'
 GROUPS = ("RGBA", "RGB", "Y")  # the package's names for the channels of one layer
 
 

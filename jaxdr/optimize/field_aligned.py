@@ -94,5 +94,5 @@ def require_pyinstantmeshes() -> None:
         import pyinstantmeshes  # noqa: F401  # pyright: ignore[reportMissingImports]
     except ImportError as missing:
         raise ImportError(
-            'remesh_field_aligned needs pyinstantmeshes, which is optional: pip install "jaxdr[field-aligned]"'
+            'remesh_field_aligned needs pyinstantmeshes, which is optional: pip install -e ".[field-aligned]"'
         ) from missing

@@ -136,5 +136,5 @@ def require_gpytoolbox() -> Callable:
     try:
         from gpytoolbox import remesh_botsch
     except ImportError as missing:
-        raise ImportError('remesh needs gpytoolbox, which is optional: pip install "jaxdr[remesh]"') from missing
+        raise ImportError('remesh needs gpytoolbox, which is optional: pip install -e ".[remesh]"') from missing
     return remesh_botsch

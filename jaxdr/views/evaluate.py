@@ -156,5 +156,5 @@ def require_skimage():
     try:
         from skimage.metrics import structural_similarity
     except ImportError as missing:
-        raise ImportError('SSIM needs scikit-image, which is optional: pip install "jaxdr[reconstruct]"') from missing
+        raise ImportError('SSIM needs scikit-image, which is optional: pip install -e ".[reconstruct]"') from missing
     return structural_similarity

@@ -180,6 +180,6 @@ def require_pycolmap():
         import pycolmap
     except ImportError as missing:
         raise ImportError(
-            'lens distortion needs pycolmap, which is optional: pip install "jaxdr[reconstruct]"'
+            'lens distortion needs pycolmap, which is optional: pip install -e ".[reconstruct]"'
         ) from missing
     return pycolmap

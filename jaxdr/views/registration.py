@@ -128,7 +128,7 @@ def report(registration: Registration) -> list[str]:
 def require_pycolmap() -> None:
     """Raises ImportError, which says how to install pycolmap. It is not loaded here: see `mapping_process`."""
     if find_spec("pycolmap") is None:
-        raise ImportError('finding cameras needs pycolmap, which is optional: pip install "jaxdr[reconstruct]"')
+        raise ImportError('finding cameras needs pycolmap, which is optional: pip install -e ".[reconstruct]"')
 
 
 def pairs(names: Sequence[str]) -> list[tuple[str, str]]:

@@ -187,7 +187,7 @@ def test_budget_refusal_and_values_that_are_not_finite(asked, monkeypatch, capsy
 def test_missing_packages_are_named(monkeypatch, capsys):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert run() == 2
-    assert 'pip install "jaxdr[experiments]"' in capsys.readouterr().err
+    assert 'pip install -e ".[experiments]"' in capsys.readouterr().err
     assert not Path("out").exists()
 
 

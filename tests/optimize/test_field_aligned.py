@@ -15,7 +15,7 @@ from jaxdr.optimize import field_aligned
 from jaxdr.optimize.chamfer import chamfer
 from jaxdr.optimize.remesh import remesh_to
 
-pytest.importorskip("pyinstantmeshes", reason='it is optional: pip install "jaxdr[field-aligned]"')
+pytest.importorskip("pyinstantmeshes", reason='it is optional: pip install -e ".[field-aligned]"')
 
 
 @pytest.fixture(scope="module")

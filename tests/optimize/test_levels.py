@@ -46,7 +46,7 @@ def columns(of, *names):
 
 
 def test_every_level_has_its_own_numbers(tmp_path, seen, capsys):
-    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
     made = config(tmp_path / "run", signal_to_noise=1e9)  # never enough: a level ends as soon as it may
     optimize(made)
     # A round of three views: one view a step in the first level, two in the others.
@@ -66,7 +66,7 @@ def test_every_level_has_its_own_numbers(tmp_path, seen, capsys):
 
 def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch):
     """Nothing is traced in a step, where the numbers of vertices are known: the first level's program is there too."""
-    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
     levels = (Level(resolution=8, image=1, gradient=1), Level(gradient=2), Level(vertices=300, gradient=3))
     made = config(tmp_path / "run", levels, signal_to_noise=1e9)
     made = dataclasses.replace(made, report=dataclasses.replace(made.report, pictures=12))
@@ -89,7 +89,7 @@ def test_the_next_level_is_compiled_before_it_begins(tmp_path, seen, monkeypatch
 
 def test_levels_with_the_same_samples_share_a_program(tmp_path, seen):
     """More views a step, and meshes of as many vertices: nothing is traced again, and targets are rendered once."""
-    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
     levels = (Level(views_per_step=1), Level(views_per_step=2))
     made = config(tmp_path / "run", levels, signal_to_noise=1e9, remesh=(Remesh(2, vertices=162, every=3, until=9),))
     optimize(made)
@@ -202,7 +202,7 @@ def test_noise_is_that_of_the_step(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("size", [Level(edge_length=0.15), Level(vertices=200), Level(lam=3.0)])
 def test_interrupted_as_a_level_begins_and_resumed(tmp_path, monkeypatch, size):
-    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
     levels = (LEVELS[0], size)
     straight, stopped = (config(tmp_path / name, levels, signal_to_noise=1e9) for name in ("straight", "stopped"))
     straight, stopped = (with_optimizer(made, iterations=5) for made in (straight, stopped))
@@ -221,7 +221,7 @@ def test_interrupted_as_a_level_begins_and_resumed(tmp_path, monkeypatch, size):
 
 def test_gpytoolbox_is_asked_for_before_the_start(tmp_path, monkeypatch):
     def missing():
-        raise ImportError('pip install "jaxdr[remesh]"')
+        raise ImportError('pip install -e ".[remesh]"')
 
     monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     with pytest.raises(ImportError):

@@ -163,7 +163,7 @@ def test_interrupted_while_rendering_targets(config, monkeypatch):
 
 
 def test_remeshing_starts_the_optimiser_afresh_and_resumes(config, tmp_path, monkeypatch):
-    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
     config = with_optimizer(config, remesh=(Remesh(iteration=3, edge_length=0.15),))
     straight = dataclasses.replace(config, output=str(tmp_path / "straight"))
     optimize(straight)
@@ -182,7 +182,7 @@ def test_remeshing_starts_the_optimiser_afresh_and_resumes(config, tmp_path, mon
 
 
 def test_remeshing_along_a_field(config):
-    pytest.importorskip("pyinstantmeshes", reason='it is optional: pip install "jaxdr[field-aligned]"')
+    pytest.importorskip("pyinstantmeshes", reason='it is optional: pip install -e ".[field-aligned]"')
     optimize(with_optimizer(config, remesh=(Remesh(iteration=3, vertices=200, field_aligned=True),)))
     assert [row["vertices"] for row in rows(config)] == ["162"] * 3 + ["200"] * 3
 
@@ -200,7 +200,7 @@ def test_a_failed_remeshing_is_said_and_survived(config, monkeypatch, capsys):
 
 def test_missing_packages_are_found_before_anything_is_written(config, tmp_path, monkeypatch):
     def missing():
-        raise ImportError('pip install "jaxdr[remesh]"')
+        raise ImportError('pip install -e ".[remesh]"')
 
     monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     with pytest.raises(ImportError):
@@ -213,7 +213,7 @@ def test_missing_packages_are_found_before_anything_is_written(config, tmp_path,
 
 def test_a_remeshing_that_never_comes_needs_no_package(config, monkeypatch):
     def missing():
-        raise ImportError('pip install "jaxdr[remesh]"')
+        raise ImportError('pip install -e ".[remesh]"')
 
     monkeypatch.setattr(shape, "require_gpytoolbox", missing)
     assert (

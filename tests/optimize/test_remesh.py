@@ -19,7 +19,7 @@ def sphere():
 
 @pytest.fixture
 def gpytoolbox():
-    return pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    return pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
 
 
 def edge_lengths(mesh):

@@ -21,7 +21,7 @@ KEY = jax.random.key(6)
 
 @pytest.fixture
 def remeshing():
-    return pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install "jaxdr[remesh]"')
+    return pytest.importorskip("gpytoolbox", reason='remeshing is optional: pip install -e ".[remesh]"')
 
 
 @pytest.mark.slow

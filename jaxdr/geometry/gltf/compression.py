@@ -26,7 +26,7 @@ def meshopt_view(extension: dict, data: bytes) -> bytes:
         import meshoptimizer  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ValueError(
-            f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install "jaxdr[meshopt]" '
+            f'it is compressed ({MESHOPT[0]}), and the package meshoptimizer is missing; pip install -e ".[meshopt]" '
             "(it needs a C++ compiler), or decompress the file with another tool"
         ) from error
     mode, filtered = extension["mode"], extension.get("filter", "NONE")

@@ -107,7 +107,7 @@ def _draco(document: Document, primitive: dict, label: str) -> tuple[dict, np.nd
             if "bufferView" in document.items("accessors")[primitive["attributes"]["POSITION"]]:
                 return None
             raise ValueError(
-                'it is compressed, and the package DracoPy is missing; pip install "jaxdr[gltf]", or decompress the '
+                'it is compressed, and the package DracoPy is missing; pip install -e ".[gltf]", or decompress the '
                 "file with another tool"
             )
         data = bytes(document.view(extension["bufferView"], label))

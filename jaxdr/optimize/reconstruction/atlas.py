@@ -108,7 +108,7 @@ def require_xatlas() -> Any:
     try:
         import xatlas
     except ImportError as missing:
-        raise ImportError('textures need xatlas, which is optional: pip install "jaxdr[reconstruct]"') from missing
+        raise ImportError('textures need xatlas, which is optional: pip install -e ".[reconstruct]"') from missing
     return xatlas
 
 

@@ -6,6 +6,6 @@ def require_cv2():
     try:
         import cv2
     except ImportError as missing:
-        problem = 'automatic masks and stereo need OpenCV, which is optional: pip install "jaxdr[reconstruct]"'
+        problem = 'automatic masks and stereo need OpenCV, which is optional: pip install -e ".[reconstruct]"'
         raise ImportError(problem) from missing
     return cv2

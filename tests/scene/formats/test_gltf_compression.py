@@ -33,7 +33,7 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch, name, package, extra,
         load_gltf(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ") and extension in message
-    assert f"the package {package} is missing" in message and f'pip install "jaxdr[{extra}]"' in message
+    assert f"the package {package} is missing" in message and f'pip install -e ".[{extra}]"' in message
 
 
 def test_without_draco_the_same_data_may_be_there_uncompressed(tmp_path, monkeypatch):
