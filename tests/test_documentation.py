@@ -433,5 +433,5 @@ def check_reference(page: str) -> None:
 def test_the_tables_by_difficulty_are_those_of_the_results():
     from experiments.charts.difficulty import table, table_of_baselines
 
-    text = (ROOT / "docs/choosing.md").read_text()
+    text = (ROOT / "docs/by_difficulty.md").read_text()
     assert table() in text and table_of_baselines() in text

@@ -1,4 +1,4 @@
-"""Which method to take, by what makes a scene difficult: two tables from four studies, for docs/choosing.md.
+"""Which method to take, by what makes a scene difficult: two tables from four studies, for docs/by_difficulty.md.
 
     python -m experiments.charts.difficulty
 

@@ -64,7 +64,7 @@ def _diffuse(scene: Scene, primary: str) -> bool:
     return _few_and_flat(scene, primary) and not any(has_lobe(unwrap(s.bsdf)) for s in scene.shapes.values())
 
 
-# The first rule that holds decides. They come from the rows of docs/choosing.md and of experiments/default_choice.
+# The first rule that holds decides. They come from experiments/default_choice and docs/by_difficulty.md.
 RULES = (
     Rule(
         '`primary="warp"`',
