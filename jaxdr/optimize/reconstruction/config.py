@@ -206,6 +206,7 @@ QUALITIES: dict[str, tuple[Level, ...]] = {
     ),
 }
 LEVELS = QUALITIES["normal"]
+ESTIMATOR = "KernelDensity"  # of the boundary integral, also where a table changes only the depth
 
 
 @dataclass(frozen=True)
@@ -229,7 +230,7 @@ class ReconstructConfig:
         "auto",
     )
     start: Start = Start()
-    integrator: Integrator = field(default_factory=lambda: Integrator(boundary="KernelDensity"))
+    integrator: Integrator = field(default_factory=lambda: Integrator(boundary=ESTIMATOR))
     samples: Samples = Samples()
     priors: Priors = Priors()
     rates: Rates = Rates()
@@ -248,7 +249,7 @@ class ReconstructConfig:
         require(
             not self.integrator.planned,
             "integrator",
-            '"auto" is for `jaxdr optimize`; give max_depth and boundary',
+            '"plan" is for `jaxdr optimize`; give max_depth and boundary',
             self.integrator,
         )
 
@@ -280,6 +281,8 @@ def reconstruct_config(
         if "levels" in table:
             raise ValueError(f"{source}: levels: --quality chooses them, too; leave out one of both")
         said["levels"] = [dataclasses.asdict(level) for level in QUALITIES[quality]]
+    if isinstance(table.get("integrator"), dict):
+        said["integrator"] = {"boundary": ESTIMATOR} | table["integrator"]
     if asset:
         said["asset"] = table.get("asset", {}) | asset
     return build(ReconstructConfig, table | said, source)
