@@ -16,39 +16,42 @@ RESULTS = ROOT / "experiments" / STUDY / "results"
 VERDICTS = ("right", "noisy", "refused", "wrong", "not measured")
 HEAD = """# Ends of ranges
 
-Optimisers start from black, clip at zero and overshoot. So parameters live at the ends of their ranges.
+Optimisers start from black, clip at zero and overshoot, so parameters are often at the ends of their ranges, or beyond.
 
 - **Concrete values** out of range, NaN and infinity raise a `ValueError`, from constructors and from `Scene.replace`
-  alike. It names the parameter, the range and the value.
-- **Traced values** (under `jit`, `grad`, `vmap`) can't be checked. Where the image is linear in the parameter
-  (reflectances, weights, radiances), it goes on linearly beyond the range, and so does the derivative: an optimiser
+  alike. The message names the parameter, the range and the value.
+- **Traced values** (under `jit`, `grad`, `vmap`) can't be checked. If the image is linear in the parameter
+  (reflectances, weights, radiances), image and derivative continue linearly beyond the range, so that an optimiser
   finds its way back.
-- Roughness, indices of refraction, exponents, angles of cones and of cameras, `anisotropic`, `clearcoat_gloss` and
-  `specular` of `Principled` have no continuation. Beyond the range they count as the nearest value that can be
-  computed, and the derivative is zero. **Clip after each step of the optimiser**: `jnp.clip(alpha, 1e-4, 1.0)`.
-- At the ends themselves derivatives are those of inner values.
+- Roughness, indices of refraction, exponents, angles of cones and of cameras, and `anisotropic`, `clearcoat_gloss` and
+  `specular` of `Principled` have no continuation. Beyond the range they are replaced by the nearest value that can be
+  computed, and the derivative is zero. **Clip them after each step of the optimiser**: `jnp.clip(alpha, 1e-4, 1.0)`.
+- At the ends themselves derivatives are those of the interior.
+
+The rest of this page is the measurement: every parameter of every public model at both ends of its range, just inside
+and just outside (by {near:.0%} of the range). `pytest tests/borders` asserts a part of it, with `-m slow` all of it.
 
 ```sh
 python -m experiments.borders.run
-python -m experiments.borders.table
+python -m experiments.borders.table       # writes this page
 ```
-
-measures every parameter of every public model at both ends of its range, just inside and just outside (by {near:.0%}
-of the range), and writes this page. `pytest tests/borders` asserts a part of it, with `-m slow` all.
 
 ## How it is measured
 
-Every parameter is traced. The truth is the slope, and the limit, of images at values well inside of the range: of a
-line where the image is linear, of a parabola elsewhere. What is compared is a weighted sum of pixels. A field without
-a range has a border at 0. Images have the border in one row of texels.
+Every parameter is traced. A weighted sum of pixels is compared with its true slope and limit at the end of the range.
+These come from images at values well inside the range: from a line if the image is linear in the parameter, else from a
+parabola. A field without a range has an end at 0. In images, one row of texels is at the end.
 
-`Principled` counts a `specular` below {specular:g}, and a `base_color` of refracted light below {color:g}, as these. It
-takes their roots, whose exact slopes are infinite at 0. So the truth of these two is taken there.
+`Principled` replaces a `specular` below {specular:g}, and a `base_color` of refracted light below {color:g}, by these
+values. It takes their square roots, whose exact slopes are infinite at 0. So the truth of these two is taken there.
 
-- *right*: off by less than {bias:.0%}, and {sure:g} standard errors. Outside, zero is right too.
-- *noisy*: a bias of {bias:.0%} can't be told.
+- *right*: off by less than {bias:.0%} plus {sure:g} standard errors. Outside the range, zero is right too.
+- *noisy*: the noise is too large to detect a bias of {bias:.0%}.
 - *refused*: a `ValueError` says what is missing.
-- **wrong**: anything else, also NaN, and images that jump at the end.
+- **wrong**: anything else, including NaN, and images that jump at the end.
+
+A program is a group of models, a light and an integrator: *default* is `PathTracer(3)`, *emitter* is
+`PathTracer(3, sampling="emitter")`, and *bidirectional* is `BidirectionalPathTracer(2)`.
 
 """
 

@@ -39,12 +39,13 @@ def choices(cases: list[Case], cells: dict) -> list[str]:
             tried += found
             best.append(min(found, key=lambda choice: choice.cell["deviation"]))
     return [
-        "A plan leaves out what is wrong by nature. Of the rest it takes what has the least noise in a second. Of what "
-        f"it tries, {len(tried)} cells of {len(best)} cases are measured. The worst are those whose derivative is most "
-        "too large or too small. Cells that are too noisy to tell are named apart.",
+        "A plan leaves out estimators that are known to be biased on a scene. Of the others it takes the one with the "
+        f"least noise per second. Of the estimators that plans try, {len(tried)} cells of {len(best)} cases are "
+        "measured. The *worst* cell is the one whose derivative has the largest error in size. Cells too noisy to "
+        "judge are listed apart.",
         "",
-        f"* Of all that it tries, {_worst(tried)}",
-        "* Now the estimator with the least spread in each case; a plan chooses it if it is no slower. Of these "
+        f"* Of all estimators that a plan tries, {_worst(tried)}",
+        "* Of the estimators with the least spread in each case (a plan chooses them unless they are slower), "
         f"{_worst(best)}",
     ]
 
@@ -60,5 +61,5 @@ def _worst(found: list[Choice]) -> str:
         return "none is measured."
     beyond = [choice for choice in clear if choice.wrong > LIMIT]
     noisy = [f"`{c.case}` ({c.estimator})" for c in found if c.cell["verdict"] == "noisy"]
-    text = f"the worst is {clear[0]}. {len(beyond)} of {len(clear)} are off by more than {LIMIT:.0%}."
+    text = f"the worst is {clear[0]}. {len(beyond)} of {len(clear)} cells are off by more than {LIMIT:.0%}."
     return text + (f" Too noisy: {', '.join(noisy)}." if noisy else "")

@@ -3,7 +3,7 @@
     python -m experiments.stability.run [--case NAME ...] [--estimator NAME ...] [--quick] [--overwrite]
 
 Cells that were measured before are left alone. It writes `experiments/stability/results/<case>.json`, references beside
-the cases, and, once all cells are measured, `docs/stability.md`.
+the cases, and, once all cells are measured, `docs/stability_cases.md`.
 """
 
 import json

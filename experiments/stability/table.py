@@ -1,4 +1,4 @@
-"""`docs/stability.md`, from the numbers of a run."""
+"""`docs/stability_cases.md`, from the numbers of a run."""
 
 from itertools import groupby
 from pathlib import Path
@@ -10,46 +10,49 @@ from tests.stability.catalogue import measured
 from tests.stability.elsewhere import ELSEWHERE
 from tests.stability.measure import IN_DOUBT, LONG, MOST, POSITIONS, SURE, UNRESOLVED
 
-DOCUMENT = ROOT / "docs" / "stability.md"
-HEAD = """# Stability
+DOCUMENT = ROOT / "docs" / "stability_cases.md"
+HEAD = """# Stability, case by case
 
-This page has known failures of differentiable renderers. Each is a small scene, a *case*. The tables say what every
-boundary estimator makes of it.
+The measurements behind [stability](stability.md). Each case is a small scene of a kind in which differentiable
+renderers are known to fail. The tables show the result of every boundary estimator.
 
 ```sh
 python -m experiments.stability.run
 ```
 
-writes the page, from the numbers in `experiments/stability/results`. `pytest tests/stability` asserts the same; with
-`-m slow` it measures all cells. All settings are the defaults, but for one: `RednerWAS` is
-`RednerWAS("path_space", sigma0=0.03)` with emitter sampling.
+measures what is missing, and writes this page from the numbers in `experiments/stability/results`. The
+tests in `tests/stability` assert the same; with `-m slow` they measure all cells. All settings are the defaults, with
+one exception: `RednerWAS` is `RednerWAS("path_space", sigma0=0.03)` with emitter sampling.
 
 ## How it is measured
 
 Each case moves one thing by one number t. The reference is a central difference, (I(h) - I(-h)) / 2h, of images with
-the same random numbers. Estimators are averaged over {positions} positions within the step. So both are smeared
+the same random numbers. Estimators are averaged over {positions} positions within the step, so that both are smoothed
 alike. All numbers are relative to the root mean square of the reference image, without its noise. JAX's checks for
 NaN and infinity are on.
 
 A cell is **projection ± standard error / bias / spread**:
 
-* The *projection* of the mean on the reference is 1 for the right size.
-* The *bias* is the root mean square difference of mean and reference, without noise. Where nothing stands out of the
+* The *projection* of the mean on the reference is 1 if the size is right.
+* The *bias* is the root mean square difference of mean and reference, without noise. If no bias exceeds the
   noise, `<` gives {sure:g} standard errors of it.
 * The *spread* is the standard deviation of one call. A call has 16 samples per pixel unless noted.
 
-A cell has {least} to {most} calls: as many as it takes to tell. Where a bias is in doubt then, it has up to {doubtful}.
-After {long:g} seconds no further call is made; then errors are larger.
+A cell has {least} to {most} calls, as many as are needed for a verdict. If a bias is still in doubt, it has up to
+{doubtful}. After {long:g} seconds no further call is made, so that some errors are larger.
 
 The verdicts:
 
-* *right*: projection and bias are within the case's tolerance and {sure:g} standard errors, and the spread is below
-  the case's bound. The tolerance is 0.03 for the projection and twice that for the bias, unless noted.
-* **biased**: projection or bias is not.
+* *right*: projection and bias are within the case's tolerance plus {sure:g} standard errors, and the spread is below
+  the case's bound. The tolerance is 0.03 for the projection and twice as much for the bias, unless noted.
+* **biased**: projection or bias is outside.
 * **noisy**: the spread is above the bound, or the standard error of the projection is above {unresolved}.
-* *refuses*: a `ValueError` says what is missing and what to take instead. They are listed below.
+* *refuses*: a `ValueError` says what is missing and what to use instead. The messages are listed below.
 * **not finite**: NaN or infinity.
-* not measured: the run has not come to it yet. That says nothing about the estimator.
+* not measured: not run yet, which does not say anything about the estimator.
+
+*From* names the source of a case: a paper, an issue of another renderer, our own list of suspects (*own list*), or a
+failure that we found here (*own finding*).
 """
 
 

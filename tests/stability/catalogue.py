@@ -23,18 +23,17 @@ THEMES: tuple[Callable[[], list[Case]], ...] = (
     deep.cases,
 )
 RARE = Expected(
-    "noisy", "edges are drawn without regard to what hides them: few draws find the border of a shadow of a small light"
+    "noisy", "it draws edges even if they are hidden, so few draws find the border of a small light's shadow"
 )
-FAINT = Expected(
-    "noisy", "edges are drawn without regard to what hides them, and few draws are of those that count here"
-)
+FAINT = Expected("noisy", "it draws edges even if they are hidden, and few of the drawn edges contribute")
 CROSSING = Expected(
-    "noisy", "warps have noise wherever the light is seen, the more the closer silhouettes of different velocities are"
+    "noisy", "warps are noisy wherever light is seen, most where silhouettes of different velocities are close"
 )
 MEETS = Expected(
     "biased",
-    "pixels along the line where lamp and floor touch are off by up to a third; likely emitter samples hardly find "
-    'the lamp\'s light there, which the edge of the picture needs; with "mis" these pixels are noise, as of the others',
+    "pixels along the line where lamp and floor touch are off by up to a third. A likely reason: emitter samples "
+    'hardly find the light there, which the edge of the image needs. With sampling="mis" these pixels are noisy, as '
+    "for the others",
 )
 # What is known of the newer estimators: by estimator, case and verdict. The others have it in their cases.
 NEWER: dict[str, dict[str, Expected]] = {

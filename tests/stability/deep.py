@@ -12,8 +12,9 @@ SIZES = {"1k": 1_000, "100k": 100_000, "1M": 1_000_000}  # faces, about
 
 OFFSET = Expected(
     "biased",
-    "visibility rays pass an edge at 1.2e-5 of the largest coordinate, so an edge that others hide by less counts as "
-    "well; with four times that, 1.016 at 100 thousand faces becomes 1.038 (KernelDensity: 1.014, 1.036)",
+    "visibility rays pass an edge at 1.2e-5 of the largest coordinate, so an edge that is hidden by less than this "
+    "counts as visible. With four times the distance, 1.016 at 100 thousand faces becomes 1.038 (KernelDensity: "
+    "1.014, 1.036)",
 )
 
 
@@ -30,7 +31,7 @@ def white_box(depth: int) -> Case:
         "white_box",
         "interreflection",
         f"a cube in a closed room that reflects {WHITE:.0%}",
-        "variance that grows with the depth (own list)",
+        "variance grows with the depth (own list)",
         scene,
         {"blocker.vertices": ALONG},
         0.02,
@@ -52,7 +53,7 @@ def tessellated(name: str, faces: int) -> Case:
         f"tessellation_{name}",
         "tessellation",
         f"shadow of a bumpy ball of about {faces:,} faces",
-        "13 to 17 % too large with all edges of Eq. 18 of the 2026 paper (own finding); edges as short as rounding",
+        "13 to 17 % too large with all edges of Eq. 18 of the 2026 paper (own finding); tiny edges",
         made,
         {"blocker.vertices": ALONG},
         0.02,

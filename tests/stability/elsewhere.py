@@ -4,39 +4,40 @@ HERE = "tests/stability/test_optimisation.py::"
 ELSEWHERE = (
     (
         "start at the optimum",
-        "mean gradient of the two-key loss is zero within its noise, every vertex",
+        "for every vertex the mean gradient of the two-key loss is zero within its noise",
         HERE + "test_nothing_drifts_at_the_optimum",
     ),
     (
         "preconditioner off, large deformation",
-        "with it no edge folds; without it the run says that the mesh is collapsing, and metrics count folds",
+        "with the preconditioner no edge folds; without it the run reports that the mesh collapses, and metrics count "
+        "folds",
         HERE + "test_a_collapse_is_reported",
     ),
-    ("remeshing an open mesh", "border, flatness", HERE + "test_remeshing_an_open_mesh_keeps_its_border"),
-    ("remeshing a UV-seamed mesh", "stays closed", HERE + "test_remeshing_a_seamed_mesh_opens_no_seam"),
+    ("remeshing an open mesh", "border and flatness are kept", HERE + "test_remeshing_an_open_mesh_keeps_its_border"),
+    ("remeshing a UV-seamed mesh", "the mesh stays closed", HERE + "test_remeshing_a_seamed_mesh_opens_no_seam"),
     (
         "remeshing a mesh with split vertices",
-        "the halves stay together",
+        "the two halves stay together",
         HERE + "test_remeshing_split_vertices_keeps_the_seam_shut",
     ),
     (
         "a remeshing that fails",
-        "said, and the run goes on with the old mesh",
+        "the failure is reported, and the run continues with the old mesh",
         "tests/optimize/test_loop.py::test_a_failed_remeshing_is_said_and_survived",
     ),
     (
         "NaN in a loss or gradient",
-        "the run stops, names view and step, keeps the state before it",
+        "the run stops, names view and step, and keeps the previous state",
         "tests/optimize/test_loop.py::test_nan_stops_the_run_and_is_named",
     ),
     (
         "faces without area in a file",
-        "dropped, counted in one warning",
+        "they are dropped, and one warning counts them",
         "tests/geometry/test_load.py::test_zero_area_faces_of_a_file_are_counted",
     ),
     (
         "thin faces",
-        "kept: only what rounding leaves no area is dropped",
+        "they are kept; only faces without area after rounding are dropped",
         "tests/geometry/test_mesh.py::test_thin_faces_are_kept",
     ),
     (
@@ -51,12 +52,12 @@ ELSEWHERE = (
     ),
     (
         "rays along shared edges",
-        "none slips through",
+        "no ray slips through",
         "tests/geometry/queries/test_queries.py::test_watertight",
     ),
     (
         "more crossings than there is room for",
-        "thinned without bias, said once",
+        "crossings are dropped at random without bias, with one warning",
         "tests/geometry/queries/test_sector.py::test_thinning_is_unbiased",
     ),
 )

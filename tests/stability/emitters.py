@@ -13,21 +13,21 @@ from tests.stability.stage import camera, cube, floor, grey, lamp, rotation, tab
 SKY = (8, 16)  # pixels of the environment map
 EVERYWHERE = Expected(
     "noisy",
-    "likely by nature: the whole sky lights every point, and in a sky that hardly varies terms cancel but for their "
-    "noise",
+    "likely a limit of the method: the whole sky lights every point, and under a nearly uniform sky the terms cancel "
+    "while their noise remains",
 )
 
 TOUCHES = Expected(
     "noisy",
-    "the noise is in the interior term, not in theirs (KernelDensity, LineSampling and GuidedEdges have the same "
-    "numbers), likely of BSDF-sampled points of the lamp next to what they light; with "
-    'PathTracer(sampling="emitter") there is less: WalkOnCaps, which has that here, is off in the pixels where lamp '
-    "and floor touch; RednerWAS, which has it too, has single huge values (0.893 ± 0.118)",
+    "the interior term is noisy, not the boundary term (KernelDensity, LineSampling and GuidedEdges have the same "
+    "numbers). Likely cause: BSDF-sampled points of the lamp that are very close to the lit point. "
+    'PathTracer(sampling="emitter") has less noise. WalkOnCaps and RednerWAS use it here: WalkOnCaps is off in the '
+    "pixels where lamp and floor touch, and RednerWAS has individual huge values (0.893 ± 0.118)",
 )
 CUT = Expected(
     "biased",
-    "by nature: strips of the kernel end at faces larger than it and at lamps of up to 16 faces; over small faces "
-    "they go on beyond the lamp's border; `jd.EstimatorWarning`",
+    "a limit of the method: strips of the kernel are clipped to lamps of up to 16 faces, and to faces larger than the "
+    "kernel; on smaller faces they extend beyond the lamp's border. `jd.EstimatorWarning` says so",
 )
 
 
@@ -51,11 +51,11 @@ def solid_lights() -> list[Case]:
     rising[:, 2] = 0.5 + 0.15 * ground[:, 0] - 0.1 * ground[:, 1]
     above = cube((0.6, 0.6, 0.02), (0.9, -0.5, 2.4), rotation((0.5, 0.8, 0.0), 0.3))
     upright = cube((0.05, 1.0, 1.0), (1.0, 0.3, 0.5), np.eye(3))
-    outlines = "outlines between two faces are no boundary to it: v does not reach their velocity"
+    outlines = "it does not treat outlines between two faces as boundaries, so v does not reach their velocity"
     return [
         moved(
             "cube_light",
-            "a glowing cube moves: all of its outlines are edges where normals jump",
+            "a glowing cube moves; normals jump at all of its outlines",
             "2023 paper, Fig. 18: the public implementation of Bangaru et al. 2020 is biased there",
             glowing(
                 cube(0.6, (0.4, 0.1, 1.2)), cube(0.3, (-0.4, -0.4, 0.2)), 4.0, camera(target=(0.1, -0.6, 0.0), fov=36.0)
@@ -63,7 +63,9 @@ def solid_lights() -> list[Case]:
             (1.0, 0.4, 0.2),
             expected={
                 "RednerWAS, no normal edges": Expected("biased", outlines),
-                "RednerWAS, exponential": Expected("biased", "Eq. 57 has no small scale: v does not reach it either"),
+                "RednerWAS, exponential": Expected(
+                    "biased", "Eq. 57 has no small scale, so v does not reach the velocity of outlines either"
+                ),
             },
             extra=("RednerWAS, no normal edges", "RednerWAS, exponential"),
         ),
@@ -77,8 +79,8 @@ def solid_lights() -> list[Case]:
         ),
         moved(
             "moving_emitter_at_wall",
-            "a glowing slab that stands on the floor slides over it",
-            "1 / r² of emitters that touch what they light (own list)",
+            "a glowing slab slides over the floor that it stands on",
+            "1 / r² of emitters that touch the surface they light (own list)",
             glowing(upright, cube(0.4, (0.0, 0.1, 0.25)), 4.0),
             (1.0, 0.3, 0.0),
             expected=dict.fromkeys(("KernelDensity", "LineSampling", "GuidedEdges", "RednerWAS"), TOUCHES) | NOISY,
@@ -86,7 +88,7 @@ def solid_lights() -> list[Case]:
         moved(
             "moving_receiver",
             "the floor rises and tilts under a shadow; blocker and lamp stay",
-            "V has two velocities: edges that do not move have a boundary term as well (own finding)",
+            "V is a difference of two velocities, so edges at rest have a boundary term too (own finding)",
             glowing(above, cube(), 20.0),
             ground=rising,
             expected=BOTH,
@@ -100,7 +102,7 @@ def round_lamp() -> Case:
         "round_lamp",
         "emitters",
         "a glowing ball of 320 faces, the shadow of a cube under it",
-        "faces of an emitter that are smaller than a kernel (own list)",
+        "emitter faces smaller than a kernel (own list)",
         glowing(shapes.sphere(2, radius=0.35, center=(0.9, -0.5, 2.2)), cube(at=HIGH), 8.0, camera(*SHADE, 45.0)),
         {"blocker.vertices": (1.0, 0.4, 0.2)},
         0.02,
@@ -108,7 +110,7 @@ def round_lamp() -> Case:
     )
 
 
-MISSING = Expected("biased", "0.72 ± 0.04, in noise of three times the image: the cause was not looked for")
+MISSING = Expected("biased", "0.72 ± 0.04, with noise of three times the image. We did not look for the cause")
 
 
 def lamp_of_many_faces() -> Case:
@@ -117,7 +119,7 @@ def lamp_of_many_faces() -> Case:
         "lamp_of_many_faces",
         "emitters",
         "the lamp of `tiny_light`, made of 32 triangles",
-        "faces of an emitter smaller than a kernel: their strips are not cut to it (own finding)",
+        "strips are not clipped to emitter faces smaller than a kernel (own finding)",
         table(cube(at=HIGH), light=lamp(0.016, resolution=4), view=camera(*SHADE, 45.0)),
         {"blocker.vertices": (1.0, 0.4, 0.2)},
         0.02,
@@ -174,10 +176,10 @@ def skies() -> list[Case]:
     pixel[2, 5], pole[0] = 1.0, 1.0
     sun = [(2, 3, 60.0)]
     slides = {"blocker.vertices": (1.0, 0.4, 0.2)}
-    turned = "the environment's rotation is a boundary term of silhouettes before it (own finding)"
+    turned = "a rotating environment has a boundary term at silhouettes in front of it (own finding)"
     found = [
-        ("bright_sun", "one pixel of the sky is the sun, which half of the edges see",
-         "guides and kernels that look at edges alone (own list)", sun, slides, 0.02, True),
+        ("bright_sun", "one pixel of the sky is the sun, and half of the edges see it",
+         "guides and kernels that consider edges only (own list)", sun, slides, 0.02, True),
         ("smooth_sky", "a sky without a sun", "control", (), slides, 0.02, True),
         ("pole_of_sky", "the brightest pixels are at the pole", "sin θ = 0 at the poles of a map (own list)",
          [(0, j, 20.0) for j in range(SKY[1])], slides, 0.02, True),

@@ -13,7 +13,7 @@ from tests.stability.stage import cube, lamp, table
 ALONG = (1.0, 0.4, 0.2)
 LOBE = Expected(
     "noisy",
-    "by nature: the noise of the material form in a narrow lobe, which estimators share",
+    "a limit of all estimators here: in a narrow lobe the material form is noisy",
 )
 DOWN = ((0.0, -2.2, 1.3), (0.08, -0.75, 0.0), 36.0)  # into the mirror: what is above it is not seen itself
 
@@ -79,10 +79,14 @@ def uv_seams() -> Case:
 def cases() -> list[Case]:
     """Direct light in a glossy floor; then what a mirror shows. By default all of them take `ByKind`."""
     rough = "2026 paper, Fig. 13: reflections in rough surfaces"
-    smooth = "narrow lobes: the noise of the material form grows as one over the roughness (own finding)"
+    smooth = "narrow lobes: noise of the material form grows as one over the roughness (own finding)"
     made = [
         glossy_shadow(
-            "glossy_rough", 0.4, "a lamp in a floor of roughness 0.4, and what is before it", rough, expected=BOTH
+            "glossy_rough",
+            0.4,
+            "a lamp and the objects in front of it, reflected in a floor of roughness 0.4",
+            rough,
+            expected=BOTH,
         ),
         glossy_shadow("glossy", 0.15, "the same, roughness 0.15", rough, expected=BOTH),
         glossy_shadow("glossy_smooth", 0.03, "the same, roughness 0.03", smooth, expected=BOTH),
@@ -98,7 +102,7 @@ def cases() -> list[Case]:
         reflected(
             "self_shadow_reflected",
             0.05,
-            "the lamp right above: one box shadows the other, seen in a mirror of roughness 0.05",
+            "lamp right above, so one box shadows the other; seen in a mirror of roughness 0.05",
             "Mitsuba issue 1648: gradients of a self-shadow seen in a rough mirror depend on the guide",
             lamp(0.4, (0.6, -0.1, 2.4), (0.1, 0.2, 0.9)),
             expected=NOISY,

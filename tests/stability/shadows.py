@@ -15,16 +15,18 @@ ABOUT_Z = rotation((0, 0, 1), 0.5)
 TURN_SMALL = rotation((0.6, 0.5, 0.8), 0.4)
 
 
-SOFT = Expected("noisy", "by nature: the penumbra is many kernels wide (2026 paper, Fig. 13)")
-NARROW = Expected("noisy", "its kernel is 0.006 of the segment by default; wider ones are less noisy")
-SOFT_SPHERE = Expected("noisy", "as the others of narrow kernels; 0.03 radian is small in a light that fills the sky")
+SOFT = Expected("noisy", "a limit of the method: the penumbra is many kernels wide (2026 paper, Fig. 13)")
+NARROW = Expected("noisy", "its default kernel is only 0.006 of the segment wide. Wider kernels are less noisy")
+SOFT_SPHERE = Expected("noisy", "its kernel is narrow: 0.03 radian is small in a light that fills the sky")
 SHORT = Expected(
     "biased",
-    "3 % to a half is missing, the cause is not found: of `shadow_alone`, `slivers` and `tiny_light` `sigma0=0.006` "
-    "finds as much (0.67 ± 0.09, 0.55 ± 0.10, 0.48 ± 0.12), `samples=32` no more (0.83 ± 0.05, 0.44 ± 0.05, "
-    "0.41 ± 0.03); `jd.EstimatorWarning`, and plans leave it out",
+    "3 % to a half of the derivative is missing. Cause unknown: on `shadow_alone`, `slivers` and `tiny_light` neither "
+    "`sigma0=0.006` (0.67 ± 0.09, 0.55 ± 0.10, 0.48 ± 0.12) nor `samples=32` (0.83 ± 0.05, 0.44 ± 0.05, "
+    "0.41 ± 0.03) removes the bias. `jd.EstimatorWarning` says so, and plans leave it out",
 )
-SPHERE = Expected("noisy", "a difference of velocities a narrow kernel apart, over small and bright lights and lobes")
+SPHERE = Expected(
+    "noisy", "it differentiates velocities over a narrow kernel, which is noisy for small, bright lights and lobes"
+)
 NOISY = {"WarpedArea": NARROW}
 LACKING = {"RednerWAS": SHORT}
 BOTH = NOISY | LACKING
@@ -66,7 +68,7 @@ def cases() -> list[Case]:
         case(
             "shadow",
             "a cube, its shadow, a square lamp",
-            "control: nothing is hard here",
+            "control, not difficult",
             bare,
             expected=LACKING,
         ),
@@ -79,8 +81,8 @@ def cases() -> list[Case]:
         ),
         case(
             "tiny_light",
-            "lamp a hundred and fiftieth of its distance wide",
-            "kernels that are wider than the penumbra (own list)",
+            "a lamp whose width is 1/150 of its distance",
+            "kernels wider than the penumbra (own list)",
             table(cube(at=HIGH), light=lamp(0.016), view=shade),
             reference_spp=512,
             expected=BOTH,
@@ -96,7 +98,7 @@ def cases() -> list[Case]:
         case(
             "sharp_corner",
             "shadow of a spike",
-            "a kernel over a corner of the boundary, worse with a large radius (own finding)",
+            "kernels that extend past a corner of the boundary, worse with a large radius (own finding)",
             table(placed(spike(), rotation((0, 0, 1), 0.6), HIGH, (0.9, 0.5, 0.5)), view=shade),
             expected=BOTH,
             extra=("KernelDensity, radius 0.2",),
@@ -106,16 +108,16 @@ def cases() -> list[Case]:
         scaled("offset", 1.0, (1e3, -1e3, 1e3)),
         case(
             "contact",
-            "a cube that slides over the floor it stands on; its lowest side lies in the floor's plane",
-            "z-fighting of coplanar faces, shadows that start at no distance (own list)",
+            "a cube slides over the floor; its lowest side lies in the floor's plane",
+            "z-fighting of coplanar faces, shadows that begin at their caster (own list)",
             table(cube(0.5, (0.0, 0.0, 0.25), ABOUT_Z)),
             (1.0, 0.4, 0.0),
             expected=BOTH,
         ),
         case(
             "interpenetrating",
-            "a dark cube that is sunk into the floor and slides: where they meet is no edge of a mesh",
-            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
+            "a dark cube, sunk into the floor, slides; the curve where they meet is not a mesh edge",
+            "searches over mesh edges miss the curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (1.0, 0.4, 0.0),
             expected=BOTH,
@@ -123,15 +125,15 @@ def cases() -> list[Case]:
         case(
             "rising_through",
             "the same cube rises through the floor",
-            "what looks for edges finds no curve in which surfaces intersect (docs/line_sampling.md)",
+            "searches over mesh edges miss the curve in which surfaces intersect (docs/line_sampling.md)",
             table(cube(0.6, (0.0, 0.0, 0.2)), shade=0.05),
             (0.0, 0.0, 1.0),
             expected=BOTH,
         ),
         case(
             "emitter_at_wall",
-            "the lamp stands on the floor, which it touches with one side",
-            "1 / r² of emitters that touch what they light (own list)",
+            "the lamp stands on the floor and touches it with one side",
+            "1 / r² of emitters that touch the surface they light (own list)",
             table(
                 cube(0.4, (0.0, 0.1, 0.25)),
                 light=lamp().with_vertices(standing()),
@@ -140,14 +142,14 @@ def cases() -> list[Case]:
         case(
             "image_border",
             "the cube crosses the border of the image",
-            "silhouettes that the film's border cuts (own list)",
+            "silhouettes cut by the film's border (own list)",
             table(cube(0.7, (0.75, 0.0, 0.5)), view=view(fov=34.0)),
             expected=BOTH,
         ),
         case(
             "behind_camera",
-            "a beam from in front of the camera to behind it: its edges cross the camera's plane",
-            "projections of edges that are partly behind the camera (own list)",
+            "a beam passes the camera, so that its edges cross the camera's plane",
+            "projections of edges partly behind the camera (own list)",
             table(cube((0.3, 6.0, 0.3), (0.55, -1.0, 1.1), rotation((0, 0, 1), 0.05))),
             expected=LACKING,
         ),
@@ -160,14 +162,14 @@ def cases() -> list[Case]:
         ),
         case(
             "slivers",
-            "a sheet a thousand times wider than thick: sides of sliver triangles",
-            "NaN gradients of triangles that are seen edge-on (PyTorch3D issue 110)",
+            "a sheet a thousand times wider than thick; its sides are sliver triangles",
+            "NaN gradients of triangles seen edge-on (PyTorch3D issue 110)",
             table(cube((0.7, 0.7, 0.0007), HIGH, rotation((1.0, 0.3, 0.0), 0.2)), view=shade),
             expected=BOTH,
         ),
         case(
             "zero_area",
-            "a cube whose top is shrunk to a point, as by an optimisation: two faces without area",
+            "a cube whose top has shrunk to a point, as an optimisation may do; two faces have no area",
             "0 / 0 in normals; gradients turn to NaN in the middle of an optimisation (redner issue 13)",
             table(placed(collapsed(), TURN_SMALL, (0.0, 0.0, 0.7), 0.6)),
             expected=BOTH,

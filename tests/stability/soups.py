@@ -66,7 +66,7 @@ def cases() -> list[Case]:
         case(
             "flipped",
             "the same, every third triangle turned over",
-            "orientation of meshes from elsewhere (own list)",
+            "inconsistent orientation of imported meshes (own list)",
             soup(*flipped),
             np.asarray(ALONG),
             True,
@@ -75,15 +75,15 @@ def cases() -> list[Case]:
         case(
             "crossing_boundaries",
             "shadows of two triangles at different heights cross, and move in different directions",
-            "a continuous velocity can't be that of both where they cross (docs/warped_area.md)",
+            "a continuous velocity cannot equal both where they cross (docs/warped_area.md)",
             soup(low, high),
             each(one, two),
             expected=BOTH,
         ),
         case(
             "coplanar",
-            "two triangles overlap in one plane, and slide over each other in it",
-            "z-fighting; edges that lie on another face (own list)",
+            "two triangles overlap in one plane and slide over each other",
+            "z-fighting, edges that lie on another face (own list)",
             soup(low, beside),
             each(one, (-0.3, 0.9, 0.0)),
             expected=BOTH,
@@ -91,7 +91,7 @@ def cases() -> list[Case]:
         case(
             "duplicated",
             "every triangle is there twice",
-            "doubled faces of meshes from elsewhere (own list)",
+            "duplicate faces of imported meshes (own list)",
             soup(low, low, high, high),
             each(one, one, two, two),
             expected=BOTH,
@@ -99,7 +99,7 @@ def cases() -> list[Case]:
         case(
             "crossing_triangles",
             "two triangles that pierce each other; their shadows alone are seen",
-            "interpenetrating meshes (docs/line_sampling.md promises their shadows)",
+            "interpenetrating meshes (docs/line_sampling.md guarantees their shadows)",
             soup(low, tilted),
             each(one, two),
             expected=BOTH,
@@ -119,7 +119,7 @@ def open_box() -> Case:
     return case(
         "open_non_manifold",
         "a box without lid, and a fin: open edges, and one edge with three faces",
-        "two faces at an edge taken for granted (redner issue 122: edge sampling hangs or crashes)",
+        "code that expects two faces at every edge (redner issue 122: edge sampling hangs or crashes)",
         placed(mesh, TURN, (0.0, 0.0, 0.6), 0.5),
         np.asarray(ALONG),
         True,

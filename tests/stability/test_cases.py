@@ -1,4 +1,4 @@
-"""Every estimator on every case: bias and spread against central differences. docs/stability.md has it as a table.
+"""Every estimator on every case: bias and spread against central differences. Tables: docs/stability_cases.md.
 
 In the default run a few cells that share one compiled program; all of them with `-m slow`.
 """
