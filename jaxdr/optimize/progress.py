@@ -4,55 +4,84 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 
 from tqdm import tqdm
 
+from jaxdr.optimize.heartbeat import Pauses, Shown, beating, clear_line, clock
 
-class Progress:
+PACES = 20  # steps by which the time left is told
+
+
+class Progress(Shown):
     """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then.
 
-    With `quiet` it reports nothing.
+    A bar shows every second that a step goes on. `preparing` says what the next step does beside stepping, and such
+    steps don't count for the time that is left. With `quiet` it reports nothing.
     """
 
     def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0, quiet: bool = False):
         self.name, self.total, self.done, self.seconds, self.quiet = name, total, done, seconds, quiet
-        self.first = done
-        self.bar = None
-        if sys.stderr.isatty() and not quiet:
-            self.bar = tqdm(total=total, initial=done, desc=name, file=sys.stderr, dynamic_ncols=True)
+        self.note, self.values, self.bar = "", "", None
+        self.paces: deque[float] = deque(maxlen=PACES)
+        self.last_line: float | None = None
+        self.pauses = Pauses()
+        self.start = self.pauses.since
 
     def __enter__(self) -> "Progress":
+        self.context = ExitStack()
+        if not self.quiet:
+            clear_line()
+            if sys.stderr.isatty():
+                layout = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+                settings = {"initial": self.done, "desc": self.name, "bar_format": layout}
+                self.bar = tqdm(total=self.total, file=sys.stderr, dynamic_ncols=True, **settings)
+            self.context.enter_context(beating(self))
         return self
 
     def __exit__(self, *problem) -> None:
+        self.context.close()
         if self.bar is not None:
+            self.bar.set_postfix_str(self.values, refresh=False)
             self.bar.close()
+
+    def preparing(self, text: str) -> None:
+        """Say what the next step does that takes long, such as compiling."""
+        self.note = text
+
+    def beat(self) -> None:
+        """Show that the step goes on."""
+        if self.bar is not None:
+            self._postfix()
+            self.bar.refresh()
+        elif self.pauses.due():
+            what, seconds = self.note or "still at it", clock(self.pauses.seconds())
+            print(f"{self.name} {self.done}/{self.total}: {what} ({seconds})", file=sys.stderr, flush=True)
 
     def step(self, **values: float) -> None:
         """One more step is done; `values` are shown beside the progress."""
         self.done += 1
         if self.quiet:
             return
+        now = time.monotonic()
+        if not self.note:
+            self.paces.append(now - self.start)
+        self.start, self.note = now, ""
         if self.bar is not None:
-            self.bar.set_postfix({k: f"{v:.4g}" for k, v in values.items()}, refresh=False)
+            self.values = ", ".join(f"{name}={value:.4g}" for name, value in values.items())
+            self._postfix()
             self.bar.update()
             return
-        now = time.monotonic()
-        if self.done == self.first + 1:
-            # The first step compiles: it shows that things move, and says nothing about the time left.
-            self.start = self.last_line = now
-            left = ""
-        elif now - self.last_line >= self.seconds or self.done == self.total:
-            self.last_line = now
-            per_step = (now - self.start) / (self.done - self.first - 1)
-            left = f"  {_clock(per_step * (self.total - self.done))} left"
-        else:
+        if self.last_line is not None and now - self.last_line < self.seconds and self.done < self.total:
             return
-        shown = "".join(f"  {k} {v:.4g}" for k, v in values.items())
-        print(f"{self.name} {self.done}/{self.total}{shown}{left}", file=sys.stderr, flush=True)
+        self.last_line = now
+        self.pauses.restart()
+        shown = "".join(f"  {name} {value:.4g}" for name, value in values.items())
+        left = self._left()
+        print(f"{self.name} {self.done}/{self.total}{shown}{left and f'  {left}'}", file=sys.stderr, flush=True)
 
     def say(self, text: str) -> None:
         """A line of text that doesn't break the bar."""
@@ -60,6 +89,16 @@ class Progress:
             self.bar.write(text, file=sys.stderr)
         else:
             print(text, file=sys.stderr, flush=True)
+
+    def _left(self) -> str:
+        """How long the remaining steps take, by the last ones that prepared nothing."""
+        if not self.paces:
+            return ""
+        return f"{clock(sum(self.paces) / len(self.paces) * (self.total - self.done))} left"
+
+    def _postfix(self) -> None:
+        parts = (self._left(), self.note, self.values)
+        self.bar.set_postfix_str(", ".join(part for part in parts if part), refresh=False)
 
 
 class Interrupted(Exception):
@@ -106,8 +145,3 @@ def deferred_interrupt() -> Iterator[Interruption]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes}:{seconds:02d}"

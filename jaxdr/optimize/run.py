@@ -10,9 +10,10 @@ from jaxtyping import PyTree
 
 from jaxdr.optimize.checkpoint import Checkpoint, Place
 from jaxdr.optimize.devices import Device
+from jaxdr.optimize.heartbeat import say, working
 from jaxdr.optimize.processes import any_process, folder_of_process, told_of_lost_processes
 from jaxdr.optimize.progress import Interrupted, Interruption, NotFinite, Progress, deferred_interrupt
-from jaxdr.optimize.run_files import RunFiles, faults_told, say
+from jaxdr.optimize.run_files import RunFiles, faults_told
 
 State = TypeVar("State")
 Say = Callable[[str], None]  # a line for people, which does not break the progress bar
@@ -41,6 +42,11 @@ class Task(ABC, Generic[State]):
     @abstractmethod
     def begin(self, saved: Checkpoint | None) -> State:
         """The state in a checkpoint, or the state before the first step; also prepares what the steps need."""
+
+    def preparing(self, state: State, done: int) -> str:
+        """What the next step does beside stepping, for people, such as compiling another level. By default nothing."""
+        del state, done
+        return ""
 
     @abstractmethod
     def step(self, state: State, done: int, say: Say) -> tuple[State, dict]:
@@ -103,14 +109,16 @@ def _steps(task: Task, folder: RunFiles) -> dict:
     saved, report = folder.load_checkpoint(), task.config.report
     done = 0 if saved is None else saved.place.step
     task.clock -= 0.0 if saved is None else saved.place.seconds
-    state = task.begin(saved)
-    folder.start_metrics(done)
-    if done == 0:
-        folder.save_checkpoint(*task.saved(state, 0))  # from here on a run without a checkpoint has lost it
-        task.draw(state, 0, say)
-    last = task.last(state, done)
+    with working(f"{folder.path}: preparing the first step"):
+        state = task.begin(saved)
+        folder.start_metrics(done)
+        if done == 0:
+            folder.save_checkpoint(*task.saved(state, 0))  # from here on a run without a checkpoint has lost it
+            task.draw(state, 0, say)
+    first, last = done, task.last(state, done)
     with Progress(task.name, task.steps, done) as progress:
         while not last:
+            progress.preparing(task.preparing(state, done) or ("compiling" if done == first else ""))
             try:
                 after, row = task.step(state, done, progress.say)
             except NotFinite as problem:
@@ -129,7 +137,10 @@ def _steps(task: Task, folder: RunFiles) -> dict:
                 folder.save_checkpoint(*task.saved(state, done))
             if stop and not last:
                 task.stopped(state, progress.say)
+                folder.save_page()
                 raise Interrupted(f"stopped after step {done}; checkpoint in {folder.checkpoint}")
-    summary = task.finish(state, done)
-    folder.save_summary(summary)
+    with working(f"{folder.path}: writing the results"):
+        summary = task.finish(state, done)
+        folder.save_summary(summary)
+        folder.save_page()
     return summary

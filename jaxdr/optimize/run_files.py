@@ -3,7 +3,6 @@
 import copy
 import csv
 import io
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,19 +12,22 @@ from jaxtyping import PyTree
 
 from jaxdr.atomic_file import CannotWrite, append_text, atomic_path
 from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, load_checkpoint, save_checkpoint
+from jaxdr.optimize.heartbeat import say
 from jaxdr.optimize.progress import Stopped
 from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder, settled
 from jaxdr.untrusted import json_text, reason
+from jaxdr.view.write import write_page
 from jaxdr.views.pictures import CannotRead
 
 AGAIN = "start again with --overwrite"
+PAGE = "report.html"
 STEP_PICTURES = "pictures/[0-9][0-9][0-9][0-9][0-9]*.png"
 
 
 class RunFiles:
     """A folder with `jaxdr.json` (the marker), `config.json`, `metrics.csv` (a line a step), and `checkpoint.npz`.
 
-    In the end it has `metrics.json`, too.
+    In the end it has `metrics.json`, and whenever the run stops `report.html`.
 
     - `kind`: of run, in words; `free`: fields of the config that may differ where a run goes on, for they do not
       change the result.
@@ -70,7 +72,7 @@ class RunFiles:
     @contextmanager
     def opened(self, resume: bool, overwrite: bool) -> Iterator[None]:
         """Inside the block the folder is this run's alone; raises ValueError, see `results_folder`."""
-        writes = (MARKER, "metrics.csv", "metrics.json", "checkpoint.npz", *self.results)
+        writes = (MARKER, "metrics.csv", "metrics.json", "checkpoint.npz", PAGE, *self.results)
         results = Results(self.path, self.kind, self.config, "config.json", self.free, writes, self.inputs)
         with results_folder(results, resume, overwrite):
             for name in self.subfolders:
@@ -113,6 +115,13 @@ class RunFiles:
         """Write `metrics.json`; numbers that are not finite become null."""
         self.write_text("metrics.json", json_text(summary))
 
+    def save_page(self) -> None:
+        """Write `report.html`, the page of `jaxdr view`. If something can't be shown, a line says so."""
+        try:
+            write_page(self.path, self.path / PAGE)
+        except ValueError as problem:
+            say(f"{self.path / PAGE}: is not written ({problem})")
+
     def write_text(self, name: str, text: str) -> None:
         """A file of text that appears complete or not at all."""
         with atomic_path(self.path / name) as temporary:
@@ -128,11 +137,6 @@ class RunFiles:
             raise ValueError(f"{self.path / 'metrics.csv'}: is damaged ({reason(problem)}); {AGAIN}") from None
         whole = text[: text.rfind("\n") + 1].splitlines()[1:]
         return [line for line in whole if line.count(",") == len(self.columns) - 1 and line.partition(",")[0].isdigit()]
-
-
-def say(text: str) -> None:
-    """A line for people, where there is no progress bar."""
-    print(text, file=sys.stderr, flush=True)
 
 
 def shown_if_possible(done: int, save: Callable[[], None], say: Callable[[str], None]) -> None:

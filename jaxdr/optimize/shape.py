@@ -180,6 +180,10 @@ class ShapeTask(Task[Current]):
         target = jnp.zeros((resolution, resolution, 3), mesh.vertices.dtype)
         self.programs[level].gradient.compile(mesh, (self.poses()[0], target, self.key))
 
+    def preparing(self, current: Current, done: int) -> str:
+        """Another mesh or level has programs of its own."""
+        return "compiling" if done in self.remeshing or done in (current.phase.start, current.phase.since) else ""
+
     def step(self, current: Current, done: int, say: Say) -> tuple[Current, dict]:
         """Remesh, where it is due; then move along the mean gradient over the views of this step."""
         self.compiled.result()

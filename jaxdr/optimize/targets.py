@@ -38,6 +38,7 @@ def rendered(
 ) -> Iterator[Array]:
     """`image` of every pose, a key each, with progress unless `quiet`. Raises `Interrupted` after Ctrl-C."""
     with Progress("render targets", len(poses), quiet=quiet) as progress:
+        progress.preparing("compiling")
         for i, pose in enumerate(poses):
             yield image(pose, jax.random.fold_in(key, i))
             progress.step()

@@ -11,7 +11,7 @@ from jaxdr.untrusted import is_own_file, read_json
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".exr", ".hdr", ".pfm")
 MESHES = (".glb", ".ply", ".obj", ".stl")  # of files with the same name the first kind is shown
 MARKERS = ("config.json", "chart.json")
-FOLDERS = ("", "pictures", "meshes", "test")
+FOLDERS = ("", "pictures", "meshes", "test", "compared")
 
 
 class Item(NamedTuple):
@@ -25,8 +25,8 @@ class Item(NamedTuple):
 class Results(NamedTuple):
     """Everything that a page shows. Paths of files that the folder does not have are None.
 
-    `left_out`: pictures, meshes and folders that are links or no regular files. A page is sent to others, and what a
-    link leads to may be private.
+    `compared`: photographs beside renderings. `left_out`: pictures, meshes and folders that are links or no regular
+    files. A page is sent to others, and what a link leads to may be private.
     """
 
     path: Path
@@ -35,6 +35,7 @@ class Results(NamedTuple):
     pictures: Sequence[Item]
     meshes: Sequence[Item]
     held_out: Sequence[Item]
+    compared: Sequence[Item]
     metrics: Path | None
     rows: Path | None
     summary: Path | None
@@ -65,14 +66,15 @@ def read_folder(path: Path) -> Results:
         [*_items(files[""], PICTURES), *_items(files["pictures"], PICTURES)],
         _one_of_each([*_items(files[""], MESHES), *_items(files["meshes"], MESHES)]),
         _items(files["test"], PICTURES),
+        _items(files["compared"], PICTURES),
         _existing(path, "metrics.csv"),
         _existing(path, "rows.csv"),
         summary,
         config,
         left_out,
     )
-    shown = (results.pictures, results.meshes, results.held_out, results.metrics, results.rows, results.summary)
-    if not any(shown):
+    pictures = (results.pictures, results.held_out, results.compared)
+    if not any((*pictures, results.meshes, results.metrics, results.rows, results.summary)):
         links = "has nothing to show but links, which are left out; put copies there"
         raise ValueError(f"{path}: {links if left_out else 'has nothing to show yet; run it first'}")
     return results

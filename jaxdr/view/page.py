@@ -14,14 +14,14 @@ from jaxdr.untrusted import damage, opened_picture, text_of
 from jaxdr.view.curves import svg
 from jaxdr.view.folder import Item, Results, by_name, spread
 from jaxdr.view.models import glb_bytes
-from jaxdr.view.tables import chart_diagrams, metrics_diagrams, summary_rows
+from jaxdr.view.tables import chart_diagrams, metrics_diagrams, summary_rows, view_scores
 from jaxdr.web_page import content_policy
 
 HERE = Path(__file__).parent
 GENERATOR = '<meta name="generator" content="jaxdr view">'
-Z_UP = "0deg -90deg 0deg"  # roll, pitch, yaw: glTF has y up
+Z_UP, Y_UP = "0deg -90deg 0deg", "0deg 0deg 0deg"  # roll, pitch, yaw: glTF has y up
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".gif": "GIF"}  # that browsers show, in Pillow's words
-GRIDS = {"reconstruction": "Photographs and renderings"}
+GRIDS = {"reconstruction": "Photograph and rendering of a step"}
 MOST = 12  # pictures of a kind
 TITLES = {
     "optimisation": "Shape from images",
@@ -44,7 +44,8 @@ def page(results: Results) -> str:
         f"<h1>{title}</h1><p class='note'>{html.escape(str(results.path))}.{state}</p>",
         *_left_out(results),
     ]
-    parts = [*head, *viewers, *_pictures(results), *_diagrams(results), *_summary(results), *_config(results)]
+    shown = [*_compared(results), *_pictures(results), *_diagrams(results), *_summary(results), *_config(results)]
+    parts = [*head, *viewers, *shown]
     if viewers:
         parts.append(f"<details><summary>Licences of the viewer</summary><pre>{_licences()}</pre></details>")
         parts.append(f'<script type="module">{_own("viewer/model-viewer.min.js")}</script>')
@@ -83,8 +84,9 @@ def _meshes(results: Results) -> list[str]:
 
 def _viewer(label: str, item: Item) -> str:
     source = _data("model/gltf-binary", glb_bytes(item.path))
+    up = Y_UP if item.name == "asset" else Z_UP  # an asset stands upright in glTF
     return (
-        f'<figure><model-viewer src="{source}" alt="{html.escape(label)}" orientation="{Z_UP}" data-up="{Z_UP}" '
+        f'<figure><model-viewer src="{source}" alt="{html.escape(label)}" orientation="{up}" data-up="{up}" '
         'camera-controls interaction-prompt="none" loading="eager" environment-image="legacy" exposure="0.8">'
         f"</model-viewer><figcaption>{html.escape(label)}</figcaption></figure>"
     )
@@ -96,6 +98,18 @@ def _state(item: Item, items: Sequence[Item], finished: bool) -> str:
     if item.step == 0:
         return f"{name}start"
     return f"{name}{'result, ' if finished and item is items[-1] else ''}step {item.step}"
+
+
+def _compared(results: Results) -> list[str]:
+    """Photographs beside renderings and their differences, with their scores."""
+    if not results.compared:
+        return []
+    scores = view_scores(results.summary) if results.summary else {}
+    kind = results.summary and dict(summary_rows(results.summary)).get("judged_by")
+    some = "" if len(scores) <= len(results.compared) else f" {len(results.compared)} of {len(scores)} are shown."
+    note = f"Views that were {kind}: photograph, rendering, difference. Red is too bright, blue too dark.{some}"
+    captions = [(" · ".join((item.name, *scores.get(item.name, ()))), item) for item in results.compared]
+    return [f"<h2>Photographs and renderings</h2><p class='note'>{html.escape(note)}</p>", _figures("wide", captions)]
 
 
 def _pictures(results: Results) -> list[str]:
@@ -111,8 +125,9 @@ def _pictures(results: Results) -> list[str]:
             parts.append("<h3>On the way</h3>")
             parts.append(_figures("small", [(_state(item, items, False), item) for item in between]))
     others = [item for item in results.pictures if item.step is None]
+    held_out = () if results.compared else results.held_out
     size = "large" if results.kind == "chart" else "small"
-    for heading, items in (("Pictures", others), ("Held-out views", results.held_out)):
+    for heading, items in (("Pictures", others), ("Held-out views", held_out)):
         if items:
             parts.append(f"<h2>{heading}</h2>")
             parts.append(_figures(size, [(item.path.name, item) for item in spread(items, MOST)]))

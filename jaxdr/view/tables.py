@@ -11,6 +11,7 @@ from jaxdr.untrusted import damage, read_json, shortened, text_of
 
 STEPS = ("iteration", "step")
 CHART = ("scene", "estimator", "seconds", "rmse")
+SCORES = {"psnr": "{:.2f} dB", "psnr_inside": "{:.2f} dB inside", "ssim": "SSIM {:.4f}", "iou": "overlap {:.4f}"}
 LARGEST = 1e300  # of a number in a diagram: differences of two are finite
 
 
@@ -76,6 +77,18 @@ def summary_rows(path: Path) -> list[tuple[str, str]]:
     if not isinstance(summary, dict):
         raise ValueError(f"{path}: expected numbers by name, got {shortened(summary)}")
     return list(_flat(summary))
+
+
+def view_scores(path: Path) -> dict[str, list[str]]:
+    """Scores of each view of a reconstruction, in words, by its name. Raises ValueError for a damaged file."""
+    summary = read_json(path)
+    views = summary.get("views") if isinstance(summary, dict) else None
+    found = {}
+    for view in views if isinstance(views, list) else []:
+        if isinstance(view, dict) and isinstance(view.get("name"), str):
+            numbers = ((words, view.get(key)) for key, words in SCORES.items())
+            found[view["name"]] = [words.format(x) for words, x in numbers if isinstance(x, int | float)]
+    return found
 
 
 def _flat(table: dict, prefix: str = "") -> Iterator[tuple[str, str]]:

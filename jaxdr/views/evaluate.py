@@ -124,7 +124,7 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
         return Score(view.name, math.nan, math.nan, _overlap(picture, alpha), None if alpha is None else math.nan)
     rendered, photograph = (to_srgb(x).astype(float) / 255 for x in both)
     squares = (rendered - photograph) ** 2
-    inside = None if alpha is None else _decibels(squares[alpha > 0.5])
+    inside = None if alpha is None else decibels(squares[alpha > 0.5])
     size = min(11, view.height, view.width)
     ssim: Any = structural_similarity(
         rendered,
@@ -136,10 +136,10 @@ def score_picture(picture: Float[np.ndarray, "H W 4"], view: View, scale: Float[
         sigma=1.5,
         use_sample_covariance=False,
     )
-    return Score(view.name, _decibels(squares), float(ssim), _overlap(picture, alpha), inside)
+    return Score(view.name, decibels(squares), float(ssim), _overlap(picture, alpha), inside)
 
 
-def _decibels(squares: Float[np.ndarray, "*n"]) -> float:
+def decibels(squares: Float[np.ndarray, "*n"]) -> float:
     """PSNR of squared differences; at most 100 dB, which equal pictures have. NaN of none."""
     return float(-10 * np.log10(max(float(squares.mean()), 1e-10))) if squares.size else math.nan
 

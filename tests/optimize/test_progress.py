@@ -4,10 +4,12 @@ import io
 import signal
 import sys
 import threading
+import time
 
 import pytest
 
-from jaxdr.optimize import progress
+from jaxdr.optimize import heartbeat, progress
+from jaxdr.optimize.heartbeat import working
 from jaxdr.optimize.progress import Progress, deferred_interrupt
 
 
@@ -16,30 +18,112 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_lines_where_there_is_no_terminal(monkeypatch, capsys):
-    clock = iter([4.0, 11.0, 15.0, 18.0, 24.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+class Clock:
+    """Time that stands still until it is told to go on."""
+
+    now = 0.0
+
+    def monotonic(self):
+        return self.now
+
+
+@pytest.fixture
+def time_of(monkeypatch):
+    """A clock that all of the display reads; its thread does not run."""
+    clock = Clock()
+    for module in (progress, heartbeat):
+        monkeypatch.setattr(module, "time", clock)
+    monkeypatch.setattr(heartbeat, "PERIOD", 3600.0)
+    return clock
+
+
+def test_lines_where_there_is_no_terminal(time_of, capsys):
     with Progress("optimise", 7, done=2) as bar:
-        for loss in (0.5, 0.4, 0.3, 0.2, 0.12345):
+        bar.preparing("compiling")
+        for now, loss in ((50.0, 0.5), (54.0, 0.4), (58.0, 0.3), (62.0, 0.2), (66.0, 0.12345)):
+            time_of.now = now
             bar.step(loss=loss)
         bar.say("done")
     # The first, every ten seconds, the last; time left from the steps after the first, which compiled.
     assert capsys.readouterr().err.splitlines() == [
         "optimise 3/7  loss 0.5",
-        "optimise 5/7  loss 0.3  0:11 left",
+        "optimise 6/7  loss 0.2  0:04 left",
         "optimise 7/7  loss 0.1235  0:00 left",
         "done",
     ]
+
+
+def test_a_long_step_says_what_it_does_less_and_less_often(time_of, capsys):
+    with Progress("optimise", 7) as bar:
+        bar.preparing("compiling level 1 of 2")
+        for now in range(40):
+            time_of.now = float(now)
+            bar.beat()
+    assert capsys.readouterr().err.splitlines() == [
+        f"optimise 0/7: compiling level 1 of 2 (0:{seconds})" for seconds in ("05", "15", "35")
+    ]
+
+
+def test_each_level_compiles_and_the_time_left_is_that_of_its_steps(time_of, capsys):
+    with Progress("optimise", 100, seconds=0.0) as bar:
+        for _ in range(progress.PACES):
+            time_of.now += 1.0
+            bar.step()
+        bar.preparing("compiling level 2 of 2")
+        time_of.now += 60.0
+        bar.step()
+        for _ in range(progress.PACES):
+            time_of.now += 3.0
+            bar.step()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[19] == "optimise 20/100  1:20 left" and lines[20] == "optimise 21/100  1:19 left"
+    assert lines[-1] == "optimise 41/100  2:57 left"
 
 
 def test_bar_on_a_terminal(monkeypatch):
     stream = Terminal()
     monkeypatch.setattr(sys, "stderr", stream)
     with Progress("optimise", 2) as bar:
+        bar.preparing("compiling")
+        bar.beat()
+        assert "0/2 [00:00, compiling]" in stream.getvalue()
         bar.step(loss=0.5)
         bar.step(loss=0.25)
     assert "optimise: 100%" in stream.getvalue()
     assert "2/2" in stream.getvalue() and "loss=0.25" in stream.getvalue()
+
+
+def test_what_was_begun_last_shows_that_it_goes_on(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(heartbeat, "PERIOD", 0.01)
+    with working("reading"):
+        wait_for(lambda: "reading (0:00)" in stream.getvalue())
+        with Progress("render", 2):
+            wait_for(lambda: stream.getvalue().count("render:") > 3)
+            seen = stream.getvalue().count("reading")
+            assert "(0:00)\r              \r" in stream.getvalue()  # its line is free
+            wait_for(lambda: stream.getvalue().count("render:") > 6)
+            assert stream.getvalue().count("reading") == seen
+        wait_for(lambda: stream.getvalue().count("reading") > seen)
+        heartbeat.say("a line")
+    assert f"\r{' ' * len('reading (0:00)')}\ra line\n" in stream.getvalue()  # not behind what was shown
+    ended = stream.getvalue()
+    time.sleep(0.1)
+    assert stream.getvalue() == ended and not heartbeat._shown
+
+
+def test_an_error_ends_what_is_shown():
+    with pytest.raises(ZeroDivisionError), working("dividing"), Progress("divide", 2, quiet=True):
+        1 / 0  # noqa: B018
+    assert not heartbeat._shown and heartbeat._stop is None
+
+
+def wait_for(condition) -> None:
+    end = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def test_first_ctrl_c_waits_second_stops(capsys):

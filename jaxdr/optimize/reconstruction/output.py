@@ -9,7 +9,7 @@ from PIL import Image
 
 from jaxdr.atomic_file import atomic_path
 from jaxdr.image_formats.exr import is_available as has_openexr
-from jaxdr.images import labelled_grid, save_png, to_srgb, write_image
+from jaxdr.images import diverging, labelled_grid, save_png, to_srgb, write_image
 from jaxdr.optimize.reconstruction.config import ReconstructConfig
 from jaxdr.optimize.reconstruction.pictures import Cut
 from jaxdr.optimize.run_files import STEP_PICTURES, RunFiles
@@ -17,6 +17,7 @@ from jaxdr.views.inputs import input_files
 from jaxdr.views.pictures import PictureFile
 from jaxdr.views.record import View, Views
 
+DIFFERENCE = 0.25  # of encoded grey values: the ends of the colours of differences
 COLUMNS = ("step", "level", "loss", "gradient_norm", "vertices", "seconds")
 
 
@@ -24,21 +25,22 @@ class OutputFolder(RunFiles):
     """Names and formats of what a reconstruction writes.
 
     `asset.glb`, `light.exr` (`light.hdr` without OpenEXR), `transforms.json` (the cameras), `test/` (renderings of the
-    held-out views), `masks/` (those that were made), `report.html`, `turntable.gif`, `metrics.json` in the end;
+    held-out views), `compared/` (photographs beside them), `masks/` (those that were made), `turntable.gif`,
+    `report.html` and `metrics.json` in the end;
     `metrics.csv` (a line a step), `pictures/`, `checkpoint.npz` on the way.
     """
 
     kind = "reconstruction"
     free = ("output", "report", "memory", "asset")
-    subfolders = ("pictures", "test")
+    subfolders = ("pictures", "test", "compared")
 
     def __init__(self, config: ReconstructConfig, views: Views):
         super().__init__(config, COLUMNS)
-        named = ("asset.glb", "light.exr", "light.hdr", "transforms.json", "report.html", "turntable.gif")
+        named = ("asset.glb", "light.exr", "light.hdr", "transforms.json", "turntable.gif")
         self.results = (
             *named,
             STEP_PICTURES,
-            *(f"{place}/{view.name}.png" for place in ("test", "masks") for view in views.views),
+            *(f"{place}/{view.name}.png" for place in ("test", "compared", "masks") for view in views.views),
         )
         self._inputs = {"photographs": views.folder} | input_files(views)
 
@@ -84,6 +86,14 @@ class OutputFolder(RunFiles):
         path = self.path / "test" / f"{name}.png"
         with atomic_path(path) as temporary:
             Image.fromarray(pixels).save(temporary, format="PNG")
+
+    def save_compared(self, view: View, picture: Float[np.ndarray, "H W 4"]) -> None:
+        """`compared/NAME.png`: photograph, rendering and difference, over black. Red: the rendering is too bright."""
+        photograph, rendering = to_srgb(view.over_black), to_srgb(picture[..., :3])
+        difference = (rendering.astype(float) - photograph).mean(-1) / 255
+        row = [photograph, rendering, diverging(difference, DIFFERENCE)]
+        titles = ["photograph", "rendering", "difference"]
+        save_png(self.path / "compared" / f"{view.name}.png", labelled_grid(titles, [row]))
 
     def save_light(self, radiance: Float[np.ndarray, "H W 3"]) -> None:
         """The light, linear."""

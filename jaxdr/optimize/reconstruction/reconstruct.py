@@ -11,8 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.geometry.mesh import Mesh
+from jaxdr.images import to_srgb
 from jaxdr.optimize.checkpoint import Checkpoint, Place
 from jaxdr.optimize.devices import Device, chosen_devices
+from jaxdr.optimize.heartbeat import say, working
 from jaxdr.optimize.phase import finite
 from jaxdr.optimize.problem import views_of_step
 from jaxdr.optimize.progress import NotFinite
@@ -34,8 +36,8 @@ from jaxdr.optimize.reconstruction.stereo import stereo_points
 from jaxdr.optimize.reconstruction.unknowns import State, Unknowns
 from jaxdr.optimize.remesh import remesh_to, require_gpytoolbox
 from jaxdr.optimize.run import Say, Task, run
-from jaxdr.optimize.run_files import say, shown_if_possible
-from jaxdr.views.evaluate import require_skimage
+from jaxdr.optimize.run_files import shown_if_possible
+from jaxdr.views.evaluate import decibels, require_skimage
 from jaxdr.views.load import load_views
 from jaxdr.views.reading import read_ahead
 from jaxdr.views.record import View, Views
@@ -68,19 +70,23 @@ def reconstruct(
     keep = config.memory.pictures / 2
     masks = None if config.masks in ("auto", "none") else config.masks
     folder = folder_with_cameras(Path(config.folder), Path(config.output), config.seed, overwrite, say)
-    views = load_views(folder, holdout=config.holdout or None, keep=keep, longest=longest, masks=masks)
+    with working(f"{config.folder}: reading photographs"):
+        views = load_views(folder, holdout=config.holdout or None, keep=keep, longest=longest, masks=masks)
     say(f"{config.folder}: {summary_of(views)}")
     found: FoundMasks | None = None
     problem = ""
     if config.masks == "auto" and not views.masked:
         try:
-            found = find_masks(views, config.seed, say)
+            with working(f"{config.folder}: looking for the object"):
+                found = find_masks(views, config.seed, say)
         except ValueError as fault:
             problem = str(fault)
             say(problem)
         else:
             views = with_masks(views, found)
-    return run(ReconstructionTask(config, views, chosen_devices(devices), found, problem), resume, overwrite)
+    with working(f"{config.folder}: looking for the first surface"):
+        task = ReconstructionTask(config, views, chosen_devices(devices), found, problem)
+    return run(task, resume, overwrite)
 
 
 def _check(view: View) -> None:
@@ -239,6 +245,11 @@ class ReconstructionTask(Task[Current]):
         stage = make_stage(self.config, self.photos, number, done, mesh, self.devices)
         return stage, stage.fresh(unknowns)
 
+    def preparing(self, current: Current, done: int) -> str:
+        """A level has programs of its own."""
+        number, count = current.stage.number + (done == self.end_of(current.stage.number)), len(self.config.levels)
+        return f"compiling level {number + 1} of {count}" if done == self.end_of(number - 1) else ""
+
     def step(self, current: Current, done: int, say: Say) -> tuple[Current, dict]:
         """Go on to the next level, where it is time; then move along the mean gradient over the views of this step."""
         stage, state, _ = current
@@ -270,7 +281,10 @@ class ReconstructionTask(Task[Current]):
         return Current(stage, stage.update(state, mean), picture), row
 
     def shown(self, current: Current, row: dict) -> dict[str, float]:
-        return {"loss": row["loss"], "level": float(row["level"])}
+        assert current.picture is not None  # a step is done
+        rendering, photograph = current.picture
+        difference = to_srgb(rendering[..., :3]).astype(float) - to_srgb(photograph.color)
+        return {"loss": row["loss"], "level": float(row["level"]), "psnr": decibels((difference / 255) ** 2)}
 
     def saved(self, current: Current, done: int) -> tuple[Place, State]:
         """The mesh with which the level began, and the state of the optimisers."""

@@ -17,9 +17,9 @@ from jaxdr.optimize.reconstruction.cameras import sizes, with_corrections
 from jaxdr.optimize.reconstruction.config import Asset, ReconstructConfig
 from jaxdr.optimize.reconstruction.evenly import evenly
 from jaxdr.optimize.reconstruction.output import OutputFolder
-from jaxdr.optimize.reconstruction.page import page_row, report_page, save_turntable
 from jaxdr.optimize.reconstruction.pictures import Pose
 from jaxdr.optimize.reconstruction.sky import resampled
+from jaxdr.optimize.reconstruction.turntable import save_turntable
 from jaxdr.optimize.reconstruction.unknowns import Unknowns, reflectance, roughness_of, scene_of
 from jaxdr.scene.scene import Scene
 from jaxdr.views.evaluate import Evaluation, channel_scale, score_picture
@@ -28,7 +28,7 @@ from jaxdr.views.record import View, Views
 from jaxdr.views.rendering import render_views
 
 PATHS, LEAST = 1 << 24, 16  # most paths of a picture of the result, and fewest samples per pixel
-ROWS = 200  # most views on the page
+COMPARED = 24  # most views whose photograph and rendering are kept side by side
 FINER = 4  # the light is written with so many texels for one, interpolated as it was used
 
 
@@ -70,7 +70,7 @@ def save_asset(folder: OutputFolder, result: Result, size: int) -> None:
 
 
 def judge(folder: OutputFolder, result: Result, views: Views, config: ReconstructConfig, key: PRNGKeyArray) -> dict:
-    """Renderings of the held-out views, their scores, page and turntable; returns the scores.
+    """Renderings of the held-out views, their scores, and the turntable; returns the scores.
 
     `with_gains`: PSNR if each rendering has one factor a channel, as for photographs of unknown exposure.
 
@@ -86,24 +86,24 @@ def judge(folder: OutputFolder, result: Result, views: Views, config: Reconstruc
     seed = int(jax.random.randint(key, (), 0, 2**31 - 1))
     scene = result.scene(shown[0])
     spp = max(LEAST, min(config.samples.pictures, PATHS // (shown[0].width * shown[0].height)))
-    on_page = set(evenly(len(shown), ROWS).tolist())
-    scores, matched, rows = [], [], []
+    side_by_side = set(evenly(len(shown), COMPARED).tolist())
+    scores, matched = [], []
     with Progress("render views", len(shown)) as progress:
+        progress.preparing("compiling")
         for i, view in enumerate(shown):  # one by one: there may be thousands
             (picture,) = render_views(scene, [view], spp=spp, seed=(seed + i) % 2**31, integrator=tracer)
             if views.held_out:
                 folder.save_test(view.name, picture, view.masked)
             scores.append(score_picture(picture, view))
             matched.append(score_picture(picture, view, channel_scale([picture], [view])))
-            if i in on_page:
-                rows.append(page_row(view, picture, scores[-1]))
+            if i in side_by_side:
+                folder.save_compared(view, picture)
             progress.step()
     evaluation = Evaluation(tuple(scores))
     kind = "held out" if views.held_out else "fitted"
     if config.report.turntable:
         up = result.frame.rotation[1]
         save_turntable(folder, scene, views.views[0], up, result.pose, config.report.turntable, tracer, seed)
-    folder.write_text("report.html", report_page(rows, evaluation, kind, bool(config.report.turntable), folder))
     gains = {key: value for key, value in Evaluation(tuple(matched)).to_dict().items() if key.startswith("psnr")}
     found["to_asset"] = result.frame.matrix.tolist()
     return {"judged_by": kind, "samples": spp, **found, **evaluation.to_dict(), "with_gains": gains}

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 
 import jax
@@ -69,8 +70,10 @@ def test_everything_is_there(folder, finished):
     assert list(jd.load_gltf(output / "asset.glb").shapes) == ["object"]
     light = next(output.glob("light.*"))
     assert jd.load_image(light).shape == (9, 16, 3) and (jd.load_image(light) > 0).all()
+    assert sorted(path.name for path in (output / "compared").iterdir()) == ["r_0.png", "r_1.png"]
     page = (output / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 6 and "data:image/gif" in page and 'src="http' not in page
+    assert "data:model/gltf-binary" in page and "data:image/gif" in page and 'src="http' not in page
+    assert re.search(r"<figcaption>r_0 · [\d.]+ dB · .* dB inside · SSIM .* · overlap [\d.]+</figcaption>", page)
     assert Image.open(output / "turntable.gif").n_frames == 2
     rows = list(csv.DictReader((output / "metrics.csv").open()))
     assert [row["level"] for row in rows] == ["1", "1", "2", "2"]
@@ -94,6 +97,8 @@ def test_resumed_after_ctrl_c_it_ends_with_the_same_bits(folder, finished, tmp_p
         reconstruct.reconstruct(config(folder, output))
     assert (output / "asset.glb").exists() and list(output.glob("light.*")) and not (output / "metrics.json").exists()
     assert len(jd.load_views(output).views) == 8  # cameras in the frame of the asset
+    page = (output / "report.html").read_text()
+    assert "The run is not finished" in page and "data:model/gltf-binary" in page
     monkeypatch.setattr(reconstruct.ReconstructionTask, "step", step)
     resumed = reconstruct.reconstruct(config(folder, output), resume=True)
     timeless = lambda d: {k: v for k, v in d.items() if not k.startswith("seconds")}  # noqa: E731
@@ -146,7 +151,7 @@ def test_with_no_picture_kept_it_ends_with_the_same_bits(folder, finished, tmp_p
     monkeypatch.setattr(pictures, "load_stored", lambda *files: (read.append(files), original(*files))[1])
     reconstruct.reconstruct(config(folder, output, memory={"pictures": 0.0}))
     assert len(read) > 5 * 8  # of eight pictures
-    for name in ("asset.glb", "test/r_0.png", "test/r_1.png", "report.html", "pictures/00004.png"):
+    for name in ("asset.glb", "test/r_0.png", "test/r_1.png", "compared/r_0.png", "pictures/00004.png"):
         assert (whole / name).read_bytes().replace(b"whole", b"") == (output / name).read_bytes(), name
 
 
