@@ -111,7 +111,7 @@ def main():
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--by", nargs="+", choices=("jaxdr", "Mitsuba"), default=["jaxdr", "Mitsuba"])
     parser.add_argument("--config", default="configs/spot_levels.toml", help="for all but the pawn of the quickstart")
-    parser.add_argument("--data", type=Path, default=common.ROOT.parent / "shared/data", help="folder of the meshes")
+    parser.add_argument("--data", type=Path, default=common.DATA, help="folder of the meshes")
     parser.add_argument("--set", action="append", default=[], help="change a value of the config; repeatable")
     options = parser.parse_args()
     folder = common.results(STUDY, options.quick)
