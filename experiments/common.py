@@ -12,15 +12,14 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "experiments/data"
 
 
 def parser(description):
     """An argument parser with the options that every study takes."""
     made = argparse.ArgumentParser(description=description.split("\n")[0])
     made.add_argument("--quick", action="store_true", help="small sizes: a check that the script runs, not a result")
-    made.add_argument(
-        "--oracle", type=Path, default=ROOT.parent / "shared/oracle", help="folder of the reference scenes"
-    )
+    made.add_argument("--oracle", type=Path, default=DATA / "reference_scenes", help="folder of the reference scenes")
     return made
 
 

@@ -23,14 +23,26 @@ import pytest
 
 import jaxdr as jd
 from jaxdr import cli
+from jaxdr.chart.config import chart_config
 from jaxdr.optimize import config
+from jaxdr.optimize.compare import is_comparison, variants
+from jaxdr.optimize.reconstruction.config import reconstruct_config
+from jaxdr.optimize.recovery.config import is_recovery, recovery_config
+from jaxdr.optimize.strict_toml import read_toml
 from tests.views.folders import write_nerf
 
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 STUDIES = sorted((ROOT / "experiments").glob("*/README.md"))
-TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES, *STUDIES]
+DATA = sorted((ROOT / "experiments/data").rglob("*.md"))
+TEXTS = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *PAGES, *STUDIES, *DATA]
+CONFIGS = [*sorted((ROOT / "configs").rglob("*.toml")), ROOT / "experiments/default_choice/chart.toml"]
+SCRIPTS = [
+    *(ROOT / "examples").glob("*.py"),
+    *(ROOT / "experiments").rglob("*.py"),
+    *(ROOT / "experiments").rglob("*.sh"),
+]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 MOST_WORDS = 900
 
@@ -194,6 +206,30 @@ def test_commands_name_what_is_there(page):
     assert [line for line in indented if line not in blocks] == []
 
 
+# What a clone has
+
+
+def test_nothing_outside_of_the_clone_is_named():
+    """A path with `..` leads from its file to something in the repository."""
+    for path in [*TEXTS, *CONFIGS, *SCRIPTS]:
+        for name in re.findall(r"(?<![\w./])(?:\.\./)+[\w./-]*", path.read_text()):
+            found = (path.parent / name).resolve()
+            assert found.is_relative_to(ROOT) and found.exists(), (id_of(path), name)
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=id_of)
+def test_every_config_is_valid_and_finds_its_files_in_a_clone(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # so files are found from the config alone
+    table = read_toml(path)
+    if path.name == "photographs.toml":
+        assert reconstruct_config(table, str(path), "photographs", "out")
+    elif "scenes" in table:
+        assert chart_config(table, path)
+    else:
+        for run in [variant.table for variant in variants(table, path)] if is_comparison(table) else [table]:
+            assert (recovery_config if is_recovery(run) else config.optimize_config)(run, path)
+
+
 def test_every_extra_is_listed():
     listed = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "install.md").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(PROJECT["optional-dependencies"])
@@ -216,7 +252,7 @@ def test_relative_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(path), (target, anchor)
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=id_of)
+@pytest.mark.parametrize("page", [*TEXTS, *CONFIGS], ids=id_of)
 def test_no_path_of_a_machine(page):
     assert re.findall(r"(?<![\w.])/(?:home|root|tmp|work|Users)/\S*", page.read_text()) == []
 

@@ -30,4 +30,4 @@ def test_without_a_gpu_it_says_so(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script")
 def test_an_unknown_option(tmp_path):
     done = run("--size", "3", folder=tmp_path)
-    assert done.returncode == 1 and "unknown option --size; it takes --oracle" in done.stderr
+    assert done.returncode == 1 and "unknown option --size; it takes --out" in done.stderr

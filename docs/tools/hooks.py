@@ -13,7 +13,10 @@ import latex2mathml.converter
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
-OUTSIDE = ("experiments/*/README.md", "experiments/*/results/*.png", "examples/*.py", "configs/*.toml")
+OUTSIDE = (
+    *("experiments/*/README.md", "experiments/*/results/*.png", "experiments/data/**/*.md"),
+    *("examples/*.py", "configs/*.toml"),
+)
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
 LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)\s]*)?(\))")  # relative links only: others have the colon of https:
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)

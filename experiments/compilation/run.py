@@ -1,6 +1,6 @@
 """Small, fast programs: their size, the time until a first gradient, and rates against Mitsuba's.
 
-    python -m experiments.compilation.run --tree ../before
+    python -m experiments.compilation.run --tree runs/before
 
 Every part is measured for this version and for the other versions whose checkouts `--tree` names, in turns.
 """

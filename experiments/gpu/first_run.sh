@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Everything there is to check on a machine with a GPU, and one report in Markdown:
 #
-#   experiments/gpu/first_run.sh [--oracle FOLDER] [--out FOLDER] [--quick] [--platform cuda]
+#   experiments/gpu/first_run.sh [--out FOLDER] [--quick] [--platform cuda]
 #
 # Run it in an environment with the extras "cuda", "test" and "experiments". A part that fails does not stop the others.
 # Exit code: 0 if all parts passed, 1 if one failed, 2 without a GPU. --quick takes small sizes and few tests;
@@ -9,14 +9,13 @@
 set -u
 cd "$(dirname "$0")/../.." || exit 1
 
-oracle="" out="runs/gpu" quick="" platform="cuda"
+out="runs/gpu" quick="" platform="cuda"
 while [ $# -gt 0 ]; do
     case "$1" in
-        --oracle) oracle="$2"; shift 2 ;;
         --out) out="$2"; shift 2 ;;
         --platform) platform="$2"; shift 2 ;;
         --quick) quick="yes"; shift ;;
-        *) echo "first_run: unknown option $1; it takes --oracle FOLDER, --out FOLDER, --quick, --platform NAME" >&2; exit 1 ;;
+        *) echo "first_run: unknown option $1; it takes --out FOLDER, --quick, --platform NAME" >&2; exit 1 ;;
     esac
 done
 
@@ -72,11 +71,8 @@ else
     part "chart" 3600 jaxdr chart configs/chart_quick.toml --set "output=$out/chart"
     part "scaling" 3600 python -m experiments.gpu.scaling --platform "$platform" --out "$out"
 fi
-if [ -n "$oracle" ]; then
-    part "oracles" 7200 env PYTHONPATH="$PWD" python "$oracle/check.py" --spp "$([ -n "$quick" ] && echo 16 || echo 512)"
-else
-    echo "| oracles | left out: no --oracle FOLDER | |" >> "$summary"
-fi
+part "oracles" 7200 env PYTHONPATH="$PWD" python experiments/data/reference_scenes/check.py \
+    --spp "$([ -n "$quick" ] && echo 16 || echo 512)"
 
 {
     printf '# First run on %s\n\n' "$platform"

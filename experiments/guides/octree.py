@@ -1,6 +1,6 @@
 """Guides of `GuidedEdges` against Mitsuba's octree on `shadow_goathead`, from a chart's rows.
 
-    jaxdr chart configs/chart_guides.toml --set peers=true --set folder=../shared/oracle
+    jaxdr chart configs/chart_guides.toml --set peers=true
     python -m experiments.guides.octree [--rows runs/chart_guides/rows.csv]
 
 The seconds of a call are a for building the guide and b for each sample, by a line through the rungs of the chart. The

@@ -1,20 +1,17 @@
-"""The reference scenes that lie beside the repository, compared by their own `check.py` at a lower sample count.
+"""The reference scenes, compared by their own `check.py` at a lower sample count.
 
 Its tolerances are kept; what fewer samples add is allowed for by the standard error it reports.
 """
 
 import argparse
-import importlib.util
 import json
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 import jaxdr as jd
+from experiments.data.reference_scenes import check, cornell_box
 
-ORACLE = Path(__file__).resolve().parents[3] / "shared" / "oracle"
-BESIDE = "the reference scenes are not in ../shared/oracle (relative to the repository root)"
 # Samples per pixel of the quick version, all keys together, and the standard error of the projection it must reach.
 CASES = {
     ("direct_spot", "translate_x"): (64, 0.03),
@@ -26,23 +23,18 @@ CASES = {
     ("environment_penguin", "rotate_environment_z"): (256, 0.03),
 }
 
-pytestmark = pytest.mark.skipif(not (ORACLE / "check.py").exists(), reason=BESIDE)
 
-
-@pytest.fixture(scope="module")
-def check():
-    specification = importlib.util.spec_from_file_location("oracle_check", ORACLE / "check.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-def compare(check, case, name, spp, keys, boundary="KernelDensity"):
-    folder = ORACLE / case
+def compare(case, name, spp, keys, boundary="KernelDensity"):
+    folder = check.ROOT / case
     oracle = json.loads((folder / "oracle.json").read_text())
     parameter = next(p for p in oracle["parameters"] if p["name"] == name)
     options = argparse.Namespace(spp=spp, keys=keys, boundary=boundary, bidirectional=False, seed=0)
     return check.compare(folder, oracle, parameter, *check.estimate(folder, oracle, parameter, options))
+
+
+@pytest.mark.parametrize("name", cornell_box.WALLS)
+def test_walls_are_those_that_their_script_writes(name):
+    assert (cornell_box.FOLDER / f"{name}.obj").read_text() == cornell_box.obj(cornell_box.WALLS[name])
 
 
 QUICK = (("direct_spot", "KernelDensity"), ("shadow_goathead", "LineSampling"), ("cube_constant", "LineSampling"))
@@ -56,11 +48,11 @@ def cases():
 
 
 @pytest.mark.parametrize(("case", "name", "boundary"), cases())
-def test_quick(check, case, name, boundary):
-    passes(check, compare(check, case, name, CASES[case, name][0], keys=8, boundary=boundary), CASES[case, name][1])
+def test_quick(case, name, boundary):
+    passes(compare(case, name, CASES[case, name][0], keys=8, boundary=boundary), CASES[case, name][1])
 
 
-def passes(check, row, deviation):
+def passes(row, deviation):
     """`check`'s own tolerances, and what few samples add."""
     assert row["projection_error"] < deviation, "too few samples to tell"
     assert row["primal"] < check.PRIMAL_TOLERANCE
@@ -71,13 +63,13 @@ def passes(check, row, deviation):
 @pytest.mark.slow
 @pytest.mark.parametrize("guide", ["none", "grid", "kdtree", "projective"])
 @pytest.mark.parametrize(("case", "name"), [*CASES, ("mirror_spot", "translate_y")])
-def test_guides(check, monkeypatch, case, name, guide):
+def test_guides(monkeypatch, case, name, guide):
     """Every guide of `GuidedEdges`; with -rP the rows are shown."""
     monkeypatch.setattr(jd, "GuidedEdges", partial(jd.GuidedEdges, guide))
     spp, deviation = CASES.get((case, name), (128, 0.04))
-    row = compare(check, case, name, spp, keys=8, boundary="GuidedEdges")
+    row = compare(case, name, spp, keys=8, boundary="GuidedEdges")
     print(f"{case}, {name}, {guide}: {row}")
-    passes(check, row, deviation)
+    passes(row, deviation)
 
 
 @pytest.mark.slow
@@ -86,14 +78,14 @@ def test_guides(check, monkeypatch, case, name, guide):
     [None, jd.KernelDensity(both_sides=False, concave_edges=True, visibility_ray=False)],
     ids=["no boundary term", "Eq. 18 alone"],
 )
-def test_broken_on_purpose_fails(check, monkeypatch, broken):
+def test_broken_on_purpose_fails(monkeypatch, broken):
     monkeypatch.setattr(jd, "KernelDensity", lambda: broken)
-    row = compare(check, "shadow_goathead", "translate_x", 128, keys=8)
+    row = compare("shadow_goathead", "translate_x", 128, keys=8)
     assert abs(row["projection"] - 1) > check.PROJECTION_TOLERANCE + 3 * row["projection_error"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["KernelDensity", "LineSampling"])
 @pytest.mark.parametrize(("case", "name"), CASES)
-def test_as_committed(check, case, name, boundary):
-    assert compare(check, case, name, spp=1024, keys=8, boundary=boundary)["passed"]
+def test_as_committed(case, name, boundary):
+    assert compare(case, name, spp=1024, keys=8, boundary=boundary)["passed"]

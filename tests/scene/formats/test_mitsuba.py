@@ -10,7 +10,7 @@ from jaxdr.scene.camera import Orthographic, ThinLens
 from jaxdr.scene.film import Box, Gaussian, Tent
 from jaxdr.scene.formats.mitsuba.load import load_mitsuba
 
-ORACLE = Path(__file__).parents[3] / ".." / "shared" / "oracle"
+REFERENCE_SCENES = Path(__file__).parents[3] / "experiments/data/reference_scenes"
 SENSOR = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
 
 
@@ -24,9 +24,7 @@ SENSOR = '<sensor type="perspective"><float name="fov" value="40"/></sensor>'
     ],
 )
 def test_reference_scenes(name, shapes, film):
-    if not ORACLE.is_dir():
-        pytest.skip("the reference scenes are not beside the repository (../shared/oracle)")
-    scene = load_mitsuba(ORACLE / name / "scene.xml")
+    scene = load_mitsuba(REFERENCE_SCENES / name / "scene.xml")
     assert set(scene.shapes) == set(shapes)
     assert (scene.camera.film.width, scene.camera.film.height) == film and scene.camera.film.filter == Gaussian(0.5)
     assert all(shape.mesh.normal_faces is None for shape in scene.shapes.values())
