@@ -243,7 +243,7 @@ def _several(part: Any, origin: type) -> Kind | None:
 
 def _dictionary(part: Any) -> Kind:
     """Values of one kind by name."""
-    kind = _kind(part)
+    kind = None if set(typing.get_args(part)) >= ARRAY_LIKE else _kind(part)  # of numbers the function tells the name
 
     def taken(value: Any) -> Any:
         if not isinstance(value, Mapping):
