@@ -39,7 +39,7 @@ SUCH_AS = {
     "ReconstructionFilter": "a pixel filter such as jaxdr.Box()",
     "ReusedGuides": "guides of jaxdr.build_guides",
     "Texture": "a texture such as jaxdr.Bitmap(...)",
-    "Views | list": "the views of jaxdr.load_views",
+    "Views | Sequence": "the views of jaxdr.load_views",
 }
 
 
@@ -195,7 +195,7 @@ def _union(parts: tuple[Any, ...]) -> Kind | None:
         kinds = [_kind(part) for part in left]
         if None in kinds:
             return None
-    names = " | ".join(getattr(part, "__name__", "list") for part in left)
+    names = " | ".join(getattr(part, "__name__", "") for part in left)
     words = SUCH_AS.get(names, " or ".join(dict.fromkeys(kind.words for kind in kinds if kind)))
 
     def taken(value: Any) -> Any:

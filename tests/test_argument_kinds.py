@@ -67,6 +67,10 @@ def test_a_refusal_is_a_line_with_function_parameter_kind_and_value():
         jd.save_mesh(3, jd.shapes.box())
     with pytest.raises(ValueError, match=r"^look_at: up must be made of numbers, got \[\[1\], 2\]$"):
         jd.look_at((0, 0, 0), (1, 0, 0), [[1], 2])
+    with pytest.raises(
+        ValueError, match=r"^evaluate_views: views must be the views of jaxdr\.load_views, got 'photos'$"
+    ):
+        jd.evaluate_views(jd.Scene({"ball": jd.Shape(jd.shapes.box())}, wrong_arguments.SCENE.camera), "photos")
     with pytest.raises(ValueError, match=r"^PathTracer: chunk_size must be a whole number, or None, got 'all'$"):
         jd.PathTracer(chunk_size="all")
 
