@@ -2,6 +2,7 @@
 
 from importlib.metadata import PackageNotFoundError as _NotInstalled
 from importlib.metadata import version as _version
+from types import ModuleType as _ModuleType
 
 from jaxdr.aovs import render_aovs as render_aovs
 from jaxdr.boundary.all_silhouettes import AllSilhouettes as AllSilhouettes
@@ -102,3 +103,9 @@ try:
     __version__ = _version("jaxdr")
 except _NotInstalled:  # run from a source tree that was never installed
     __version__ = "0.0.0"
+
+
+def __dir__() -> list[str]:
+    """The public names, as completion shows them: without the modules that are imported on the way."""
+    hidden = {name for name, value in globals().items() if isinstance(value, _ModuleType)} - {"losses", "shapes"}
+    return sorted(name for name in {*globals()} - hidden if not name.startswith("_") or name == "__version__")

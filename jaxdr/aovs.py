@@ -11,13 +11,15 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Int, PRNGKeyArray
 
 from jaxdr import loops
+from jaxdr.argument_kinds import checked
 from jaxdr.compilation import unfolded
+from jaxdr.geometry.queries import check_rays
 from jaxdr.integrators.aov import CONTINUOUS, FLOATS, AovImage, aov_values
 from jaxdr.render import render
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.interaction import intersect
-from jaxdr.transport.keys import check_key, inner_key
+from jaxdr.transport.keys import inner_key
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.whole_numbers import check_spp
 
@@ -37,8 +39,9 @@ class _Settings(NamedTuple):
     rays: str
 
 
+@checked
 def render_aovs(
-    scene: Scene, key: PRNGKeyArray, spp: int = 64, names: Iterable[str] = NAMES, rays: str = "auto"
+    scene: Scene, key: PRNGKeyArray, spp: int = 64, names: str | Iterable[str] = NAMES, rays: str = "auto"
 ) -> dict[str, Array]:
     """Properties of what camera rays hit, by name: a dictionary of floats [H, W, C] and int32 numbers [H, W].
 
@@ -66,11 +69,9 @@ def render_aovs(
     names = (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in NAMES:
-            raise ValueError(f"render_aovs: unknown name {name!r}; known: {', '.join(NAMES)}")
-    if not isinstance(scene, Scene):
-        raise ValueError(f"render_aovs: expected a jaxdr.Scene, got {type(scene).__name__}")
-    check_key("render_aovs", key)
+            raise ValueError(f"render_aovs: names has an unknown name {name!r}; known: {', '.join(NAMES)}")
     check_spp("render_aovs", spp)
+    check_rays("render_aovs", rays)
     found = _images(_Settings(names, int(spp), rays), scene, inner_key(key))
     return {name: found[name] for name in names}
 

@@ -13,6 +13,8 @@ from jax.core import Tracer
 from jax.typing import DTypeLike
 from jaxtyping import Array
 
+from jaxdr.argument_kinds import made_of_numbers, shown
+
 HOST = (np.ndarray, np.generic, bool, int, float)
 
 
@@ -34,10 +36,9 @@ def as_array(value, dtype: DTypeLike | None = float) -> Array:
 
 def as_numbers(value, name: str) -> Array:
     """`as_array` of what a user gives for `name`. Raises ValueError, with the name, for what is not made of numbers."""
-    try:
-        return as_array(value)
-    except (TypeError, ValueError) as problem:
-        raise ValueError(f"{name} must be made of numbers, got {value!r}") from problem
+    if not made_of_numbers(value):
+        raise ValueError(f"{name} must be made of numbers, got {shown(value)}")
+    return as_array(value)
 
 
 def on_host(array: Array) -> Array | np.ndarray:

@@ -6,6 +6,8 @@ from typing import Any
 
 import jax
 
+from jaxdr.argument_kinds import checked
+
 # Measured with jaxlib 0.10.2 (experiments/compilation). Loops over fused operations are emitted the old way. The new
 # way (the default since 2025) makes programs with many gathers, as all here are, clearly slower to compile and to run.
 # Sums over short axes are XLA's own loops, because the library that XLA calls by default is several times slower.
@@ -16,6 +18,7 @@ CPU_OPTIONS = {
 }
 
 
+@checked
 def jit(function: Callable, **settings: Any) -> Any:
     """``jax.jit(function, **settings)``, compiled for speed on the CPU. Elsewhere it is ``jax.jit`` itself.
 

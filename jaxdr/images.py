@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from jaxdr.argument_kinds import checked
 from jaxdr.atomic_file import atomic_path
 from jaxdr.image_formats import exr, pfm, png, rgbe
 from jaxdr.untrusted import array_of, array_shape, check_pixels
@@ -40,6 +41,7 @@ def from_srgb(encoded: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return linear.astype(encoded.dtype)
 
 
+@checked
 def load_image(path: str | os.PathLike, *, raw: bool = False) -> Float[np.ndarray, "H W C"]:
     """Linear float32 values of an image file, top row first; C = 1 (grey), 3 (RGB) or 4 (RGB and alpha).
 
@@ -112,6 +114,7 @@ def check_image_path(path: Path) -> None:
         raise ValueError(f"{path}: {exr.INSTALL}")
 
 
+@checked
 def write_image(path: str | os.PathLike, image: Float[np.ndarray, "H W C"] | Float[Array, "H W C"]) -> None:
     """Write linear RGB [H, W, 3], top row first.
 

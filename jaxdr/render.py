@@ -15,6 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxdr import loops
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.shared.refusals import refuse
 from jaxdr.boundary.shared.texture_jumps import MOVED_MAPS
 from jaxdr.callers_line import warn
@@ -28,7 +29,7 @@ from jaxdr.kernels import computed
 from jaxdr.moving import Moving, moving_in
 from jaxdr.scene.packed import PackedScene, pack
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.keys import check_key, inner_key
+from jaxdr.transport.keys import inner_key
 from jaxdr.whole_numbers import check_spp
 
 
@@ -42,6 +43,7 @@ class Program(NamedTuple):
     compute: str  # see `PathTracer`
 
 
+@checked
 def render(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None
 ) -> Float[Array, "H W 3"]:
@@ -59,11 +61,12 @@ def render(
     Raises ValueError for spp < 1 or an argument of the wrong kind. Warns with `EstimatorWarning` if the derivative's
     estimator fails by nature on the scene.
     """
-    _check("render", scene, key, spp, integrator)
+    _check("render", scene, spp, integrator)
     program, floats, others, arrays = _program(scene, spp, PathTracer() if integrator is None else integrator)
     return _render(program, floats, others, arrays, inner_key(key))
 
 
+@checked
 def derivative_terms(
     scene: Scene, key: PRNGKeyArray, spp: int = 64, integrator: Integrator | None = None, moving: Moving | None = None
 ) -> dict[str, Float[Array, "H W 3"]]:
@@ -80,7 +83,7 @@ def derivative_terms(
     Everything counts as moving unless `moving` says otherwise. Raises ValueError and warns as `render` does, and raises
     ValueError for a `moving` of another scene, and for derivatives by what moves against its word.
     """
-    _check("derivative_terms", scene, key, spp, integrator)
+    _check("derivative_terms", scene, spp, integrator)
     moving = _everything(scene) if moving is None else moving
     _check_moving(scene, moving)
     taken = settled(PathTracer() if integrator is None else integrator, scene)
@@ -89,18 +92,11 @@ def derivative_terms(
     return _estimate(_join(program, floats, unfolded(others)), inner_key(key), spp, taken, moving)
 
 
-def _check(caller: str, scene, key, spp, integrator) -> None:
-    """Raises ValueError for arguments of the wrong kind, and for scenes that the integrator does not take.
+def _check(caller: str, scene: Scene, spp: int, integrator: Integrator | None) -> None:
+    """Raises ValueError for no samples, and for scenes that the integrator does not take.
 
     Warns of a scene without light.
     """
-    if not isinstance(scene, Scene):
-        raise ValueError(f"{caller}: expected a jaxdr.Scene, got {type(scene).__name__}")
-    check_key(caller, key)
-    # The class has all that an `Integrator` needs as well.
-    if isinstance(integrator, type) or not isinstance(integrator, Integrator | None):
-        of_kind = f"the class {integrator.__name__}" if isinstance(integrator, type) else type(integrator).__name__
-        raise ValueError(f"{caller}: expected an integrator such as jaxdr.PathTracer(), got {of_kind}")
     check_spp(caller, spp)
     if not scene.lights and scene.environment is None and all(s.emitter is None for s in scene.shapes.values()):
         remedy = "give a shape an emitter, or the scene an environment or lights"

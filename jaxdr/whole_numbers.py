@@ -9,6 +9,14 @@ def whole(value) -> bool:
         return False
 
 
+def check_depth(caller: str, max_depth) -> None:
+    """Raises ValueError for a longest path that is no whole number of segments, or has none."""
+    if not whole(max_depth):
+        raise ValueError(
+            f"{caller}: max_depth must be at least 1 (emitters seen directly), and a whole number, got {max_depth!r}"
+        )
+
+
 def check_spp(caller: str, spp) -> None:
     """Raises ValueError for a number of samples that is no concrete positive whole number."""
     if not whole(spp):

@@ -335,6 +335,21 @@ def test_module_runs_as_a_program():
     )
 
 
+def test_ctrl_c_while_the_command_is_imported_prints_one_line():
+    program = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from jaxdr.__main__ import run\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'jaxdr.cli': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (130, "jaxdr: interrupted\n")
+
+
 def test_ctrl_c_after_the_end_prints_no_traceback():
     """The process is interrupted while it cleans up behind a command that has ended."""
     code = (

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import jaxdr
+from tests.test_documentation import public_names
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -36,6 +37,12 @@ def test_version_is_that_of_the_distribution():
 )
 def test_name_of_the_contract_is_public_and_documented(name):
     assert (getattr(jaxdr, name).__doc__ or "").strip()
+
+
+def test_completion_shows_public_names_only():
+    import jaxdr.atomic_file  # a module of our own, which is an attribute now
+
+    assert dir(jaxdr) == sorted([*public_names(), "__version__"])
 
 
 def test_importing_leaves_the_configuration_of_jax_alone():

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.guided_edges import GuidedEdges
 from jaxdr.boundary.line_sampling import LineSampling
 from jaxdr.boundary.shared.kinds import KINDS, present
@@ -29,6 +30,7 @@ class _Held(eqx.Module):
     counts: tuple[int, ...] = eqx.field(static=True)
 
 
+@checked
 class ByKind(eqx.Module):
     """A boundary term with an estimator for each kind of segments: `rest` for those that are not named.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxdr.argument_kinds import checked
 from jaxdr.atomic_file import atomic_path
 from jaxdr.callers_line import warn
 from jaxdr.geometry.formats.obj import ObjFile, material_files, read_obj, read_text
@@ -26,6 +27,7 @@ READERS = {".ply": read_ply, ".stl": read_stl}
 SHADINGS = ("flat", "smooth", "file", "vertex")
 
 
+@checked
 def load_mesh(path: str | PathLike, shading: str = "flat") -> Mesh:
     """All triangles of a file as one mesh, in the units of the file.
 
@@ -147,6 +149,7 @@ def joined_arrays(
     return MeshArrays(vertices, faces, uvs, uv_faces, normal_faces), rows
 
 
+@checked
 def save_mesh(path: str | PathLike, mesh: Mesh) -> None:
     """Write a mesh as OBJ, PLY, GLB or STL, by the extension; an existing file is replaced.
 

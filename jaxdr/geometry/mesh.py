@@ -13,6 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array, on_host, traced
 from jaxdr.callers_line import warn
 from jaxdr.geometry.edges import INTERIOR, Edges, build_edges
@@ -38,6 +39,7 @@ class MeshArrays(NamedTuple):
         return MeshArrays(self.vertices, self.faces[:, ::-1], self.uvs, uv_faces, normal_faces)
 
 
+@checked
 class Mesh(eqx.Module):
     """Indexed triangles, counter-clockwise seen from outside.
 

@@ -9,14 +9,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked, shown
 from jaxdr.arrays import numpy_for, traced
 from jaxdr.geometry.mesh import Mesh, MeshArrays, weld
 from jaxdr.geometry.vector import transform
 
 Vector = ArrayLike | Sequence  # beartype does not count a tuple as ArrayLike
 ORIGIN = (0.0, 0.0, 0.0)
+MOST_FACES = 1 << 29  # what the finest geodesic sphere has is less
 
 
+@checked
 def sphere(
     subdivisions: int = 3, radius: float = 1.0, center: Vector = ORIGIN, *, vertex_count: int | None = None
 ) -> Mesh:
@@ -27,9 +30,10 @@ def sphere(
     """
     _require(radius > 0, "sphere: radius must be positive", radius)
     points, faces = _geodesic("sphere", subdivisions, vertex_count)
-    return Mesh(radius * points + np.asarray(center), faces)
+    return Mesh(radius * points + _vector("sphere: center", center), faces)
 
 
+@checked
 def displaced_sphere(
     subdivisions: int = 4,
     amplitude: float = 0.15,
@@ -50,9 +54,10 @@ def displaced_sphere(
     x, y, z = frequency * points.T
     gyroid = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)  # in [-1.5, 1.5]
     distance = radius * (1 + amplitude * gyroid / 1.5)
-    return Mesh(distance[:, None] * points + np.asarray(center), faces)
+    return Mesh(distance[:, None] * points + _vector("displaced_sphere: center", center), faces)
 
 
+@checked
 def box(size: Vector = 1.0, center: Vector = ORIGIN) -> Mesh:
     """Axis-aligned box; `size` is the edge length, or three of them. UVs cover [0, 1]² on every side.
 
@@ -65,18 +70,20 @@ def box(size: Vector = 1.0, center: Vector = ORIGIN) -> Mesh:
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     uv_faces = _triangulated(np.tile(np.arange(4), (6, 1)))
-    return Mesh(size * points + np.asarray(center), _triangulated(quads), uvs, uv_faces)
+    return Mesh(size * points + _vector("box: center", center), _triangulated(quads), uvs, uv_faces)
 
 
+@checked
 def rectangle(width: float = 1.0, height: float = 1.0, center: Vector = ORIGIN) -> Mesh:
     """Two triangles in the plane z = 0, facing +z, with `width` along x and `height` along y; UVs in [0, 1]².
 
     Raises `ValueError` for a width or height that is not positive.
     """
     _require(width > 0 and height > 0, "rectangle: width and height must be positive", (width, height))
-    return _grid(width, height, 1, center)
+    return _grid(width, height, 1, _vector("rectangle: center", center))
 
 
+@checked
 def plane(size: float = 10.0, resolution: int = 1, center: Vector = ORIGIN) -> Mesh:
     """Square of edge length `size` in the plane z = 0, facing +z, of `resolution`² quads; UVs in [0, 1]².
 
@@ -84,9 +91,11 @@ def plane(size: float = 10.0, resolution: int = 1, center: Vector = ORIGIN) -> M
     """
     _require(size > 0, "plane: size must be positive", size)
     _require(resolution >= 1, "plane: resolution must be at least 1", resolution)
-    return _grid(size, size, resolution, center)
+    _check_size("plane: resolution", 2 * resolution**2)
+    return _grid(size, size, resolution, _vector("plane: center", center))
 
 
+@checked
 def torus(
     major_radius: float = 1.0, minor_radius: float = 0.4, major_segments: int = 64, minor_segments: int = 32
 ) -> Mesh:
@@ -97,6 +106,7 @@ def torus(
     _require(
         0 < minor_radius < major_radius, "torus: need 0 < minor_radius < major_radius", (minor_radius, major_radius)
     )
+    _check_size("torus: major_segments or minor_segments", 2 * abs(major_segments * minor_segments))
     around, across = _circle("torus: major_segments", major_segments), _circle("torus: minor_segments", minor_segments)
     distance = major_radius + minor_radius * across[:, 0]
     height = np.broadcast_to(minor_radius * across[:, 1], (major_segments, minor_segments))
@@ -104,6 +114,7 @@ def torus(
     return Mesh(points.reshape(-1, 3), _periodic_faces(major_segments, minor_segments))
 
 
+@checked
 def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> Mesh:
     """Tube along a trefoil knot: a shape that shadows itself. Its centre line stays within 1 of the origin.
 
@@ -112,6 +123,7 @@ def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> 
     """
     _require(0 < radius < 0.2, "trefoil_tube: radius must be in (0, 0.2)", radius)
     _require(segments >= 3, "trefoil_tube: segments must be at least 3", segments)
+    _check_size("trefoil_tube: segments or sides", 2 * abs(segments * sides))
     t = 2 * np.pi * np.arange(segments) / segments
     line = np.stack([np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)], axis=1) / 3
     velocity = np.stack([np.cos(t) + 4 * np.cos(2 * t), -np.sin(t) + 4 * np.sin(2 * t), -3 * np.cos(3 * t)], axis=1)
@@ -124,6 +136,7 @@ def trefoil_tube(radius: float = 0.12, segments: int = 256, sides: int = 24) -> 
     return Mesh((line[:, None] + radius * ring).reshape(-1, 3), _periodic_faces(segments, sides))
 
 
+@checked
 def revolved(profile: Vector, segments: int = 64) -> Mesh:
     """Solid of revolution around the z axis from a profile of (distance from the axis, height) rows [n, 2].
 
@@ -151,6 +164,7 @@ def revolved(profile: Vector, segments: int = 64) -> Mesh:
     if double_area < 0:  # the profile runs down
         rings, bottom, top = rings[::-1], top, bottom
 
+    _check_size("revolved: segments", 2 * abs(segments) * len(profile))
     around = _circle("revolved: segments", segments)
     points = np.empty((len(rings), segments, 3))
     points[..., :2] = rings[:, None, :1] * around
@@ -165,8 +179,11 @@ def revolved(profile: Vector, segments: int = 64) -> Mesh:
     return Mesh(np.vstack([points.reshape(-1, 3), poles]), np.vstack([_triangulated(sides), *caps]))
 
 
+@checked
 def pawn(segments: int = 64) -> Mesh:
     """Chess pawn of height 1 on z = 0: foot, waist, collar and head, from a `revolved` profile."""
+    _require(segments >= 3, "pawn: segments must be at least 3", segments)
+    _check_size("pawn: segments", 100 * segments)
     foot = [(0.28, 0.0), (0.30, 0.03), (0.30, 0.09), (0.27, 0.13), (0.24, 0.15), (0.24, 0.18), (0.20, 0.22)]
     height = np.linspace(0.26, 0.60, 12)
     waist = np.stack([0.10 + 0.075 * ((0.60 - height) / 0.34) ** 2, height], axis=1)
@@ -176,6 +193,7 @@ def pawn(segments: int = 64) -> Mesh:
     return revolved(np.vstack([foot, waist, collar, head, [[0.0, 1.0]]]), segments)
 
 
+@checked
 def duck(subdivisions: int = 4, *, vertex_count: int | None = None) -> Mesh:
     """Bath duck that swims towards +x: a geodesic sphere stretched to a body with head, beak and tail, about 2 long.
 
@@ -194,12 +212,14 @@ def duck(subdivisions: int = 4, *, vertex_count: int | None = None) -> Mesh:
     return Mesh(distance[:, None] * points, faces)
 
 
+@checked
 def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) -> Mesh:
     """Flat star in the plane z = 0, facing +z, with one tip towards +y. As an emitter its shadows have corners.
 
     Raises `ValueError` for fewer than two points or unless 0 < inner_radius <= outer_radius.
     """
     _require(points >= 2, "star: points must be at least 2", points)
+    _check_size("star: points", 2 * points)
     radii = (inner_radius, outer_radius)
     _require(0 < inner_radius <= outer_radius, "star: need 0 < inner_radius <= outer_radius", radii)
     angle = np.pi / 2 + np.pi * np.arange(2 * points) / points
@@ -209,6 +229,7 @@ def star(points: int = 5, outer_radius: float = 1.0, inner_radius: float = 0.4) 
     return Mesh(np.vstack([[ORIGIN], rim]), np.stack([np.zeros_like(index), index, np.roll(index, -1)], axis=1))
 
 
+@checked
 def transformed(mesh: Mesh, matrix: Vector) -> Mesh:
     """The mesh under an affine map [4, 4] of column vectors. A map that mirrors also reverses the faces.
 
@@ -253,13 +274,14 @@ def _mirrors(matrix: Float[np.ndarray, "..."]) -> bool:
     return bool(determinant < 0)
 
 
+@checked
 def centred(mesh: Mesh, size: float) -> Mesh:
     """The mesh with its bounding box around the origin, the longest side `size` long.
 
     Traceable, like `transformed`. Raises ValueError for a size that is not positive.
     """
     if not traced(size):
-        _require(size > 0, "size must be positive", size)
+        _require(size > 0, "centred: size must be positive", size)
     xp = numpy_for(mesh.vertices, size)
     points = xp.asarray(mesh.vertices, float)
     low, high = points.min(0), points.max(0)
@@ -270,7 +292,18 @@ def centred(mesh: Mesh, size: float) -> Mesh:
 
 def _require(condition: bool | np.bool_, message: str, value) -> None:
     if not condition:
-        raise ValueError(f"{message}, got {value}")
+        raise ValueError(f"{message}, got {shown(value)}")
+
+
+def _vector(name: str, value: Vector) -> Float[np.ndarray, "3"]:
+    array = np.asarray(value, float)
+    _require(array.shape == (3,) and np.isfinite(array).all(), f"{name} must be three finite numbers", value)
+    return array
+
+
+def _check_size(name: str, faces: int) -> None:
+    """Raises ValueError for a mesh of more faces than there is a use for, before memory is asked for."""
+    _require(faces <= MOST_FACES, f"{name} asks for more than {MOST_FACES} faces", faces)
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -295,14 +328,14 @@ def _periodic_faces(rows: int, columns: int) -> Int[np.ndarray, "m 3"]:
     return _triangulated(np.stack(quads, axis=-1).reshape(-1, 4))
 
 
-def _grid(width: float, height: float, resolution: int, center: Vector) -> Mesh:
+def _grid(width: float, height: float, resolution: int, center: Float[np.ndarray, "3"]) -> Mesh:
     u, v = np.meshgrid(*2 * [np.linspace(0, 1, resolution + 1)])
     uvs = np.stack([u.ravel(), v.ravel()], axis=1)
     points = np.column_stack([(uvs - 0.5) * (width, height), np.zeros(len(uvs))])
     index = np.arange(len(uvs)).reshape(resolution + 1, resolution + 1)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1)
     faces = _triangulated(quads.reshape(-1, 4))
-    return Mesh(points + np.asarray(center), faces, uvs, faces)
+    return Mesh(points + center, faces, uvs, faces)
 
 
 FINEST = 12  # subdivisions: 168 million vertices
@@ -315,6 +348,7 @@ def _geodesic(
     _require(subdivisions >= 0, f"{name}: subdivisions must not be negative", subdivisions)
     _require(subdivisions <= FINEST, f"{name}: subdivisions must not exceed {FINEST}", subdivisions)
     _require(vertex_count is None or vertex_count >= 12, f"{name}: vertex_count must be at least 12", vertex_count)
+    _check_size(f"{name}: vertex_count", 2 * (vertex_count or 0))
     n = 2**subdivisions if vertex_count is None else max(1, round(np.sqrt((vertex_count - 2) / 10)))
 
     golden = (1 + np.sqrt(5)) / 2

@@ -16,7 +16,6 @@ from jaxdr.scene.bsdf.base import spreads_through
 from jaxdr.scene.packed import PackedScene
 from jaxdr.scene.scene import Scene, unwrap
 from jaxdr.transport.radiance import joined, radiance, split
-from jaxdr.whole_numbers import whole
 
 
 class Batch(NamedTuple):
@@ -85,14 +84,6 @@ def _drawn(context: Context, terms: Sequence[Term], states: dict[str, Any], chun
         return [held for _, held in drawn], [None if asked is None else next(answers) for asked, _ in drawn]
 
     return draw(context.packed, states, chunk, key)
-
-
-def check_depth(name: str, max_depth) -> None:
-    """Raises ValueError for a longest path that is no whole number of segments, or has none."""
-    if not whole(max_depth):
-        raise ValueError(
-            f"{name}: max_depth must be at least 1 (emitters seen directly), and a whole number, got {max_depth!r}"
-        )
 
 
 @runtime_checkable

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.film.film_edges import FilmEdges
 from jaxdr.boundary.shared.refusals import INTERIOR, Asked, Refusal, refuse
 from jaxdr.boundary.shared.term import Chunk, Context, Term
@@ -15,7 +16,6 @@ from jaxdr.integrators.base import (
     ROUGH_GLASS,
     Batch,
     ConnectedEstimator,
-    check_depth,
     edge_points_per_sample,
     prepare_terms,
     term_images,
@@ -30,6 +30,7 @@ from jaxdr.transport.bidirectional import BidirectionalSettings, Strategies, bid
 from jaxdr.transport.emission import has_emitters
 from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form
+from jaxdr.whole_numbers import check_depth
 
 HEURISTICS = {"balance": 1, "power": 2}  # weights are shares of the densities to this power
 
@@ -91,6 +92,7 @@ def _hard_shadows(asked: Asked) -> str | None:
     )
 
 
+@checked
 class BidirectionalPathTracer(eqx.Module):
     """Bidirectional path tracing (Veach 1997, chapter 10): the same image as `PathTracer`. All fields are static.
 

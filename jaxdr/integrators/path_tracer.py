@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked, shown
 from jaxdr.boundary.film.cut_segments import cutting_planes
 from jaxdr.boundary.film.film_chains import FilmChains
 from jaxdr.boundary.film.film_edges import FilmEdges
@@ -22,7 +23,6 @@ from jaxdr.geometry.queries import CHOICES
 from jaxdr.integrators.base import (
     ROUGH_GLASS,
     Batch,
-    check_depth,
     edge_points_per_sample,
     prepare_terms,
     term_images,
@@ -40,6 +40,7 @@ from jaxdr.transport.path import trace_paths
 from jaxdr.transport.path_settings import PathSettings
 from jaxdr.transport.primary import Form, primary_samples
 from jaxdr.transport.radiance import arriving_radiance
+from jaxdr.whole_numbers import check_depth
 
 
 def _steep_filter(asked: Asked) -> str | None:
@@ -75,6 +76,7 @@ STEEP_FILTER = Refusal(
 )
 
 
+@checked
 class PathTracer(eqx.Module):
     """Path tracing from the camera, with next-event estimation. All fields are static, except a `ReusedGuides`.
 
@@ -143,7 +145,7 @@ class PathTracer(eqx.Module):
         if isinstance(self.boundary, type) or not isinstance(self.boundary, Term | Automatic | None):
             raise ValueError(
                 f'PathTracer: boundary must be "auto", an estimator such as jaxdr.LineSampling(), or None, got '
-                f"{self.boundary!r}; estimators have name, prepare, draw and image (jaxdr.Term)"
+                f"{shown(self.boundary)}; estimators have name, prepare, draw and image (jaxdr.Term)"
             )
         if any(size is not None and not size > 0 for size in (self.edge_samples, self.chunk_size)):
             raise ValueError("PathTracer: edge_samples and chunk_size must be positive")

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Int, PyTree
 
+from jaxdr.argument_kinds import checked
+
 
 class AdamUniformState(NamedTuple):
     """Number of steps so far, first and second moments of the gradient."""
@@ -16,6 +18,7 @@ class AdamUniformState(NamedTuple):
     nu: PyTree
 
 
+@checked
 def adam_uniform(
     learning_rate: optax.ScalarOrSchedule, b1: float = 0.9, b2: float = 0.999, eps: float = 1e-8
 ) -> optax.GradientTransformation:

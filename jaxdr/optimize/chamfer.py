@@ -3,9 +3,11 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.mesh import Mesh
 
 
+@checked
 def chamfer(mesh: Mesh, target: Mesh, samples: int = 20_000, seed: int = 0) -> float:
     """Chamfer distance of two surfaces, as a share of the diagonal of the target's bounding box.
 
@@ -17,6 +19,8 @@ def chamfer(mesh: Mesh, target: Mesh, samples: int = 20_000, seed: int = 0) -> f
     """
     if samples < 1:
         raise ValueError(f"chamfer: samples must be at least 1, got {samples}")
+    if seed < 0:
+        raise ValueError(f"chamfer: seed must not be negative, got {seed}")
     surfaces = [(np.asarray(m.vertices, np.float64), np.asarray(m.faces)) for m in (mesh, target)]
     for name, (vertices, _) in zip(("mesh", "target"), surfaces, strict=True):
         if not np.isfinite(vertices).all():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.optimize.remesh import check_manifold, checked_result, split_longest_edges
 
@@ -27,6 +28,7 @@ numpy.savez(sys.argv[2], vertices=vertices, faces=faces)
 """
 
 
+@checked
 def remesh_field_aligned(mesh: Mesh, vertices: int) -> Mesh:
     """A mesh of the same surface with exactly `vertices` vertices, whose edges form long straight chains.
 

@@ -8,10 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array
 from jaxdr.geometry.mesh import Mesh
 
 
+@checked
 class LargeSteps(eqx.Module):
     """Latent coordinates u = (I + lam L) v of a mesh. Steps in u move the vertices v smoothly.
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.edges import INTERIOR, NON_MANIFOLD
 from jaxdr.geometry.mesh import Mesh
 
@@ -12,6 +13,7 @@ ATTEMPTS = 10
 ENOUGH = 0.95
 
 
+@checked
 def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     """A mesh of the same surface whose edges are all about `edge_length` long (scene units).
 
@@ -24,6 +26,8 @@ def remesh(mesh: Mesh, edge_length: float, iterations: int = 10) -> Mesh:
     mesh, for a non-manifold mesh, and when the result is empty, not finite, non-manifold or no longer closed.
     """
     remesh_botsch = require_gpytoolbox()
+    if iterations < 0:
+        raise ValueError(f"remesh: iterations must not be negative, got {iterations}")
     check_manifold(mesh, "remesh")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))

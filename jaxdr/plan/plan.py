@@ -8,6 +8,8 @@ import jax
 from jax.core import Tracer
 from jaxtyping import PRNGKeyArray
 
+from jaxdr.argument_kinds import checked, shown
+from jaxdr.boundary.shared.term import Term
 from jaxdr.integrators import Integrator, PathTracer
 from jaxdr.integrators.choice import settled
 from jaxdr.plan.candidates import candidates, splits
@@ -18,7 +20,6 @@ from jaxdr.plan.report import Plan
 from jaxdr.plan.static_look import StaticLook, static_look
 from jaxdr.scene.film import Film
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.keys import check_key
 from jaxdr.whole_numbers import whole
 
 PIXELS = 48 * 48  # most pixels of the pilots' film
@@ -30,6 +31,7 @@ NOTHING = (
 )
 
 
+@checked
 def plan(
     scene: Scene,
     params: Sequence[str] | None = None,
@@ -55,8 +57,6 @@ def plan(
     if no estimator can differentiate the scene.
     """
     _check(scene, budget, max_depth, spp, integrator, boundary)
-    if key is not None:
-        check_key("plan", key)
     key_direction, key_depth, key_pilot = jax.random.split(jax.random.key(0) if key is None else key, 3)
     integrator = None if integrator is None else settled(integrator, scene)
     along = direction(scene, params, key_direction)
@@ -124,8 +124,6 @@ def _automatic(boundary: Any) -> bool:
 
 
 def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
-    if not isinstance(scene, Scene):
-        raise ValueError(f"plan: expected a jaxdr.Scene, got {type(scene).__name__}")
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise ValueError("plan: measures time, so it can't run under jit or grad; make the plan before")
     if not budget > 0:
@@ -133,12 +131,12 @@ def _check(scene, budget, max_depth, spp, integrator, boundary) -> None:
     for name, value in (("max_depth", max_depth), ("spp", spp)):
         if value is not None and not whole(value):
             raise ValueError(f"plan: {name} must be a positive whole number, got {value}")
-    if integrator is not None and not isinstance(integrator, Integrator):
+    if not (
+        boundary is None or _automatic(boundary) or (isinstance(boundary, Term) and not isinstance(boundary, type))
+    ):
         raise ValueError(
-            f"plan: integrator must be one such as jaxdr.PathTracer(), or None, got {type(integrator).__name__}"
+            f"plan: boundary must be an estimator such as jaxdr.LineSampling(), or None, got {shown(boundary)}"
         )
-    if isinstance(boundary, str) and boundary != MEASURED:
-        raise ValueError(f"plan: boundary must be an estimator such as jaxdr.LineSampling(), or None, got {boundary!r}")
     if integrator is not None and (max_depth is not None or not _automatic(boundary)):
         raise ValueError("plan: an integrator that is given has its own max_depth and boundary; leave those out")
 

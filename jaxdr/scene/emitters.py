@@ -9,12 +9,14 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.bsdf.parameters import Color, Value, color
 from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.ranges import Parametric, ranged
 from jaxdr.scene.sampling import uniform_sphere, uniform_sphere_numbers
 
 
+@checked
 class AreaEmitter(Parametric, eqx.Module):
     """Emits RGB `radiance` (W / m^2 sr) from the side of the surface that its normal points to.
 
@@ -115,6 +117,7 @@ class UniformDirections(DirectionSampler):
         return magnitude(self.radiance)
 
 
+@checked
 class ConstantEnvironment(Environment):
     """Light of the same RGB `radiance` (W / m^2 sr) from every direction.
 

@@ -14,6 +14,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array
 from jaxdr.geometry import vector
 from jaxdr.geometry.vector import components, from_components, normalize, transform
@@ -30,6 +31,7 @@ BLEND = 0.5
 COMPARABLE = 0.25  # within `extent` the density does not fall below this share of the highest in the cell
 
 
+@checked
 class EnvironmentMap(Environment):
     """Radiance `scale` x `radiance` [H, W, 3] (W / m^2 sr) from all directions, on a grid of longitude and latitude.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_numbers, traced
 from jaxdr.geometry.rotation import rotation_matrix
 from jaxdr.scene.motion import AXES, closest
@@ -34,6 +35,7 @@ class _Motion(NamedTuple):
         return 1.0 + (self.value - 1.0) * jnp.asarray(AXES[self.axis], self.value.dtype)
 
 
+@checked
 def move(scene: Scene, motions: Mapping[str, ArrayLike]) -> Scene:
     """The scene with shapes and the camera moved; pure, traceable, and differentiable by the motions.
 

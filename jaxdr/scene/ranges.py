@@ -5,7 +5,6 @@ such as a roughness, it computes with `within`.
 """
 
 import math
-import os
 from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
+
+from jaxdr.argument_kinds import made_of_numbers, shown
 
 SHOWN = 4  # values that a message shows; of larger arrays it shows the first that is wrong
 
@@ -123,10 +124,10 @@ def within(
 def floats(value: Any, name: str) -> Any:
     """The value. Raises ValueError, with the name, for an image of whole numbers, as files of 8 bits have them.
 
-    The same for the name of a file.
+    The same for the name of a file, and whatever else is not made of numbers.
     """
-    if isinstance(value, str | os.PathLike):
-        raise ValueError(f"{name} must be an array of floats, got {str(value)!r}; jd.load_image reads files")
+    if not made_of_numbers(value):
+        raise ValueError(f"{name} must be an array of floats, got {shown(value)}; jd.load_image reads files")
     kind = getattr(value, "dtype", None)
     if kind is not None and not jnp.issubdtype(kind, jnp.floating):
         raise ValueError(f"{name} must be floats, linear, got {kind}; jd.load_image reads files as such")

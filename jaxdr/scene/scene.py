@@ -13,6 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.scene.bsdf import BSDF, Diffuse, TwoSided
@@ -25,6 +26,7 @@ from jaxdr.scene.textures import Texture, textures_in
 RESERVED = ("camera", "environment")
 
 
+@checked
 class Shape(eqx.Module):
     """A mesh with its material and, if it glows, its emitter.
 
@@ -39,21 +41,13 @@ class Shape(eqx.Module):
     bsdf: BSDF | TwoSided = eqx.field(default_factory=Diffuse)
     emitter: AreaEmitter | None = None
 
-    def __check_init__(self):
-        for name, kind in (("mesh", Mesh), ("bsdf", (BSDF, TwoSided)), ("emitter", (AreaEmitter, type(None)))):
-            value = getattr(self, name)
-            if not isinstance(value, kind):
-                raise ValueError(f"Shape: {name} can't be a {type(value).__name__}")
-
 
 def _sorted_by_id(members: Mapping) -> dict:
-    if not isinstance(members, Mapping):
-        kind = type(members).__name__
-        raise ValueError(f"Scene: shapes and lights are dictionaries by id, such as {{'ball': shape}}, got a {kind}")
     # JAX sorts dictionaries when it flattens them: sorting here keeps the order the same before and after.
     return dict(sorted(members.items()))
 
 
+@checked
 class Scene(eqx.Module):
     """Shapes, a camera and lights: what `render` draws.
 
@@ -77,15 +71,6 @@ class Scene(eqx.Module):
     def __check_init__(self):
         if not self.shapes:
             raise ValueError("Scene: shapes is empty; a scene needs at least one shape")
-        if not isinstance(self.camera, Camera):
-            raise ValueError(
-                f"Scene: camera is a {type(self.camera).__name__}, expected a camera such as jaxdr.Perspective"
-            )
-        if not isinstance(self.environment, Environment | None):
-            raise ValueError(
-                f"Scene: environment is a {type(self.environment).__name__}, expected one such as "
-                "jaxdr.ConstantEnvironment, or None"
-            )
         for kind, members, expected in (("shape", self.shapes, Shape), ("light", self.lights, DeltaLight)):
             for name, member in members.items():
                 if not name or "." in name or name in RESERVED:

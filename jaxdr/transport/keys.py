@@ -25,13 +25,6 @@ def inner_key(key: PRNGKeyArray) -> PRNGKeyArray:
     return jax.random.wrap_key_data(jax.random.bits(key, (WORDS,), jnp.uint32), impl=pcg4d)
 
 
-def check_key(caller: str, key: Any) -> None:
-    """Raises ValueError for what is no random key of JAX: one of its types, or the words of an old one."""
-    kind = getattr(key, "dtype", None)
-    if kind is None or not (jnp.issubdtype(kind, jax.dtypes.prng_key) or kind == jnp.uint32):
-        raise ValueError(f"{caller}: key must be a random key such as jax.random.key(0), got {key!r}")
-
-
 def fixed_key(seed: int) -> PRNGKeyArray:
     """A key that is the same for every rendering."""
     return jax.random.key(seed, impl=pcg4d)

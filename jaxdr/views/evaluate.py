@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxdr.argument_kinds import checked
 from jaxdr.images import to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.scene.scene import Scene
@@ -47,6 +48,7 @@ class Evaluation(NamedTuple):
         return {**summary, "scale": list(self.scale), "views": [score._asdict() for score in self.scores]}
 
 
+@checked
 def evaluate_views(
     scene: Scene,
     views: Views | Sequence[View],
@@ -71,7 +73,7 @@ def evaluate_views(
     require_skimage()
     if not chosen:
         raise ValueError("evaluate_views: there is no view to judge by; hold some out (load_views, holdout=...)")
-    pictures = each_rendered(scene, chosen, spp, seed, integrator)
+    pictures = each_rendered(scene, chosen, spp, seed, integrator, "evaluate_views")
     if match_channels:  # the factors depend on all pictures
         return score_pictures(list(pictures), chosen, match_channels=True)
     return Evaluation(tuple(score_picture(picture, view) for picture, view in zip(pictures, chosen, strict=True)))

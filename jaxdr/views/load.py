@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.callers_line import warn
 from jaxdr.untrusted import whole
 from jaxdr.views.frames import Frame, some_of
@@ -25,6 +26,7 @@ EVERY = 8  # if nothing says which pictures are held out, the first of so many i
 KEEP = 1.0  # GiB of pictures that are kept in memory
 
 
+@checked
 def load_views(
     folder: str | os.PathLike,
     *,

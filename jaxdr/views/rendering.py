@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator, PathTracer
 from jaxdr.integrators.aov import AovImage
@@ -70,6 +71,7 @@ def layers(scene: Scene, camera: Perspective, key: PRNGKeyArray, spp: int, integ
     return Layers(full, alpha, sky.reshape(full.shape))
 
 
+@checked
 def render_views(
     scene: Scene, views: Sequence[View], *, spp: int = 64, seed: int = 0, integrator: Integrator | None = None
 ) -> list[Float[np.ndarray, "H W 4"]]:
@@ -88,10 +90,15 @@ def render_views(
 
 
 def each_rendered(
-    scene: Scene, views: Iterable[View], spp: int, seed: int, integrator: Integrator | None
+    scene: Scene,
+    views: Iterable[View],
+    spp: int,
+    seed: int,
+    integrator: Integrator | None,
+    caller: str = "render_views",
 ) -> Iterator[Float[np.ndarray, "H W 4"]]:
     """The pictures of `render_views` one by one, so that they need not all be in memory."""
-    check_spp("render_views", spp)
+    check_spp(caller, spp)
     integrator = integrator or PathTracer(boundary=None)
     key = jax.random.key(seed)
     for i, view in enumerate(views):

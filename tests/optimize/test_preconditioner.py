@@ -100,7 +100,7 @@ def test_an_unused_vertex_stays_where_it_is():
 
 @pytest.mark.parametrize("lam", [-1.0, float("nan"), float("inf")])
 def test_rejects_bad_lam(mesh, lam):
-    with pytest.raises(ValueError, match="lam must be a finite number"):
+    with pytest.raises(ValueError, match="lam must be a"):
         LargeSteps(mesh, lam)
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.guided_edges.edge_lunes import EdgeLunes, edge_lunes, passing
 from jaxdr.boundary.shared.background import BehindEdges, EdgeSamples, image_past, look_past, seen_edges
 from jaxdr.boundary.shared.blocks import map_over_blocks
@@ -41,6 +42,7 @@ class AllSilhouettesState(NamedTuple):
     emitters: Ball | None
 
 
+@checked
 class AllSilhouettes(eqx.Module):
     """Every path vertex looks past every silhouette that it sees. Unbiased.
 

@@ -8,6 +8,7 @@ from typing import Literal
 import equinox as eqx
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.baselines.on_directions import direct_light_refusals, warped_directions
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.refusals import Asked, refuse
@@ -17,6 +18,7 @@ from jaxdr.boundary.warped_area.continuous_velocity import Convolution, Kernel
 from jaxdr.boundary.warped_area.divergence import WarpedTerm, check_options, hidden_velocities, reaches_no_boundary
 
 
+@checked
 class RednerWAS(WarpedTerm):
     """Direct light by warped areas on the sphere of directions (Xu et al. 2023, Eq. 55-57), for comparison.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.guided_edges.beam import detect, moves
 from jaxdr.boundary.guided_edges.boundary_segments import DirectionSampling, EmitterSampling, segment_ends
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder, chain_edges
@@ -52,6 +53,7 @@ class GuidedEdgesState(NamedTuple):
     order: EdgeOrder | None = None
 
 
+@checked
 class GuidedEdges(eqx.Module):
     """Boundary term from segments that are drawn on edges. All fields are static.
 
@@ -96,8 +98,10 @@ class GuidedEdges(eqx.Module):
                 raise ValueError(f"GuidedEdges: {name} must be one of {', '.join(known)}; got {getattr(self, name)!r}")
         if not (self.samples > 0 and self.threshold > 0):
             raise ValueError("GuidedEdges: samples and threshold must be positive")
-        if min(*self.cells, self.leaves) < 1 or len(self.cells) != 3:
+        if min(*self.cells, self.leaves) < 1:
             raise ValueError(f"GuidedEdges: need three cells and leaves, 1 or more, got {self.cells} and {self.leaves}")
+        if self.guide_samples is not None and self.guide_samples < 1:
+            raise ValueError(f"GuidedEdges: guide_samples must be at least 1, got {self.guide_samples}")
 
     def plans(
         self, packed: PackedScene, settings: PathSettings, kinds: tuple[str, ...] = KINDS

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import jax
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.guided_edges.estimator import GuidedEdges
-from jaxdr.boundary.guided_edges.reused_guides import build_guides
+from jaxdr.boundary.guided_edges.reused_guides import build_guides, checked_settings
 from jaxdr.compilation import jit
 from jaxdr.scene.scene import Scene
 
@@ -27,6 +28,7 @@ class GuideReport(NamedTuple):
     unguided: tuple[float, ...]
 
 
+@checked
 def guide_report(
     scene: Scene,
     boundary: GuidedEdges,
@@ -41,6 +43,7 @@ def guide_report(
 
     Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does not cover.
     """
+    checked_settings("guide_report", scene, max_depth, rays, moving)
     build = jit(lambda scene: build_guides(scene, boundary, max_depth, rays, moving).guides)
     seconds = []
     for _ in range(2):

@@ -11,15 +11,18 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.guided_edges.edge_chains import EdgeOrder
 from jaxdr.boundary.guided_edges.estimator import GuidedEdges, GuidedEdgesState
 from jaxdr.boundary.guided_edges.primary_guides import Defended
 from jaxdr.boundary.shared.term import Chunk, Context
 from jaxdr.boundary.shared.traits import Traits
 from jaxdr.compilation import unfolded
+from jaxdr.geometry.queries import check_rays
 from jaxdr.scene.packed import pack
 from jaxdr.scene.scene import Scene
 from jaxdr.transport.path_settings import PathSettings
+from jaxdr.whole_numbers import check_depth
 
 
 class ReusedGuides(eqx.Module):
@@ -59,6 +62,7 @@ class ReusedGuides(eqx.Module):
         return self.boundary.image(context, state, chunk, held, answers)
 
 
+@checked
 def build_guides(
     scene: Scene,
     boundary: GuidedEdges,
@@ -74,12 +78,13 @@ def build_guides(
     Works under jit. Raises ValueError for names that the scene does not have, and for scenes that `GuidedEdges` does
     not cover.
     """
-    settings = PathSettings(max_depth, True, rays)
-    guides, order = _built(scene, boundary, _flags(scene, moving), settings)
+    settings, flags = checked_settings("build_guides", scene, max_depth, rays, moving)
+    guides, order = _built(scene, boundary, flags, settings)
     edges = sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values())
     return ReusedGuides(boundary, guides, order, edges)
 
 
+@checked
 def refit_guides(
     scene: Scene,
     guides: ReusedGuides,
@@ -95,9 +100,9 @@ def refit_guides(
 
     Works under jit. Raises ValueError like `build_guides`, and for guides of another mesh or depth.
     """
-    settings = PathSettings(max_depth, True, rays)
+    settings, flags = checked_settings("refit_guides", scene, max_depth, rays, moving)
     _same_edges(sum(shape.mesh.edges.vertices.shape[0] for shape in scene.shapes.values()), guides.edges)
-    return _refitted(scene, guides, key, _flags(scene, moving), settings)
+    return _refitted(scene, guides, key, flags, settings)
 
 
 @partial(jax.jit, static_argnums=(3, 4))
@@ -120,10 +125,17 @@ def _built(scene: Scene, boundary: GuidedEdges, moving: tuple[bool, ...], settin
     return prepared.guides, prepared.order
 
 
-def _flags(scene: Scene, names: Collection[str] | None) -> tuple[bool, ...]:
-    """Which shapes of a scene are named; all if `names` is None. Raises ValueError for names that it does not have."""
+def checked_settings(
+    caller: str, scene: Scene, max_depth: int, rays: str, names: Collection[str] | None
+) -> tuple[PathSettings, tuple[bool, ...]]:
+    """(settings of the paths that guides are for, which shapes are named; all if `names` is None).
+
+    Raises ValueError for settings out of range, and names that the scene does not have.
+    """
+    check_depth(caller, max_depth)
+    check_rays(caller, rays)
     unknown = sorted(set(names or ()) - set(scene.shapes))
     if unknown:
         known = ", ".join(scene.shapes)
-        raise ValueError(f"build_guides: moving names {unknown[0]!r}, but the scene's shapes are {known}")
-    return tuple(names is None or name in names for name in scene.shapes)
+        raise ValueError(f"{caller}: moving names {unknown[0]!r}, but the scene's shapes are {known}")
+    return PathSettings(max_depth, True, rays), tuple(names is None or name in names for name in scene.shapes)

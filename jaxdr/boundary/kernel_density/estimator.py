@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.kernel_density.lobe_kernel import lobe_edges
 from jaxdr.boundary.kernel_density.moving_edges import MovingEdges, apart_candidates, moving_edges
 from jaxdr.boundary.kernel_density.plain_kernel import near_points, share_of_disc, shrinking_radii
@@ -99,6 +100,7 @@ class _Held(NamedTuple):
     behind: BehindEdges | None
 
 
+@checked
 class KernelDensity(eqx.Module):
     """Boundary term by kernel density (Xu et al. 2026, Eq. 15-20). All fields are static.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.line_sampling.crossings import (
     BOUNDS,
     HIDES,
@@ -60,6 +61,7 @@ class _Held(NamedTuple):
     behind: list[BehindEdges]
 
 
+@checked
 class LineSampling(eqx.Module):
     """Boundary term by line sampling: every silhouette that crosses a random chord. All fields are static.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.shared.blocks import sum_over_blocks
 from jaxdr.boundary.shared.face_neighbours import Faces, connect_faces
 from jaxdr.boundary.shared.path_segments import PathSegments, SegmentEnds, path_segments
@@ -49,6 +50,7 @@ def _deep_hard_shadows(asked: Asked) -> str | None:
 ENOUGH_POINTS = 6
 
 
+@checked
 class WarpedArea(WarpedTerm):
     """Boundary term as an area integral, for every segment behind the first hit (Xu et al. 2023, Eq. 38).
 

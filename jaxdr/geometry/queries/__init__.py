@@ -11,6 +11,7 @@ the reference). `bvh_cache` keeps the structures of the first two, by the conten
 from jaxdr.geometry.queries.api import ANSWER as ANSWER
 from jaxdr.geometry.queries.api import CHOICES as CHOICES
 from jaxdr.geometry.queries.api import IMPLEMENTATIONS as IMPLEMENTATIONS
+from jaxdr.geometry.queries.api import check_rays as check_rays
 from jaxdr.geometry.queries.api import closest_hit as closest_hit
 from jaxdr.geometry.queries.api import closest_silhouettes as closest_silhouettes
 from jaxdr.geometry.queries.api import draw_edges as draw_edges

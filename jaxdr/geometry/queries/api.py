@@ -67,6 +67,12 @@ def _module(implementation: str) -> Any:
     raise ValueError(f"unknown query implementation {implementation!r}; expected one of {', '.join(CHOICES)}")
 
 
+def check_rays(caller: str, rays: str) -> None:
+    """Raises ValueError for an unknown implementation of the ray queries."""
+    if rays not in CHOICES:
+        raise ValueError(f"{caller}: rays must be one of {', '.join(CHOICES)}, got {rays!r}")
+
+
 def _discrete(records):
     """Detached, float32 (int32) copies of the inputs of a query."""
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import from_components, z_of
 from jaxdr.scene.ranges import Parametric
 
@@ -204,6 +205,7 @@ def spreads_through(bsdf: BSDF) -> bool:
     return bsdf.transmissive and not only_delta(bsdf)
 
 
+@checked
 class TwoSided(eqx.Module):
     """Adapter that makes a BSDF act alike on both sides of the surface. Names of parameters do not mention it.
 

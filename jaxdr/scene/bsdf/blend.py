@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided, both_above
 from jaxdr.scene.bsdf.normal_map import TurnedNormal
@@ -13,6 +14,7 @@ from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
 
+@checked
 class Blend(Adapter):
     """A mixture of two BSDFs: 1 - `weight` of the `first` and `weight` of the `second` (Mitsuba 3's `blendbsdf`).
 

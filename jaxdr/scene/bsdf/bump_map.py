@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import components, from_components, scale
 from jaxdr.scene.bsdf.base import BSDF, TwoSided
 from jaxdr.scene.bsdf.normal_map import TurnedNormal, one_sided
@@ -11,6 +12,7 @@ from jaxdr.scene.bsdf.parameters import number
 from jaxdr.scene.textures import Heights, Texture
 
 
+@checked
 class BumpMap(TurnedNormal):
     """A BSDF whose normal is turned at every point, as if the surface had the `height` of a texture (`bumpmap`).
 

@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
@@ -12,6 +13,7 @@ from jaxdr.scene.bsdf.parameters import Color, Value, color, complex_index
 from jaxdr.scene.ranges import ranged
 
 
+@checked
 class Conductor(DeltaBSDF):
     """A perfectly smooth metal with complex index `eta` - i `k` (RGB); black from behind.
 

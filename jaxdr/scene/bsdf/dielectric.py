@@ -3,12 +3,12 @@
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import components, from_components, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaBSDF, DeltaSample, mirror
 from jaxdr.scene.bsdf.fresnel import Interface, fresnel_dielectric
-from jaxdr.scene.bsdf.parameters import ETA, Color, Value, color, relative_index
+from jaxdr.scene.bsdf.parameters import ETA, Color, Index, Value, color, relative_index
 from jaxdr.scene.ranges import ranged
 
 
@@ -26,8 +26,8 @@ class SmoothInterface(DeltaBSDF):
 
     def __init__(
         self,
-        int_ior: ArrayLike | str = "bk7",
-        ext_ior: ArrayLike | str = "air",
+        int_ior: Index = "bk7",
+        ext_ior: Index = "air",
         *,
         specular_reflectance: Value = 1.0,
         specular_transmittance: Value = 1.0,
@@ -38,6 +38,7 @@ class SmoothInterface(DeltaBSDF):
         self.specular_transmittance = color(specular_transmittance, f"{model}: specular_transmittance")
 
 
+@checked
 class Dielectric(SmoothInterface):
     """Smooth glass or water: it reflects and refracts. The normal points to the outside.
 

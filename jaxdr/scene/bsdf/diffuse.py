@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import on_host
 from jaxdr.callers_line import warn
 from jaxdr.geometry.vector import scale, z_of
@@ -16,6 +17,7 @@ from jaxdr.scene.sampling import cosine_hemisphere
 from jaxdr.scene.textures import Texture
 
 
+@checked
 class Diffuse(BSDF):
     """Lambertian reflection; black from behind.
 

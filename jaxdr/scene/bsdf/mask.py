@@ -6,6 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, Adapter, DeltaSample, TwoSided
 from jaxdr.scene.bsdf.parameters import Number, Value, number
@@ -13,6 +14,7 @@ from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, lobe_probability
 
 
+@checked
 class Mask(Adapter):
     """A surface with holes: the BSDF acts on the share `opacity`; through the rest light goes straight on.
 

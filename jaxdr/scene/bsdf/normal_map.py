@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import (
     Frame,
     components,
@@ -83,6 +84,7 @@ class TurnedNormal(Adapter):
         return _Frame(self.turned_normal(), w, self.bsdf.tangential)
 
 
+@checked
 class NormalMap(TurnedNormal):
     """A BSDF whose normal is turned at every point, by a texture of normals (Mitsuba 3's `normalmap`).
 

@@ -2,7 +2,8 @@
 
 Each parameter may be a texture. Before a BSDF is evaluated, the values at
 the points take the place of the texture. `Color` and `Number` are types of fields, which models compute with. `Value`
-is the type of what the user gives for such a field.
+is the type of what the user gives for such a field,
+and `Index` of what stands for an index of refraction.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -23,10 +24,11 @@ if TYPE_CHECKING:
     Color = Float[Array, "*n 3"]
     Number = Float[Array, "*n"]
     Value = ArrayLike | Texture
+    Index = ArrayLike | str
 else:
     Color = Float[Array, "*n 3"] | Texture
     Number = Float[Array, "*n"] | Texture
-    Value = object  # NumPy's ArrayLike is written for static checkers
+    Value = Index = object  # NumPy's ArrayLike is written for static checkers
 
 ALPHA = SMOOTHEST, 1.0  # range of the alpha of a microfacet distribution
 

@@ -8,6 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import Frame, components, dot, from_components, orthonormal_basis, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above, mirror
 from jaxdr.scene.bsdf.parameters import Color, Number, Value, color, number
@@ -16,6 +17,7 @@ from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 from jaxdr.scene.textures import Texture
 
 
+@checked
 class Phong(BSDF):
     """Phong's model in its reciprocal, energy-conserving form (Lafortune and Willems 1994); black from behind.
 

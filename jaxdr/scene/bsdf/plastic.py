@@ -5,16 +5,17 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, DeltaSample, both_above, mirror
 from jaxdr.scene.bsdf.fresnel import diffuse_transmittance, fresnel_dielectric, index
-from jaxdr.scene.bsdf.parameters import ETA, Color, Value, color, relative_index
+from jaxdr.scene.bsdf.parameters import ETA, Color, Index, Value, color, relative_index
 from jaxdr.scene.ranges import ranged
 from jaxdr.scene.sampling import choose, cosine_hemisphere, lobe_probability
 
 
+@checked
 class Plastic(BSDF):
     """A diffuse base under a smooth clear coat; black from behind (Mitsuba 3's `plastic`).
 
@@ -35,8 +36,8 @@ class Plastic(BSDF):
     def __init__(
         self,
         diffuse_reflectance: Value = 0.5,
-        int_ior: ArrayLike | str = "polypropylene",
-        ext_ior: ArrayLike | str = "air",
+        int_ior: Index = "polypropylene",
+        ext_ior: Index = "air",
         *,
         specular_reflectance: Value = 1.0,
         nonlinear: bool = False,

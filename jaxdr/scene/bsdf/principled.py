@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import components, dot, from_components, normalize, scale, vanishes, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, schlick_weight
@@ -41,6 +42,7 @@ OPTIONAL = (
 )
 
 
+@checked
 class Principled(BSDF):
     """Disney's principled model and the material of glTF files (Burley 2012 and 2015, as Mitsuba 3's `principled`).
 

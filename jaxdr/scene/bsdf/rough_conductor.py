@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import scale
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.fresnel import fresnel_conductor
@@ -23,6 +24,7 @@ from jaxdr.scene.bsdf.parameters import (
 from jaxdr.scene.ranges import ranged
 
 
+@checked
 class RoughConductor(BSDF):
     """Rough metal: microfacets that are small mirrors (Walter et al. 2007, Eq. 20); black from behind.
 

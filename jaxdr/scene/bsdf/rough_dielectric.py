@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import dot, scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, Rim
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric, index
@@ -26,6 +26,7 @@ from jaxdr.scene.bsdf.parameters import (
     ALPHA,
     ETA,
     Color,
+    Index,
     Number,
     Value,
     color,
@@ -43,6 +44,7 @@ CLOSEST = 1e-3  # of an index to 1: half vectors of closer ones are rounding
 PILOTS = np.stack(np.meshgrid([1 / 6, 3 / 6, 5 / 6], [1 / 8, 3 / 8]), -1).reshape(-1, 2)
 
 
+@checked
 class RoughDielectric(BSDF):
     """Frosted glass: microfacets that reflect and refract (Walter et al. 2007, Eq. 20 and 21).
 
@@ -64,8 +66,8 @@ class RoughDielectric(BSDF):
     def __init__(
         self,
         alpha: Value = 0.1,
-        int_ior: ArrayLike | str = "bk7",
-        ext_ior: ArrayLike | str = "air",
+        int_ior: Index = "bk7",
+        ext_ior: Index = "air",
         *,
         specular_reflectance: Value = 1.0,
         specular_transmittance: Value = 1.0,

@@ -5,19 +5,30 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import scale, z_of
 from jaxdr.scene.bsdf.base import BSDF, both_above
 from jaxdr.scene.bsdf.coat import HIGHEST_ETA, internal_reflectance, transmittance
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 from jaxdr.scene.bsdf.microfacet import DISTRIBUTIONS, SMOOTHEST, mirrored_width, reflect, reflection
-from jaxdr.scene.bsdf.parameters import ALPHA, Color, Number, Value, color, distribution_name, number, relative_index
+from jaxdr.scene.bsdf.parameters import (
+    ALPHA,
+    Color,
+    Index,
+    Number,
+    Value,
+    color,
+    distribution_name,
+    number,
+    relative_index,
+)
 from jaxdr.scene.bsdf.plastic import coat_probability, coated
 from jaxdr.scene.ranges import at_least, ranged, within
 from jaxdr.scene.sampling import choose, cosine_hemisphere
 
 
+@checked
 class RoughPlastic(BSDF):
     """A diffuse base under a rough clear coat; black from behind (Mitsuba 3's `roughplastic`).
 
@@ -39,8 +50,8 @@ class RoughPlastic(BSDF):
         self,
         diffuse_reflectance: Value = 0.5,
         alpha: Value = 0.1,
-        int_ior: ArrayLike | str = "polypropylene",
-        ext_ior: ArrayLike | str = "air",
+        int_ior: Index = "polypropylene",
+        ext_ior: Index = "air",
         *,
         specular_reflectance: Value = 1.0,
         distribution: str = "ggx",

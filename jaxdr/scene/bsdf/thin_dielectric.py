@@ -2,12 +2,14 @@
 
 import jax.numpy as jnp
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import components, scale, z_of
 from jaxdr.scene.bsdf.base import DeltaSample, mirror
 from jaxdr.scene.bsdf.dielectric import SmoothInterface
 from jaxdr.scene.bsdf.fresnel import fresnel_dielectric
 
 
+@checked
 class ThinDielectric(SmoothInterface):
     """A thin pane of glass: it reflects, and lets the rest go straight on.
 

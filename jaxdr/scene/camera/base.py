@@ -5,7 +5,9 @@ import abc
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked, shape_of
 from jaxdr.arrays import as_array, numpy_for, traced
 from jaxdr.scene.camera.view import View
 from jaxdr.scene.film import Film
@@ -63,20 +65,27 @@ class Camera(Parametric, eqx.Module):
         return self.view().project_local(local)
 
 
-def look_at(origin, target, up) -> Float[np.ndarray | Array, "4 4"]:
+@checked
+def look_at(origin: ArrayLike, target: ArrayLike, up: ArrayLike) -> Float[np.ndarray | Array, "4 4"]:
     """Camera-to-world matrix that looks from `origin` to `target`. Columns are left, up, forward, origin (Mitsuba's).
 
-    Traceable and differentiable; for concrete vectors it is a NumPy array. Raises ValueError if origin and target
-    coincide, or if `up` is parallel to the line between them. For traced vectors the matrix is NaN then.
+    Traceable and differentiable; for concrete vectors it is a NumPy array. Raises ValueError for other shapes, numbers
+    that are not finite, if origin and target coincide, or if `up` is parallel to the line between them. For traced
+    vectors of such values the matrix is NaN.
     """
+    for name, vector in (("origin", origin), ("target", target), ("up", up)):
+        if shape_of(vector) != (3,):
+            raise ValueError(f"look_at: {name} must be three numbers, got shape {shape_of(vector)}")
+        if not traced(vector) and not np.isfinite(np.asarray(vector, float)).all():
+            raise ValueError(f"look_at: {name} must be finite, got {np.asarray(vector).tolist()}")
     xp = numpy_for(origin, target, up)
-    origin, target, up = (xp.asarray(v, float) for v in (origin, target, up))
-    forward = target - origin
-    left = xp.cross(up, forward)
-    if xp is np and not np.linalg.norm(left) > 1e-12 * max(np.linalg.norm(up) * np.linalg.norm(forward), 1e-300):
-        raise ValueError(f"look_at: up {up} is parallel to the view direction {forward}, or one of them is zero")
+    position, point, above = (xp.asarray(v, float) for v in (origin, target, up))
+    forward = point - position
+    left = xp.cross(above, forward)
+    if xp is np and not np.linalg.norm(left) > 1e-12 * max(np.linalg.norm(above) * np.linalg.norm(forward), 1e-300):
+        raise ValueError(f"look_at: up {above} is parallel to the view direction {forward}, or one of them is zero")
     forward, left = forward / xp.linalg.norm(forward), left / xp.linalg.norm(left)
-    axes = xp.stack([left, xp.cross(forward, left), forward, origin], axis=1)
+    axes = xp.stack([left, xp.cross(forward, left), forward, position], axis=1)
     return xp.concatenate([axes, xp.asarray([[0.0, 0.0, 0.0, 1.0]], axes.dtype)])
 
 
@@ -98,12 +107,14 @@ def checked_pose(name: str, to_world, scales: bool) -> Float[Array, "4 4"]:
         return matrix
     axes = values[:3, :3].astype(float)
     if not (np.isfinite(values).all() and np.allclose(values[3], [0, 0, 0, 1])):
-        raise ValueError(f"{name}: to_world must be finite with a last row 0 0 0 1, got\n{values}")
+        raise ValueError(f"{name}: to_world must be finite with a last row 0 0 0 1, got {values.tolist()}")
     lengths = np.linalg.norm(axes, axis=0)
     if not np.abs(np.linalg.det(axes)) > 1e-6 * np.prod(lengths):
-        raise ValueError(f"{name}: to_world can't be inverted: its axes lie in a plane\n{values}")
+        raise ValueError(f"{name}: to_world can't be inverted: its axes lie in a plane: {values.tolist()}")
     if not scales and not np.allclose(axes.T @ axes, lengths[2] ** 2 * np.eye(3), atol=1e-3 * lengths[2] ** 2):
-        raise ValueError(f"{name}: to_world may rotate, translate and scale all axes alike, not shear; got\n{values}")
+        raise ValueError(
+            f"{name}: to_world may rotate, translate and scale all axes alike, not shear; got {values.tolist()}"
+        )
     return matrix
 
 

@@ -3,12 +3,15 @@
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP, Camera, checked_clip, checked_pose
 from jaxdr.scene.camera.view import ParallelView
 from jaxdr.scene.film import Film
 
 
+@checked
 class Orthographic(Camera):
     """A camera with parallel rays. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
 
@@ -27,7 +30,7 @@ class Orthographic(Camera):
     far_clip: float = eqx.field(static=True)
     aperture = False
 
-    def __init__(self, to_world, film: Film, near_clip: float = NEAR_CLIP, far_clip: float = FAR_CLIP):
+    def __init__(self, to_world: ArrayLike, film: Film, near_clip: float = NEAR_CLIP, far_clip: float = FAR_CLIP):
         self.to_world = checked_pose("Orthographic", to_world, scales=True)
         self.film = film
         self.near_clip, self.far_clip = checked_clip("Orthographic", near_clip, far_clip)

@@ -1,10 +1,14 @@
 """Pinhole camera."""
 
+from numpy.typing import ArrayLike
+
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP
 from jaxdr.scene.camera.pinhole import PinholeCamera
 from jaxdr.scene.film import Film
 
 
+@checked
 class Perspective(PinholeCamera):
     """A pinhole camera. It looks along +z of its frame, x to the left, y up, as in Mitsuba.
 
@@ -23,12 +27,12 @@ class Perspective(PinholeCamera):
 
     def __init__(
         self,
-        to_world,
-        fov,
+        to_world: ArrayLike,
+        fov: ArrayLike,
         film: Film,
         fov_axis: str = "x",
         near_clip: float = NEAR_CLIP,
         far_clip: float = FAR_CLIP,
-        principal_point=(0.0, 0.0),
+        principal_point: ArrayLike = (0.0, 0.0),
     ):
         super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)

@@ -5,7 +5,9 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import dot, norm, z_of
 from jaxdr.scene.camera.base import FAR_CLIP, NEAR_CLIP
@@ -18,6 +20,7 @@ from jaxdr.scene.sampling import uniform_disk
 NEAREST = 1e-3  # least focus distance, of the near clip
 
 
+@checked
 class ThinLens(PinholeCamera):
     """A `Perspective` camera with a lens: sharp at the depth `focus_distance`, blurred elsewhere.
 
@@ -37,15 +40,15 @@ class ThinLens(PinholeCamera):
 
     def __init__(
         self,
-        to_world,
-        fov,
+        to_world: ArrayLike,
+        fov: ArrayLike,
         film: Film,
-        aperture_radius,
-        focus_distance,
+        aperture_radius: ArrayLike,
+        focus_distance: ArrayLike,
         fov_axis: str = "x",
         near_clip: float = NEAR_CLIP,
         far_clip: float = FAR_CLIP,
-        principal_point=(0.0, 0.0),
+        principal_point: ArrayLike = (0.0, 0.0),
     ):
         super().__init__(to_world, fov, film, fov_axis, near_clip, far_clip, principal_point)
         self.aperture_radius = as_array(aperture_radius)

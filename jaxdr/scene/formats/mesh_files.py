@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxdr.argument_kinds import checked
 from jaxdr.callers_line import warn
 from jaxdr.geometry.formats.obj import material_files, read_text
 from jaxdr.geometry.load import Triangles, joined_arrays, read_parts
@@ -22,6 +23,7 @@ EXTENSIONS = (".ply", ".obj")
 GREY = 0.5  # of faces without material, as of `Diffuse`
 
 
+@checked
 def load_shape(path: str | os.PathLike, shading: str = "flat", *, raw: bool = False) -> Shape:
     """The mesh of a PLY or OBJ file, as `load_mesh` reads it, with the colours of the file as a `Diffuse` BSDF.
 

@@ -3,11 +3,13 @@
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import normalize
 from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, check_direction, vector
 
 
+@checked
 class DirectionalLight(DeltaLight):
     """Parallel light that travels along `direction`, like the sun's.
 

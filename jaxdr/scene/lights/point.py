@@ -5,10 +5,12 @@ import math
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.color import as_rgb, magnitude
 from jaxdr.scene.lights.base import DeltaLight, vector
 
 
+@checked
 class PointLight(DeltaLight):
     """A point that shines equally in all directions.
 

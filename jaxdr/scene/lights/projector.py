@@ -10,6 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array
 from jaxdr.geometry.vector import components, scale, transform, z_of
 from jaxdr.scene.camera import Perspective
@@ -23,6 +24,7 @@ from jaxdr.scene.ranges import floats, ranged
 WRAPS = ("clamp", "repeat")
 
 
+@checked
 class Projector(DeltaLight):
     """A pinhole camera in reverse: it throws an image [H, W, 3] along +z of its frame, with x to the left and y up.
 
@@ -69,7 +71,7 @@ class Projector(DeltaLight):
     def check_together(self):
         pose = concrete(checked_pose("Projector", self.to_world, scales=False))
         if pose is not None and not np.allclose(np.linalg.det(pose[:3, :3]), 1.0, atol=1e-3):
-            raise ValueError(f"Projector: to_world must not scale, got\n{pose}")
+            raise ValueError(f"Projector: to_world must not scale, got {pose.tolist()}")
 
     @property
     def camera(self) -> Perspective:

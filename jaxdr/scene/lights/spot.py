@@ -10,6 +10,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_array, on_host
 from jaxdr.geometry.vector import Frame, components, cross, dot, from_components, normalize, orthonormal_basis, scale
 from jaxdr.scene.color import as_rgb, magnitude
@@ -98,6 +99,7 @@ class Cone(DeltaLight):
         return jnp.deg2rad(cutoff), jnp.deg2rad(within(self.beam_width, 0.0, cutoff))
 
 
+@checked
 class SpotLight(Cone):
     """A cone of light from `position` along `direction` (of any length), with RGB `intensity` (W / sr).
 
@@ -121,6 +123,7 @@ class SpotLight(Cone):
         return self.within(direction)
 
 
+@checked
 class TexturedSpotLight(Cone):
     """A spot light whose intensity is multiplied by an image [H, W, 3], as by a slide in front of it.
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import scale
 from jaxdr.images import load_image
 from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
@@ -64,6 +65,7 @@ class PixelTexture(ImageTexture):
         return self.pixels[row, _wrapped(y, height, along_v), _wrapped(x, width, along_u)]
 
 
+@checked
 class Bitmap(PixelTexture):
     """An image, `pixels` [H, W] or [H, W, C] (C = 1 or 3; linear floats, the top row first), over UVs in [0, 1]^2.
 

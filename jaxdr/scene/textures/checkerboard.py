@@ -4,10 +4,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.arrays import broadcast
 from jaxdr.scene.textures.base import ImageTexture, affine, channels_last
 
 
+@checked
 class Checkerboard(ImageTexture):
     """A checkerboard of two by two fields over UVs in [0, 1]^2, repeated beyond (Mitsuba 3's `checkerboard`).
 

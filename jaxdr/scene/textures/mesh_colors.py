@@ -3,6 +3,7 @@
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.vector import interpolate
 from jaxdr.scene.textures.base import Texture, channels_last
 
@@ -24,6 +25,7 @@ class MeshColors(Texture):
         return (self.colors,)
 
 
+@checked
 class VertexColors(MeshColors):
     """A colour for each vertex, interpolated over the faces: `colors` [V] or [V, C] (C = 1 or 3), linear floats.
 
@@ -37,6 +39,7 @@ class VertexColors(MeshColors):
         return interpolate(self.colors[row[:, None], point.vertices], point.barycentric)
 
 
+@checked
 class FaceColors(MeshColors):
     """A colour for each face, constant over the face: `colors` [F] or [F, C] (C = 1 or 3), linear floats.
 

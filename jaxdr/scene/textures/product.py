@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.textures.base import Texture
 
 
+@checked
 class Product(Texture):
     """The product of two textures at every point, such as an image and the colours of vertices."""
 

@@ -180,7 +180,7 @@ def test_options():
         ({"chords": 0.0}, "chords must be positive"),
         ({"floor": 0.0}, "floor must be positive"),
         ({"pilot": -1.0}, "pilot must not be negative"),
-        ({"reach": float("nan")}, "reach must be positive"),
+        ({"reach": float("nan")}, "reach must be a number, got nan"),
     ):
         with pytest.raises(ValueError, match=f"LineSampling: {message}"):
             jd.LineSampling(**options)

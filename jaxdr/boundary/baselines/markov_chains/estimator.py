@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.baselines.markov_chains.metropolis import Steps, run_chains
 from jaxdr.boundary.baselines.markov_chains.segments import Space
 from jaxdr.boundary.baselines.markov_chains.walks import EdgeRings, edge_rings
@@ -41,6 +42,7 @@ class MarkovChainsState(NamedTuple):
     reach: Float[Array, ""]
 
 
+@checked
 class MarkovChains(eqx.Module):
     """Boundary segments by Markov chains that walk along silhouettes, from edge to edge; for comparison. Unbiased.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.baselines.quadric_sampling.importance import Balls, Importance, emitter_balls
 from jaxdr.boundary.baselines.quadric_sampling.silhouette_tree import (
     NUMBERS,
@@ -36,6 +37,7 @@ class QuadricSamplingState(NamedTuple):
     balls: Balls | None
 
 
+@checked
 class QuadricSampling(eqx.Module):
     """Every path vertex looks past silhouette edges that it draws from a tree; for comparison. Unbiased.
 

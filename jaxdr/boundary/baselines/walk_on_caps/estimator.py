@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.boundary.baselines.on_directions import direct_light_refusals, warped_directions
 from jaxdr.boundary.baselines.walk_on_caps.walks import Views, Walks, upwards, walked_velocities
 from jaxdr.boundary.shared.projection import never_silhouettes
@@ -18,6 +19,7 @@ from jaxdr.geometry import queries
 from jaxdr.whole_numbers import whole
 
 
+@checked
 class WalkOnCaps(WarpedTerm):
     """Direct light by warped areas whose velocities come from walks to the closest silhouettes; for comparison.
 

@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from jaxdr.argument_kinds import checked
 from jaxdr.geometry.gltf.document import Document
 from jaxdr.geometry.gltf.nodes import Node, named, scene_nodes, world_matrices
 from jaxdr.geometry.gltf.primitives import is_triangles
@@ -27,6 +28,7 @@ def is_gltf(path: str | os.PathLike) -> bool:
     return Path(path).suffix.lower() in EXTENSIONS
 
 
+@checked
 def load_gltf(
     path: str | os.PathLike,
     *,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from jaxdr.argument_kinds import checked
 from jaxdr.atomic_file import atomic_path
 from jaxdr.geometry.load import cut_mesh
 from jaxdr.scene.formats.gltf.surfaces import Surface, surface_of
@@ -17,6 +18,7 @@ COLORS = "_colors"  # trimesh names attributes of its users so; glTF calls colou
 OUTSIDE = ("normalTexture", "emissiveTexture")  # textures that are not inside of pbrMetallicRoughness
 
 
+@checked
 def save_gltf(path: str | os.PathLike, shapes: Mapping[str, Shape]) -> None:
     """Write shapes as a GLB file, each with its material: `save_gltf("scene.glb", scene.shapes)`.
 

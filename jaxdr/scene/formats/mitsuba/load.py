@@ -11,6 +11,7 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
+from jaxdr.argument_kinds import checked
 from jaxdr.scene.formats.mitsuba.document import descendants, read_document
 from jaxdr.scene.formats.mitsuba.element import Element
 from jaxdr.scene.formats.mitsuba.emitters import SHAPE_EMITTERS, read_emitters
@@ -28,6 +29,7 @@ INTEGRATOR_SETTINGS = (
 )
 
 
+@checked
 def load_mitsuba(
     path: str | os.PathLike,
     /,
