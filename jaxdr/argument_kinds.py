@@ -269,7 +269,8 @@ def _array(annotation: Any) -> Kind:
     dimensions = annotation.dim_str
     likewise = annotation.dtype[Any, dimensions]  # NumPy's arrays as well as JAX's
     flags = annotation.dtype.__name__ == "Bool"
-    words = f"{'flags' if flags else 'floats'} of shape [{', '.join('...' if axis[0] == '*' else axis for axis in dimensions.split())}]"
+    axes = ", ".join("..." if axis[0] == "*" else axis for axis in dimensions.split())
+    words = f"{'flags' if flags else 'floats'} of shape [{axes}]"
 
     def taken(value: Any) -> Any:
         if not isinstance(value, likewise):
