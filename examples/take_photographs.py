@@ -10,20 +10,27 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import trimesh
 
 import jaxdr as jd
 
-PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 64, 128, 20, 30.0
-SKY = (0.6, 0.7, 0.8)  # below 1: a photograph cuts off what is brighter
+PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 128, 64, 24, 30.0
+SPOT = Path(__file__).parents[1] / "experiments/data/spot_low.obj"  # by Keenan Crane, in the public domain
+Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # of meshes and skies that have y up
 
 
 def make_scene(pixels: int) -> jd.Scene:
-    """A duck with a yellow head and a blue body, under an even sky."""
-    duck = jd.shapes.centred(jd.shapes.duck(3), 1.1)
-    paint = jnp.where(duck.vertices[:, 2:] > 0.15, jnp.array([0.8, 0.6, 0.1]), jnp.array([0.2, 0.4, 0.7]))
+    """Spot the cow, with brown patches, under a sky that is brighter above."""
+    spot = jd.shapes.centred(jd.shapes.transformed(jd.load_mesh(SPOT), Z_UP), 1.1)
+    mesh = jd.Mesh(*trimesh.remesh.subdivide_loop(np.asarray(spot.vertices), np.asarray(spot.faces), 2))
+    x, y, z = np.asarray(mesh.vertices).T
+    patches = np.sin(11 * x + 4 * z) + np.sin(12 * y + 1) + np.sin(10 * z - 6 * x) > 0.55
+    paint = np.where(patches[:, None], (0.35, 0.13, 0.04), (0.9, 0.84, 0.72))
+    painted = jd.Shape(mesh, jd.Diffuse(jd.VertexColors(paint)))
+    height = np.linspace(1, 0, 16)[:, None, None]  # rows of the sky, from the zenith down
+    sky = jd.EnvironmentMap(np.broadcast_to((0.15, 0.18, 0.22) + (0.85, 0.8, 0.7) * height, (16, 32, 3)), Z_UP)
     film = jd.Film(pixels, pixels, jd.Box())  # a sensor sums up the light of each pixel's own square
-    painted = jd.Shape(duck, jd.Diffuse(jd.VertexColors(paint)))
-    return jd.Scene({"object": painted}, jd.Perspective(np.eye(4), FOV, film), jd.ConstantEnvironment(SKY))
+    return jd.Scene({"object": painted}, jd.Perspective(np.eye(4), FOV, film), sky)
 
 
 def poses(count: int) -> list[np.ndarray]:
@@ -40,8 +47,7 @@ def main(folder: str = "photographs", count=PHOTOGRAPHS, pixels=PIXELS, samples=
     scene, frames = make_scene(pixels), []
 
     @jax.jit
-    def expose(pose, key):
-        """The picture [H, W, 3], and where the object is [H, W]."""
+    def expose(pose, key):  # the picture [H, W, 3], and where the object is [H, W]
         placed = scene.replace({"camera.to_world": pose})
         return jd.render(placed, key, samples), jd.render_aovs(placed, key, names=["shape"])["shape"] >= 0
 

@@ -48,7 +48,7 @@ MOST_WORDS = 900
 
 MAIN_JOB = """python3 -m venv .venv && . .venv/bin/activate && pip install -e ".[reconstruct]"
 python examples/take_photographs.py runs/photographs
-jaxdr reconstruct runs/photographs -o runs/duck --config configs/photographs.toml
+jaxdr reconstruct runs/photographs -o runs/cow --config configs/photographs.toml
 """
 TESTS = 'python3 -m venv .venv && . .venv/bin/activate\npip install -e ".[test]" && python -m pytest\n'
 

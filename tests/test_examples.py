@@ -22,7 +22,7 @@ from jaxdr.optimize.reconstruction.reconstruct import reconstruct
 from jaxdr.program_cache import SIZE, user_folder
 
 ROOT = Path(__file__).resolve().parents[1]
-MOST_LINES = 60
+MOST_LINES = 65
 SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py") if "__main__" in path.read_text())
 
 
@@ -154,9 +154,9 @@ def test_take_photographs_and_from_photographs(printed, tmp_path):
 def test_the_main_job_of_the_readme(tmp_path):
     take_photographs.main(str(tmp_path / "photographs"))
     table = tomllib.loads((ROOT / "configs/photographs.toml").read_text())
-    summary = reconstruct(reconstruct_config(table, "README", str(tmp_path / "photographs"), str(tmp_path / "duck")))
+    summary = reconstruct(reconstruct_config(table, "README", str(tmp_path / "photographs"), str(tmp_path / "cow")))
     assert summary["psnr"]["worst"] > 25 and summary["iou"]["worst"] > 0.95
-    assert {"asset.glb", "report.html", "turntable.gif"} <= {path.name for path in (tmp_path / "duck").iterdir()}
+    assert {"asset.glb", "report.html", "turntable.gif"} <= {path.name for path in (tmp_path / "cow").iterdir()}
 
 
 def test_its_config_is_valid(tmp_path):

@@ -61,7 +61,7 @@ def steps(folder: Path) -> list[Step]:
     return [
         Step("photographs", "README: install", install.partition("&& ")[2].partition("&& ")[2]),
         *[Step("photographs", f"README: {line}", line) for line in job],
-        Step("photographs", "look at it", "jaxdr view runs/duck -o runs/duck.html"),
+        Step("photographs", "look at it", "jaxdr view runs/cow -o runs/cow.html"),
         Step("student", "README: twenty lines", f"python {folder / 'twenty_lines.py'}"),
         Step("student", "quickstart: command", "jaxdr optimize configs/quickstart.toml"),
         Step("student", "quickstart: code", f"python {folder / 'quickstart.py'}"),
