@@ -1,4 +1,4 @@
-"""Progress for people: a bar on a terminal, lines elsewhere; and signals that wait for the end of a step."""
+"""Progress for people: a bar on a terminal or in a notebook, else lines; and signals that wait for a step's end."""
 
 import signal
 import sys
@@ -8,20 +8,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from tqdm import tqdm
+from jaxdr.bars import IN_NOTEBOOK, tqdm
 
 
 class Progress:
-    """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then.
+    """Reports on `total` steps of which `done` are done: a bar on a terminal, else a line now and then, on stderr.
 
-    With `quiet` it reports nothing.
+    In a notebook the bar is the notebook's. With `quiet` it reports nothing.
     """
 
     def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0, quiet: bool = False):
         self.name, self.total, self.done, self.seconds, self.quiet = name, total, done, seconds, quiet
         self.first = done
         self.bar = None
-        if sys.stderr.isatty() and not quiet:
+        if (IN_NOTEBOOK or sys.stderr.isatty()) and not quiet:
             self.bar = tqdm(total=total, initial=done, desc=name, file=sys.stderr, dynamic_ncols=True)
 
     def __enter__(self) -> "Progress":
