@@ -77,15 +77,12 @@ def test_what_is_stored_is_clean(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_has_pictures(name):
-    data = [
-        out.data[kind]
-        for cell in code(read(name))
-        for out in cell.outputs
-        for kind in PICTURES
-        if kind in out.get("data", ())
-    ]
-    sizes = [Image.open(BytesIO(base64.b64decode(picture))).size for picture in data]
-    assert len(sizes) >= 4 and all(max(size) >= 200 for size in sizes)
+    outputs = [output for cell in code(read(name)) for output in cell.outputs if "data" in output]
+    pictures = [(output, kind) for output in outputs for kind in PICTURES if kind in output.data]
+    for output, kind in pictures:
+        width, height = Image.open(BytesIO(base64.b64decode(output.data[kind]))).size
+        assert max(output.metadata.get(kind, {}).get("width", width), height) >= 200
+    assert len(pictures) >= 4
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -135,6 +132,7 @@ def test_a_page_of_the_site():
     outputs = [
         {"output_type": "stream", "name": "stdout", "text": ["ratio ", "1.0\n"]},
         {"output_type": "display_data", "data": {"image/png": picture}},
+        {"output_type": "display_data", "data": {"image/gif": picture}, "metadata": {"image/gif": {"width": 256}}},
         {"output_type": "execute_result", "data": {"text/html": ["<b>table</b>"], "text/plain": ["x"]}},
     ]
     cells = [
@@ -142,9 +140,10 @@ def test_a_page_of_the_site():
         {"cell_type": "code", "source": "x = 1", "outputs": outputs},
     ]
     page, pictures = page_of({"cells": cells}, "name")
-    assert pictures == {"1.png": b"bytes of a picture"}
+    assert pictures == {"1.png": b"bytes of a picture", "2.gif": b"bytes of a picture"}
     after = page.split("``` python\nx = 1\n```\n\n")[1]
-    assert after == "``` text\nratio 1.0\n```\n\n![Output of the cell above](name/1.png)\n\n<b>table</b>\n"
+    shown = "![Output of the cell above](name/1.png)", '![Output of the cell above](name/2.gif){ width="256" }'
+    assert after == "\n\n".join(["``` text\nratio 1.0\n```", *shown, "<b>table</b>\n"])
 
 
 # They are executed as a reader does it, from a clone, and their key numbers are looked at

@@ -52,7 +52,9 @@ def _output(output: dict, name: str, pictures: dict[str, bytes]) -> str:
         if kind in data:
             file = f"{len(pictures) + 1}.{suffix}"
             pictures[file] = base64.b64decode("".join(data[kind]))
-            return f"![Output of the cell above]({name}/{file})"
+            width = output.get("metadata", {}).get(kind, {}).get("width")
+            size = f'{{ width="{width}" }}' if width else ""
+            return f"![Output of the cell above]({name}/{file}){size}"
     if "text/html" in data:
         return "".join(data["text/html"])
     return f"``` text\n{''.join(output.get('text', data.get('text/plain', ''))).rstrip()}\n```"

@@ -20,20 +20,17 @@ METADATA = {
     "language_info": {"name": "python"},
 }
 # Lines that say nothing of the result: Warp's notes, where programs are kept, how far a run is.
-NOISE = re.compile(r"Warp |Module |CUDA |jaxdr: compiled programs|   +\S|\w[\w ]* \d+/\d+\b|\s*$")
+NOISE = re.compile(r"Warp |Module |CUDA |jaxdr: compiled programs|   +\S|\w[\w ]* \d+/\d+\b|[\w ]*:? +\d+%\||\s*$")
+SIZED = ("image/gif",)
 MOST_SECONDS = 1200  # of a cell, on a busy machine
 
 
 def executed(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookNode:
     """The notebook with the outputs of a run in `folder`. Raises CellExecutionError where a cell fails."""
     programs = str(Path(sys.executable).parent)  # a cell may call `jaxdr`
-    path = os.environ.get("PATH", "")
-    os.environ["PATH"] = os.pathsep.join([programs, path])
-    try:
-        client = NotebookClient(notebook, timeout=MOST_SECONDS, kernel_name="python3")
-        return client.execute(cwd=str(folder), env=os.environ | {"PYTHONPATH": str(ROOT)})
-    finally:
-        os.environ["PATH"] = path
+    path = os.pathsep.join([programs, os.environ.get("PATH", "")])
+    client = NotebookClient(notebook, timeout=MOST_SECONDS, kernel_name="python3")
+    return client.execute(cwd=str(folder), env=os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)})
 
 
 def cleaned(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
@@ -42,8 +39,19 @@ def cleaned(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
     for cell in notebook.cells:
         cell.metadata = nbformat.NotebookNode()
         if cell.cell_type == "code":
-            cell.outputs = [output for output in map(_cleaned, cell.outputs) if output is not None]
+            cell.outputs = _joined([output for output in map(_cleaned, cell.outputs) if output is not None])
     return notebook
+
+
+def _joined(outputs: list[nbformat.NotebookNode]) -> list[nbformat.NotebookNode]:
+    """Outputs with lines that follow each other in one."""
+    found: list[nbformat.NotebookNode] = []
+    for output in outputs:
+        if found and output.output_type == found[-1].output_type == "stream":
+            found[-1].text += output.text
+        else:
+            found.append(output)
+    return found
 
 
 def _cleaned(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
@@ -55,7 +63,8 @@ def _cleaned(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
     if "data" in output:
         if any("widget" in kind for kind in output.data):
             return None
-        output.metadata = nbformat.NotebookNode()
+        shown = {kind: size for kind, size in output.metadata.items() if kind in SIZED}  # how large a GIF is drawn
+        output.metadata = nbformat.from_dict(shown)
         pictures = [kind for kind in output.data if kind.startswith("image/")]
         if pictures or "text/html" in output.data:  # the words of a picture are `<Figure …>`, those of a scene are long
             output.data.pop("text/plain", None)
