@@ -27,7 +27,8 @@ class Picture:
       positive, blue where it is negative, with a colour bar.
     - `limit`: the value of the darkest red; by default the largest magnitude, but for one pixel in 200 of each image.
       All signed images share it.
-    - `height`: pixels on the screen; images are enlarged to about that by a whole number, so that pixels stay squares.
+    - `height`: pixels on the screen; smaller images are enlarged to about that by a whole number, so that pixels stay
+      squares. Larger ones stay as they are.
     - `columns`: images in a row.
 
     Colours are sRGB; what is outside [0, 1] is clipped. NaN is magenta. `pixels` is the picture, 8-bit sRGB [h, w, 3].
