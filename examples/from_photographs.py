@@ -21,9 +21,8 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
     sphere = jd.shapes.sphere(3, radius=0.4)
     grey = jd.VertexColors(jnp.full((len(sphere.vertices), 3), 0.5))
     # All photographs were taken by one lens, so one camera with another pose does for all of them.
-    scene = jd.Scene(
-        {"object": jd.Shape(sphere, jd.Diffuse(grey))}, views.fitted[0].camera, jd.ConstantEnvironment(1.0)
-    )
+    sky = jd.EnvironmentMap(jnp.ones((8, 16, 3)))
+    scene = jd.Scene({"object": jd.Shape(sphere, jd.Diffuse(grey))}, views.fitted[0].camera, sky)
     smooth = jd.LargeSteps(sphere, lam=10.0)
 
     # The optimiser's numbers have no bounds. Colours in (0, 1) and a sky above zero are made from them.
@@ -45,7 +44,7 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
         updates, state = optimiser.update(jax.grad(loss)(latent, number, key), state)
         return optax.apply_updates(latent, updates), state
 
-    latent = {"shape": smooth.to_latent(sphere.vertices), "paint": jnp.zeros_like(sphere.vertices), "sky": jnp.zeros(3)}
+    latent = {"shape": smooth.to_latent(sphere.vertices), "paint": jnp.zeros_like(sphere.vertices), "sky": jnp.zeros((8, 16, 3))}
     start, state = latent, optimiser.init(latent)
     for i in range(steps):
         latent, state = step(latent, state, i % len(poses), jax.random.key(i))

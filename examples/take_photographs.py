@@ -24,11 +24,11 @@ def make_scene(pixels: int) -> jd.Scene:
     spot = jd.shapes.centred(jd.shapes.transformed(jd.load_mesh(SPOT), Z_UP), 1.1)
     mesh = jd.Mesh(*trimesh.remesh.subdivide_loop(np.asarray(spot.vertices), np.asarray(spot.faces), 2))
     x, y, z = np.asarray(mesh.vertices).T
-    patches = np.sin(11 * x + 4 * z) + np.sin(12 * y + 1) + np.sin(10 * z - 6 * x) > 0.55
-    paint = np.where(patches[:, None], (0.35, 0.13, 0.04), (0.9, 0.84, 0.72))
+    patches = np.sin(11 * x + 4 * z) + np.sin(12 * y + 1) + np.sin(10 * z - 6 * x) > 0.7
+    paint = np.where(patches[:, None], (0.85, 0.75, 0.6), (0.3, 0.11, 0.04))
     painted = jd.Shape(mesh, jd.Diffuse(jd.VertexColors(paint)))
     height = np.linspace(1, 0, 16)[:, None, None]  # rows of the sky, from the zenith down
-    sky = jd.EnvironmentMap(np.broadcast_to((0.15, 0.18, 0.22) + (0.85, 0.8, 0.7) * height, (16, 32, 3)), Z_UP)
+    sky = jd.EnvironmentMap(np.broadcast_to((0.3, 0.34, 0.4) + (0.65, 0.6, 0.5) * height, (16, 32, 3)), Z_UP)
     film = jd.Film(pixels, pixels, jd.Box())  # a sensor sums up the light of each pixel's own square
     return jd.Scene({"object": painted}, jd.Perspective(np.eye(4), FOV, film), sky)
 

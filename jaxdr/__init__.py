@@ -93,6 +93,7 @@ from jaxdr.scene.textures import Texture as Texture
 from jaxdr.scene.textures import VertexColors as VertexColors
 from jaxdr.transport.radiance import Answers as Answers
 from jaxdr.transport.radiance import Requests as Requests
+from jaxdr.view.picture import Picture as Picture
 from jaxdr.views.evaluate import evaluate_views as evaluate_views
 from jaxdr.views.load import load_views as load_views
 from jaxdr.views.record import View as View

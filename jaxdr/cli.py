@@ -21,10 +21,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from jaxdr import __version__
 from jaxdr.aovs import NAMES, render_aovs
+from jaxdr.bars import tqdm
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.boundary.named import OUTSIDE, estimator_class
 from jaxdr.chart.config import chart_config

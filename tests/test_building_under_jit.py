@@ -111,7 +111,7 @@ BUILT = {
 # Settings without arrays, base classes, and what renders, fits, measures or writes.
 NOT_BUILT = """
     AllSilhouettes Answers BSDF BidirectionalPathTracer Box ByKind Chunk Context DeltaBSDF DeltaLight Environment
-    EstimatorWarning Film Gaussian GuidedEdges KernelDensity LineSampling MarkovChains Moving PathTracer Plan
+    EstimatorWarning Film Gaussian GuidedEdges KernelDensity LineSampling MarkovChains Moving PathTracer Picture Plan
     QuadricSampling RednerWAS Requests ReusedGuides Tent Term Texture View Views WalkOnCaps WarpedArea adam_uniform
     build_guides chamfer derivative_terms evaluate_views guide_report jit losses plan refit_guides render
     render_aovs render_views save_gltf save_mesh write_image

@@ -86,6 +86,7 @@ MADE = {
     "PathTracer": lambda: jd.PathTracer(max_depth=2, boundary=jd.LineSampling()),
     "Perspective": lambda: jd.Perspective(POSE, 30.0, FILM),
     "Phong": jd.Phong,
+    "Picture": lambda: jd.Picture(PICTURE, "title"),
     "Plan": lambda: jd.Plan(jd.PathTracer(max_depth=2), 4, ("words",), {"spp": 4}),
     "Plastic": jd.Plastic,
     "PointLight": lambda: jd.PointLight((0, 1, 2)),
@@ -134,6 +135,8 @@ def contents(value) -> list:
         return [value.name, value.path, value.to_world.tobytes(), value.image.tobytes(), value.alpha.tobytes()]
     if isinstance(value, Warning):
         return [value.args]
+    if isinstance(value, jd.Picture):
+        return [value.pixels.tobytes()]
     leaves, structure = jax.tree.flatten(value)
     keys = [
         jax.random.key_data(x) if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x

@@ -1,4 +1,4 @@
-"""Progress for people: a bar on a terminal, lines elsewhere; and signals that wait for the end of a step."""
+"""Progress for people: a bar on a terminal or in a notebook, else lines; and signals that wait for a step's end."""
 
 import signal
 import sys
@@ -9,18 +9,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
 
-from tqdm import tqdm
-
+from jaxdr.bars import IN_NOTEBOOK, tqdm
 from jaxdr.optimize.heartbeat import Pauses, Shown, beating, clear_line, clock
 
 PACES = 20  # steps by which the time left is told
 
 
 class Progress(Shown):
-    """Reports to stderr on `total` steps of which `done` are done: a bar on a terminal, else a line now and then.
+    """Reports on `total` steps of which `done` are done: a bar on a terminal, else a line now and then, on stderr.
 
-    A bar shows every second that a step goes on. `preparing` says what the next step does beside stepping, and such
-    steps don't count for the time that is left. With `quiet` it reports nothing.
+    In a notebook the bar is the notebook's. A bar shows every second that a step goes on. `preparing` says what the
+    next step does beside stepping, and such steps don't count for the time that is left. With `quiet` it reports
+    nothing.
     """
 
     def __init__(self, name: str, total: int, done: int = 0, seconds: float = 10.0, quiet: bool = False):
@@ -35,7 +35,7 @@ class Progress(Shown):
         self.context = ExitStack()
         if not self.quiet:
             clear_line()
-            if sys.stderr.isatty():
+            if IN_NOTEBOOK or sys.stderr.isatty():
                 layout = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
                 settings = {"initial": self.done, "desc": self.name, "bar_format": layout}
                 self.bar = tqdm(total=self.total, file=sys.stderr, dynamic_ncols=True, **settings)

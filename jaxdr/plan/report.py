@@ -8,6 +8,7 @@ import equinox as eqx
 
 from jaxdr.boundary.named import estimator_class, estimator_name
 from jaxdr.boundary.shared.term import Term
+from jaxdr.html_summary import summary, table
 from jaxdr.integrators import BidirectionalPathTracer, Integrator, PathTracer
 from jaxdr.integrators.choice import Automatic
 from jaxdr.untrusted import damage
@@ -30,6 +31,11 @@ class Plan:
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
+
+    def _repr_html_(self) -> str:
+        """The choice and its reasons as a table, for notebooks."""
+        rows = [("integrator", self.integrator), ("spp", self.spp), *(line.partition(": ")[::2] for line in self.lines)]
+        return summary("jaxdr.Plan", table(("", ""), rows))
 
     def to_dict(self) -> dict[str, Any]:
         """Integrator, samples, lines and figures as a table of numbers, strings, lists and tables.

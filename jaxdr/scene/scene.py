@@ -21,6 +21,7 @@ from jaxdr.scene.camera import Camera
 from jaxdr.scene.emitters import AreaEmitter, Environment
 from jaxdr.scene.lights import DeltaLight
 from jaxdr.scene.ranges import check_parameter
+from jaxdr.scene.summary import scene_html
 from jaxdr.scene.textures import Texture, textures_in
 
 RESERVED = ("camera", "environment")
@@ -171,6 +172,10 @@ class Scene(eqx.Module):
             _check_equal("Scene.tie", name, members, values)
         pairs = {**known, **{name: tuple(members) for name, members in ties.items()}}
         return dataclasses.replace(self, tied=tuple(sorted(pairs.items())))
+
+    def _repr_html_(self) -> str:
+        """Tables of shapes, lights and parameters, for notebooks. Nothing is rendered."""
+        return scene_html(self, {name: get(self) for name, get in _accessors(self).items()})
 
 
 def every_parameter(scene: Scene) -> dict[str, Array]:

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxdr.argument_kinds import checked
+from jaxdr.html_summary import summary as html_summary
+from jaxdr.html_summary import table
 from jaxdr.images import to_srgb
 from jaxdr.integrators import Integrator
 from jaxdr.scene.scene import Scene
@@ -46,6 +48,24 @@ class Evaluation(NamedTuple):
             if None not in values:
                 summary[name] = {"mean": float(np.mean(values)), "worst": float(np.min(values))}
         return {**summary, "scale": list(self.scale), "views": [score._asdict() for score in self.scores]}
+
+    def _repr_html_(self) -> str:
+        """Mean and worst figures, and those of the views, as a table, for notebooks."""
+        found = self.to_dict()
+        figures = {
+            "psnr": ("PSNR, dB", 1),
+            "psnr_inside": ("PSNR inside, dB", 1),
+            "ssim": ("SSIM", 3),
+            "iou": ("IoU", 3),
+        }
+        shown = {name: words for name, words in figures.items() if name in found}
+        numbers = {kind: {name: found[name][kind] for name in shown} for kind in ("mean", "worst")}
+        numbers |= {score.name: score._asdict() for score in self.scores}
+        rows = [
+            (name, *(f"{row[figure]:.{digits}f}" for figure, (_, digits) in shown.items()))
+            for name, row in numbers.items()
+        ]
+        return html_summary("Evaluation", table(("view", *(words for words, _ in shown.values())), rows))
 
 
 @checked

@@ -145,6 +145,12 @@ class Views:
         """Whether every photograph has alpha."""
         return all(view.masked for view in self.views)
 
+    def _repr_html_(self) -> str:
+        """Number, sizes and a few small pictures, for notebooks."""
+        from jaxdr.views.thumbnails import views_html  # it needs this module
+
+        return views_html(self)
+
 
 def in_mask(view: View, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, " N"]:
     """Whether points of the world are inside of a photograph's mask, on the host."""

@@ -2,15 +2,19 @@
 
 import io
 import signal
+import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from jaxdr.optimize import heartbeat, progress
 from jaxdr.optimize.heartbeat import working
 from jaxdr.optimize.progress import Progress, deferred_interrupt
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 class Terminal(io.StringIO):
@@ -159,3 +163,39 @@ def test_other_threads_may_use_it():
     thread.start()
     thread.join()
     assert seen == [False]
+
+
+IN_A_KERNEL = """
+import sys, types, warnings
+warnings.simplefilter("error")
+for name in ("ipykernel", "ipykernel.zmqshell", "IPython"):
+    sys.modules[name] = types.ModuleType(name)
+sys.modules["IPython"].get_ipython = lambda: None
+sys.modules["ipykernel.zmqshell"].__name__ = "ipykernel.zmqshell"
+sys.modules["ipywidgets"] = None  # as where it is not installed
+from jaxdr.optimize.progress import IN_NOTEBOOK, Progress
+assert not IN_NOTEBOOK
+with Progress("optimise", 1) as bar:
+    bar.step(loss=0.5)
+"""
+
+
+def test_a_notebook_without_widgets_has_lines_and_no_warning():
+    done = subprocess.run([sys.executable, "-c", IN_A_KERNEL], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout, done.stderr) == ("", "optimise 1/1  loss 0.5\n")
+
+
+def test_a_notebook_with_widgets_has_a_bar(monkeypatch, capsys):
+    made = []
+
+    class Bar:
+        def __init__(self, **settings):
+            made.append(settings)
+            self.set_postfix_str = self.update = self.refresh = self.close = lambda *values, **settings: None
+
+    monkeypatch.setattr(progress, "IN_NOTEBOOK", True)
+    monkeypatch.setattr(progress, "tqdm", Bar)
+    with Progress("optimise", 3, done=1) as bar:
+        bar.step(loss=0.5)
+    assert made[0]["total"] == 3 and made[0]["initial"] == 1 and capsys.readouterr().err == ""
