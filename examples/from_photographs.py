@@ -10,7 +10,7 @@ import optax
 
 import jaxdr as jd
 
-SAMPLES, STEPS = 8, 200
+SAMPLES, STEPS = 4, 300
 
 
 def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]:
@@ -18,12 +18,12 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
     views = jd.load_views(folder)
     photographs = jnp.stack([view.image for view in views.fitted])  # [N, H, W, 3], linear RGB
     poses = jnp.stack([jnp.asarray(view.to_world, jnp.float32) for view in views.fitted])
-    sphere = jd.shapes.sphere(3, radius=0.4)
+    sphere = jd.shapes.sphere(4, radius=0.4)
     grey = jd.VertexColors(jnp.full((len(sphere.vertices), 3), 0.5))
     # All photographs were taken by one lens, so one camera with another pose does for all of them.
     sky = jd.EnvironmentMap(jnp.ones((8, 16, 3)))
     scene = jd.Scene({"object": jd.Shape(sphere, jd.Diffuse(grey))}, views.fitted[0].camera, sky)
-    smooth = jd.LargeSteps(sphere, lam=10.0)
+    smooth = jd.LargeSteps(sphere, lam=5.0)
 
     # The optimiser's numbers have no bounds. Colours in (0, 1) and a sky above zero are made from them.
     def found(latent):
@@ -34,7 +34,7 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
 
     def loss(latent, number, key):
         seen = found(latent).replace({"camera.to_world": poses[number]})
-        return jd.losses.l2(jd.render(seen, key, SAMPLES, jd.PathTracer(max_depth=2)), photographs[number])
+        return jd.losses.l1(jd.render(seen, key, SAMPLES, jd.PathTracer(max_depth=2)), photographs[number])
 
     rates = {"shape": jd.adam_uniform(0.03), "paint": optax.adam(0.05), "sky": optax.adam(0.05)}
     optimiser = optax.multi_transform(rates, {name: name for name in rates})

@@ -19,8 +19,8 @@ METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"name": "python"},
 }
-# Lines that say nothing of the result: Warp's notes, where programs are kept, how far a run is.
-NOISE = re.compile(r"Warp |Module |CUDA |jaxdr: compiled programs|   +\S|\w[\w ]* \d+/\d+\b|[\w ]*:? +\d+%\||\s*$")
+# Lines that say nothing of the result: where programs are kept, how far a run is, what goes on.
+NOISE = re.compile(r"jaxdr: compiled programs|\w[\w ]* \d+/\d+\b|[\w ]*:? +\d+%\||.*\(\d+:\d\d\)$|\s*$")
 SIZED = ("image/gif",)
 MOST_SECONDS = 1200  # of a cell, on a busy machine
 
