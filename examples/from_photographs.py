@@ -44,7 +44,8 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
         updates, state = optimiser.update(jax.grad(loss)(latent, number, key), state)
         return optax.apply_updates(latent, updates), state
 
-    latent = {"shape": smooth.to_latent(sphere.vertices), "paint": jnp.zeros_like(sphere.vertices), "sky": jnp.zeros((8, 16, 3))}
+    grey = jnp.zeros_like(sphere.vertices)
+    latent = {"shape": smooth.to_latent(sphere.vertices), "paint": grey, "sky": jnp.zeros((8, 16, 3))}
     start, state = latent, optimiser.init(latent)
     for i in range(steps):
         latent, state = step(latent, state, i % len(poses), jax.random.key(i))

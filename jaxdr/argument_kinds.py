@@ -172,7 +172,7 @@ def _kind(annotation: Any) -> Kind | None:
         return _dictionary(parts[1] if parts else Any)
     if isinstance(origin, type) and issubclass(origin, Iterable) and parts:
         return _several(parts[0], origin)
-    if origin is Callable:
+    if Callable in (annotation, origin):
         return Kind("a function", _kind_of(lambda value: not isinstance(value, type), Callable))
     if isinstance(annotation, type) and issubclass(annotation, AbstractArray):
         return _array(annotation)

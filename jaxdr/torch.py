@@ -12,11 +12,11 @@ import jax.numpy as jnp
 from jax.dtypes import float0
 from jaxtyping import PRNGKeyArray
 
+from jaxdr.argument_kinds import checked
 from jaxdr.compilation import jit
 from jaxdr.integrators import Integrator
 from jaxdr.render import render as render_in_jax
 from jaxdr.scene.scene import Scene
-from jaxdr.transport.keys import check_key
 
 try:
     import torch
@@ -25,6 +25,7 @@ except ImportError as _missing:
     raise ImportError('jaxdr.torch needs PyTorch, which is optional: pip install -e ".[torch]"') from _missing
 
 
+@checked
 def from_jax(function: Callable) -> Callable:
     """A function of tensors that computes a function of JAX arrays. PyTorch differentiates it in both modes.
 
@@ -37,26 +38,25 @@ def from_jax(function: Callable) -> Callable:
     float64, and for a result that is no array; TypeError for static arguments that can't be hashed. Second derivatives
     raise PyTorch's RuntimeError.
     """
-    if not callable(function):
-        raise ValueError(f"jaxdr.torch.from_jax: expected a function of JAX arrays, got {type(function).__name__}")
     return _FromJax(function)
 
 
+@checked
 def render(
     scene: Scene,
-    parameters: Mapping[str, torch.Tensor],
+    parameters: Mapping[str, Any],
     key: PRNGKeyArray,
     spp: int = 64,
     integrator: Integrator | None = None,
 ) -> torch.Tensor:
     """Image [H, W, 3] of a scene with other values, as `jaxdr.render` makes it: a tensor with a derivative.
 
-    `parameters` are tensors by the names of `scene.parameters()`, such as "ball.vertices". The image is on their
-    device. It is compiled once for each structure of the scene, names, `spp` and `integrator`.
+    `parameters` are tensors by the names of `scene.parameters()`, such as "ball.vertices"; numbers and JAX arrays are
+    taken, too. The image is on the tensors' device. It is compiled once for each structure of the scene, names, `spp`
+    and `integrator`.
 
     Raises ValueError as `Scene.replace`, `jaxdr.render` and `from_jax` do.
     """
-    check_key("jaxdr.torch.render", key)
     return _renderer(spp, integrator)(scene, dict(parameters), key)
 
 

@@ -64,6 +64,7 @@ VALID: dict[str, dict[str, Any]] = {
     "Perspective": {"to_world": POSE, "fov": 40.0, "film": FILM},
     "Phong": {},
     "Plastic": {},
+    "Picture": {"images": PICTURE},
     "PointLight": {"position": (0, 0, 1)},
     "Principled": {},
     "Product": {"first": jd.Bitmap(PICTURE), "second": jd.Bitmap(PICTURE)},
@@ -190,6 +191,7 @@ def allowed(name: str, parameter: inspect.Parameter) -> set[str]:
 
 # Beyond what annotations say. A shape may be so large that no face of it has an area in float32, as `Mesh` says.
 ALLOWED = {
+    "Picture.titles": {"a name"},
     "BidirectionalPathTracer.boundary": {"None"},
     "PathTracer.boundary": {"None"},
     "adam_uniform.learning_rate": {"a function"},

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from jaxdr.argument_kinds import checked
 from jaxdr.images import signed_picture, to_srgb
 from jaxdr.whole_numbers import whole
 
@@ -18,6 +19,7 @@ NOT_A_NUMBER = (255, 0, 255)  # a colour that no rendering has by chance
 Images = Float[Array, "..."] | Float[np.ndarray, "..."]
 
 
+@checked
 class Picture:
     """Images as a notebook shows them: the last line of a cell. Nothing is printed, and no file is written.
 
@@ -90,7 +92,9 @@ def _arrays(images: Any) -> list[np.ndarray]:
         array = np.asarray(image, np.float32)
         array = array[..., None] if array.ndim == 2 else array
         if array.ndim != 3 or array.shape[-1] not in (1, 3) or 0 in array.shape:
-            raise ValueError(f"Picture: an image has shape [H, W, 3], [H, W, 1] or [H, W], got {list(np.shape(image))}")
+            raise ValueError(
+                f"Picture: each of images must have shape [H, W, 3], [H, W, 1] or [H, W], got {list(np.shape(image))}"
+            )
         found.append(array)
     if not found:
         raise ValueError("Picture: there is no image to show")
