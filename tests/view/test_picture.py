@@ -82,7 +82,7 @@ def test_images_of_any_sizes():
         ({"images": []}, "there is no image"),
         ({"images": np.ones(3)}, r"got \[3\]"),
         ({"images": np.ones((2, 2, 4))}, r"got \[2, 2, 4\]"),
-        ({"images": np.ones((0, 2, 3))}, "an image has shape"),
+        ({"images": np.ones((0, 2, 3))}, "each of images must have shape"),
         ({"images": np.ones((2, 2)), "titles": ["a", "b"]}, "2 titles for 1 images"),
         ({"images": np.ones((2, 2)), "signed": [True, False]}, "2 signed for 1 images"),
         ({"images": np.ones((2, 2)), "signed": True, "limit": 0.0}, "limit must be positive"),
