@@ -24,7 +24,6 @@ import numpy as np
 
 from jaxdr import __version__
 from jaxdr.aovs import NAMES, render_aovs
-from jaxdr.bars import tqdm
 from jaxdr.boundary import ESTIMATORS
 from jaxdr.boundary.named import OUTSIDE, estimator_class
 from jaxdr.chart.config import chart_config
@@ -37,8 +36,9 @@ from jaxdr.integrators import INTEGRATORS, Integrator, PathTracer
 from jaxdr.integrators.choice import choose
 from jaxdr.optimize.compare import compare, is_comparison, variants
 from jaxdr.optimize.config import optimize_config
+from jaxdr.optimize.heartbeat import working
 from jaxdr.optimize.processes import ProcessLost, leave_at_once, start_processes
-from jaxdr.optimize.progress import Interrupted, NotFinite, Stopped
+from jaxdr.optimize.progress import Interrupted, NotFinite, Progress, Stopped
 from jaxdr.optimize.reconstruction.config import QUALITIES, reconstruct_config
 from jaxdr.optimize.reconstruction.found_cameras import find_cameras_with_bars
 from jaxdr.optimize.reconstruction.reconstruct import reconstruct
@@ -119,8 +119,9 @@ def _render(options) -> int:
         check_image_path(path)
     scene = _load_scene(options)
     spp, depth = _settings(options)
-    image = _finite(_in_passes(scene, key, spp, INTEGRATORS[options.integrator](max_depth=depth, boundary=None)))
-    found = render_aovs(scene, key, spp=spp, names=aovs) if aovs else {}
+    with working(f"{output}: compiling and rendering"):
+        image = _finite(_in_passes(scene, key, spp, INTEGRATORS[options.integrator](max_depth=depth, boundary=None)))
+        found = render_aovs(scene, key, spp=spp, names=aovs) if aovs else {}
     found = {name: _finite(values.reshape(*values.shape[:2], -1)) for name, values in found.items()}
     for path, values in ((output, image), *((aovs[name], values) for name, values in found.items())):
         write_image(path, values)
@@ -150,10 +151,11 @@ def _in_passes(scene: Scene, key, spp: int, tracer: Integrator) -> np.ndarray:
     if len(counts) == 1:
         return np.asarray(image(scene, key, spp))
     total = 0.0
-    with tqdm(total=spp, unit="spp") as bar:
+    with Progress("render", len(counts)) as progress:
+        progress.preparing("compiling")
         for i, count in enumerate(counts):
             total = total + np.asarray(image(scene, jax.random.fold_in(key, i), count), np.float64) * (count / spp)
-            bar.update(count)
+            progress.step()
     return np.asarray(total, np.float32)
 
 
@@ -200,7 +202,8 @@ def _gradient(options) -> int:
 
         return jax.jvp(image, (value,), (tangent,))[1]
 
-    result = _finite(derivative(jax.random.key(options.seed)))
+    with working(f"{options.output}: compiling and rendering"):
+        result = _finite(derivative(jax.random.key(options.seed)))
     for output in outputs:
         if output.suffix.lower() == ".png":
             save_png(output, signed_picture(result.mean(-1), _color_limit(options, result)))
@@ -240,16 +243,17 @@ def _color_limit(options, result: np.ndarray) -> float:
 def _plan(options) -> int:
     scene = _load_scene(options)
     boundary = MEASURED if options.boundary == MEASURED else options.boundary()
-    found = plan(
-        scene,
-        options.wrt or None,
-        options.budget,
-        key=jax.random.key(options.seed),
-        max_depth=options.max_depth,
-        boundary=boundary,
-        spp=options.spp,
-        depth_tolerance=options.depth_tolerance,
-    )
+    with working(f"{options.scene}: compiling and measuring"):
+        found = plan(
+            scene,
+            options.wrt or None,
+            options.budget,
+            key=jax.random.key(options.seed),
+            max_depth=options.max_depth,
+            boundary=boundary,
+            spp=options.spp,
+            depth_tolerance=options.depth_tolerance,
+        )
     print(json.dumps(found.to_dict(), indent=2) if options.json else found)
     return 0
 

@@ -1,11 +1,15 @@
-"""Draws the figures of docs/how_it_works.md: `python docs/tools/figures.py`, from the root of the checkout."""
+"""Draws the figures of README and docs/how_it_works.md: `python docs/tools/figures.py`, from the checkout's root."""
 
+import io
+import json
+from base64 import b64decode
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
+from PIL import Image
 
 import jaxdr as jd
 
@@ -117,7 +121,22 @@ def draw_estimators() -> None:
     figure.savefig(FOLDER / "estimators.png", dpi=80)
 
 
+def draw_cow() -> None:
+    """README's first picture, of those in a notebook: a photograph, the asset from there, and in another light."""
+    notebook = json.loads((FOLDER.parent / "notebooks/photographs_to_asset.ipynb").read_text())
+    found = [output["data"] for cell in notebook["cells"] for output in cell.get("outputs", ()) if "data" in output]
+    first, *_, last = (Image.open(io.BytesIO(b64decode(data["image/png"]))) for data in found if "image/png" in data)
+    pair = first.crop((0, 22, 264, 150))  # of three rows: photograph, rendering, difference; without titles
+    last = last.crop((0, 22, last.width, last.height))
+    pair = pair.resize((round(pair.width * last.height / pair.height), last.height), Image.Resampling.LANCZOS)
+    canvas = Image.new("RGB", (pair.width + 8 + last.width, last.height), "white")
+    canvas.paste(pair, (0, 0))
+    canvas.paste(last, (pair.width + 8, 0))
+    canvas.quantize(256).save(FOLDER / "cow.png", optimize=True)
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
+    draw_cow()
     draw_estimators()
     draw_terms()
