@@ -174,12 +174,12 @@ def _aov_names(text: str) -> list[str]:
     return names
 
 
-def _gradient_tracer(scene: Scene, name: str, depth: int, boundary: Callable[[], Any] | None) -> PathTracer:
+def _gradient_tracer(scene: Scene, names: Sequence[str], depth: int, boundary: Callable | None) -> PathTracer:
     """A path tracer with the given estimator, or with the one that the rules choose. Prints the reason of a choice."""
     if boundary is not None:
         return PathTracer(max_depth=depth, boundary=boundary())
     chosen = choose(scene)
-    if moving_along(scene, (name,)).any and depth > 1:
+    if moving_along(scene, names).any and depth > 1:
         print(f"jaxdr: boundary estimator: {chosen.reason} (--boundary chooses)", file=sys.stderr)
     return PathTracer(max_depth=depth, boundary=chosen.estimator)
 
@@ -191,16 +191,17 @@ def _gradient(options) -> int:
         if output.suffix.lower() == ".hdr":
             raise ValueError(f"{output}: derivatives have negative values, which .hdr can't hold; .pfm and .exr can")
     scene = _load_scene(options)
-    name, value, tangent = motion(scene, options.wrt)
+    moved = motion(scene, options.wrt)
+    values, tangents = ({name: pair[i] for name, pair in moved.items()} for i in range(2))
     spp, depth = _settings(options)
-    tracer = _gradient_tracer(scene, name, depth, options.boundary)
+    tracer = _gradient_tracer(scene, tuple(moved), depth, options.boundary)
 
     @jit
     def derivative(key):
-        def image(v):
-            return render(scene.replace({name: v}), key, spp=spp, integrator=tracer)
+        def image(values):
+            return render(scene.replace(values), key, spp=spp, integrator=tracer)
 
-        return jax.jvp(image, (value,), (tangent,))[1]
+        return jax.jvp(image, (values,), (tangents,))[1]
 
     with working(f"{options.output}: compiling and rendering"):
         result = _finite(derivative(jax.random.key(options.seed)))

@@ -103,7 +103,7 @@ def measure(case: str, made, keys: int) -> list[dict]:
     from jaxdr.scene.motion import motion
 
     scene, moved, depth = made()
-    name, value, velocity = motion(scene, moved)
+    ((name, (value, velocity)),) = motion(scene, moved).items()
     estimators = {
         "LineSampling": jd.LineSampling(),
         "KernelDensity": jd.KernelDensity(),

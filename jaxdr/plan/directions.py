@@ -43,14 +43,15 @@ def direction(scene: Scene, params: Sequence[str] | None, key: PRNGKeyArray) -> 
         raise ValueError("plan: params is empty; name at least one parameter, or leave it out for all vertices")
     values, velocities = {}, {}
     for number, asked in enumerate(names):
-        name, value = asked, parameters.get(asked)
+        value = parameters.get(asked)
         if value is None:
-            name, value, velocity = motion(scene, asked)
+            moved = motion(scene, asked)
         else:
-            velocity = _random(scene, name, value, jax.random.fold_in(key, number))
-        if name in values:
-            raise ValueError(f"plan: params name {name} twice, the second time as {asked!r}")
-        values[name], velocities[name] = value, velocity
+            moved = {asked: (value, _random(scene, asked, value, jax.random.fold_in(key, number)))}
+        for name, (value, velocity) in moved.items():
+            if name in values:
+                raise ValueError(f"plan: params name {name} twice, the second time as {asked!r}")
+            values[name], velocities[name] = value, velocity
     return Direction(values, velocities)
 
 

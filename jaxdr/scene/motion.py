@@ -28,12 +28,19 @@ def closest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Array, "*n"]]:
-    """(name of the scene parameter that a motion changes, its value, its derivative with respect to the motion).
+def members(scene: Scene, owner: str) -> tuple[str, ...]:
+    """Ids of the shapes that a name of a motion begins with: one, or a group such as `ball+hat`; else nothing."""
+    ids = (owner,) if owner in scene.shapes else tuple(owner.split("+"))
+    return ids if set(ids) <= set(scene.shapes) and len(set(ids)) == len(ids) else ()
+
+
+def motion(scene: Scene, name: str) -> dict[str, tuple[Float[Array, "*n"], Float[Array, "*n"]]]:
+    """What a motion changes: name of the parameter -> (its value, its derivative with respect to the motion).
 
     - `<shape>.translate.x|y|z`: world-space translation of the vertices, in scene units;
     - `<shape>.rotate.x|y|z`: right-handed rotation, in radians, about a world axis through the centre of the shape's
       bounding box;
+    - `<shape>+<shape>.translate.x`, …: several shapes as one, about the centre of their common box;
     - `camera.translate.x|y|z`, `camera.rotate.x|y|z`: the same for the camera, about its position;
     - any other parameter of `scene.parameters()` (`spot.bsdf.reflectance`, `camera.fov`, …), or a tie: all its
       components grow together, by one per unit.
@@ -41,21 +48,21 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     Raises ValueError for any other name.
     """
     parameters = every_parameter(scene)
-    geometric = {key: key.removesuffix(".vertices") for key in parameters if key.endswith(".vertices")}
-    owners = {owner: key for key, owner in geometric.items()} | {"camera": "camera.to_world"}
+    owners = {owner: f"{owner}.vertices" for owner in scene.shapes} | {"camera": "camera.to_world"}
 
     owner, _, rest = name.partition(".")
     kind, _, axis = rest.partition(".")
-    if owner in owners and kind in ("translate", "rotate") and axis in AXES:
-        key = owners[owner]
-        value = np.asarray(parameters[key])
-        direction = np.asarray(AXES[axis], value.dtype)
-        derive = _camera_derivative if key == "camera.to_world" else _vertex_derivative
-        return key, parameters[key], as_array(derive(kind, value, direction), value.dtype)
+    shapes = members(scene, owner)
+    if (shapes or owner == "camera") and kind in ("translate", "rotate") and axis in AXES:
+        keys = [owners[each] for each in shapes or ("camera",)]
+        values = [np.asarray(parameters[key]) for key in keys]
+        direction = np.asarray(AXES[axis], values[0].dtype)
+        moved = (_vertex_derivatives if shapes else _camera_derivatives)(kind, values, direction)
+        return {key: (parameters[key], as_array(by, by.dtype)) for key, by in zip(keys, moved, strict=True)}
 
     plain = [key for key in parameters if key not in owners.values()]
     if name in plain:
-        return name, parameters[name], as_array(np.ones(parameters[name].shape), parameters[name].dtype)
+        return {name: (parameters[name], as_array(np.ones(parameters[name].shape), parameters[name].dtype))}
     moves = [f"{o}.{k}.{a}" for o in owners for k in ("translate", "rotate") for a in AXES]
     hint = closest(name, [*moves, *plain])
     known = [f"{o}.translate|rotate.x|y|z" for o in owners]
@@ -64,16 +71,18 @@ def motion(scene: Scene, name: str) -> tuple[str, Float[Array, "*n"], Float[Arra
     )
 
 
-def _vertex_derivative(kind, vertices, direction):
+def _vertex_derivatives(kind, group, direction):
     if kind == "translate":
-        return np.broadcast_to(direction, vertices.shape)
-    return np.cross(direction, vertices - (vertices.min(0) + vertices.max(0)) / 2)
+        return [np.broadcast_to(direction, vertices.shape) for vertices in group]
+    low, high = np.min([vertices.min(0) for vertices in group], 0), np.max([vertices.max(0) for vertices in group], 0)
+    return [np.cross(direction, vertices - (low + high) / 2) for vertices in group]
 
 
-def _camera_derivative(kind, to_world, direction):
+def _camera_derivatives(kind, poses, direction):
+    (to_world,) = poses
     derivative = np.zeros_like(to_world)
     if kind == "translate":
         derivative[:3, 3] = direction
     else:
         derivative[:3, :3] = np.cross(direction, to_world[:3, :3].T).T
-    return derivative
+    return [derivative]

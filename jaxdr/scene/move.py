@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from jaxdr.argument_kinds import checked
 from jaxdr.arrays import as_numbers, traced
 from jaxdr.geometry.rotation import rotation_matrix
-from jaxdr.scene.motion import AXES, closest
+from jaxdr.scene.motion import AXES, closest, members
 from jaxdr.scene.scene import Scene
 
 KINDS = ("scale", "rotate", "translate")  # in the order in which they are done
@@ -43,11 +43,12 @@ def move(scene: Scene, motions: Mapping[str, ArrayLike]) -> Scene:
     - `SHAPE.rotate`: [3], axis times angle in radians, right-handed about a world axis through the centre of the
       shape's bounding box; `SHAPE.rotate.x` is an angle.
     - `SHAPE.scale`: a factor or three, from that centre; `SHAPE.scale.x` is one factor.
+    - `SHAPE+SHAPE.rotate`, …: several shapes as one, about the centre of their common box.
     - `camera.translate`, `camera.rotate`, with axes as well: the camera turns about its position.
 
     A shape is scaled first, then turned (by the vector, about x, y, z), then translated, whatever the order of the
-    names. Small motions are those of `jaxdr gradient --wrt`. Raises ValueError for unknown names, for values of another
-    shape, and as `Scene.replace` does.
+    names. Groups move after the shapes in them, larger groups last. Small motions are those of `jaxdr gradient --wrt`.
+    Raises ValueError for unknown names, for values of another shape, and as `Scene.replace` does.
     """
     if not traced(scene, dict(motions)):  # concrete values are moved to the same ones inside `jit`
         with jax.ensure_compile_time_eval():
@@ -61,15 +62,21 @@ def _moved(scene: Scene, motions: Mapping[str, ArrayLike]) -> Scene:
         owner, motion = _parsed(scene, name, value)
         moves.setdefault(owner, []).append(motion)
     parameters, new = scene.parameters(), {}
-    for owner, done in moves.items():
+    for owner, done in sorted(moves.items(), key=lambda item: (len(members(scene, item[0])), item[0])):
         done.sort(key=lambda motion: (KINDS.index(motion.kind), motion.axis))
-        key = "camera.to_world" if owner == "camera" else f"{owner}.vertices"
-        new[key] = (_moved_pose if owner == "camera" else _moved_vertices)(parameters[key], done)
+        if owner == "camera":
+            new["camera.to_world"] = _moved_pose(parameters["camera.to_world"], done)
+            continue
+        keys = [f"{each}.vertices" for each in members(scene, owner)]
+        group = [new.get(key, parameters[key]) for key in keys]
+        new |= zip(keys, _moved_vertices(group, done), strict=True)
     return scene.replace(new)
 
 
 def _parsed(scene: Scene, name: str, value: ArrayLike) -> tuple[str, _Motion]:
-    known = {f"{owner}.{kind}": owner for owner in scene.shapes for kind in KINDS}
+    owner = name.partition(".")[0]
+    owners = [*scene.shapes, *([owner] if owner not in scene.shapes and members(scene, owner) else [])]
+    known = {f"{owner}.{kind}": owner for owner in owners for kind in KINDS}
     known |= {f"camera.{kind}": "camera" for kind in KINDS if kind != "scale"}
     names = {f"{start}{axis}": (start, axis[1:]) for start in known for axis in ("", *(f".{a}" for a in AXES))}
     if name not in names:
@@ -84,15 +91,20 @@ def _parsed(scene: Scene, name: str, value: ArrayLike) -> tuple[str, _Motion]:
     return known[start], _Motion(kind, axis, array)
 
 
-def _moved_vertices(vertices: Float[Array, "V 3"], motions: list[_Motion]) -> Float[Array, "V 3"]:
-    about = (vertices.min(0) + vertices.max(0)) / 2
+def _moved_vertices(group: list[Float[Array, "_ 3"]], motions: list[_Motion]) -> list[Float[Array, "_ 3"]]:
+    """The vertices of shapes that move as one."""
+    low = jnp.stack([vertices.min(0) for vertices in group]).min(0)
+    high = jnp.stack([vertices.max(0) for vertices in group]).max(0)
+    about = (low + high) / 2
     local = [motion for motion in motions if motion.kind != "translate"]
-    if local:
+    found = []
+    for vertices in group:
         moved = vertices - about
         for motion in local:
             moved = moved * motion.factors() if motion.kind == "scale" else moved @ rotation_matrix(motion.vector()).T
-        vertices = moved + about
-    return sum((motion.vector() for motion in motions if motion.kind == "translate"), start=vertices)
+        start = moved + about if local else vertices
+        found.append(sum((motion.vector() for motion in motions if motion.kind == "translate"), start=start))
+    return found
 
 
 def _moved_pose(to_world: Float[Array, "4 4"], motions: list[_Motion]) -> Float[Array, "4 4"]:

@@ -57,12 +57,49 @@ def test_a_camera_turns_about_its_position(scene):
 @pytest.mark.parametrize("axis", "xyz")
 def test_small_motions_are_those_of_derivative_images(scene, owner, kind, axis):
     name = f"{owner}.{kind}.{axis}"
-    key, value, tangent = motion(scene, name)
+    ((key, (value, tangent)),) = motion(scene, name).items()
     primal, found = jax.jit(
         lambda by: jax.jvp(lambda by: jd.move(scene, {name: by}).parameters()[key], (by,), (jnp.ones(()),))
     )(jnp.zeros(()))
     np.testing.assert_allclose(primal, value, atol=1e-6)
     np.testing.assert_allclose(found, tangent, atol=1e-5)
+
+
+GROUP = "spot+floor"
+
+
+def test_a_group_moves_as_one(scene):
+    """About the centre of the common box: x and y of the floor's, z between the floor and the top of the box."""
+    found = jd.move(scene, {f"{GROUP}.translate.x": 3.0, f"{GROUP}.rotate.z": 0.7, f"{GROUP}.scale": 2.0}).parameters()
+    points = [np.asarray(scene.parameters()[f"{name}.vertices"], float) for name in ("spot", "floor")]
+    low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
+    about, turn = (low + high) / 2, Rotation.from_rotvec([0, 0, 0.7]).as_matrix()
+    for name, before in zip(("spot", "floor"), points, strict=True):
+        expected = 2 * (before - about) @ turn.T + about + [3, 0, 0]
+        np.testing.assert_allclose(found[f"{name}.vertices"], expected, atol=2e-5)
+
+
+def test_a_group_moves_after_its_shapes(scene):
+    motions = {f"{GROUP}.translate.x": 1.0, "spot.scale": 3.0, f"{GROUP}.rotate.y": 0.2}
+    one = jd.move(jd.move(scene, {"spot.scale": 3.0}), {k: v for k, v in motions.items() if k.startswith(GROUP)})
+    for name, value in jd.move(scene, motions).parameters().items():
+        np.testing.assert_allclose(value, one.parameters()[name], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", [f"{GROUP}.rotate.y", f"{GROUP}.translate.z"])
+def test_small_motions_of_groups_are_those_of_derivative_images(scene, name):
+    moved = motion(scene, name)
+    found = jax.jvp(lambda by: jd.move(scene, {name: by}).parameters(), (jnp.zeros(()),), (jnp.ones(()),))[1]
+    assert set(moved) == {"spot.vertices", "floor.vertices"}
+    for key, (_, tangent) in moved.items():
+        np.testing.assert_allclose(found[key], tangent, atol=1e-5)
+
+
+def test_a_name_with_a_plus_is_a_shape_first(scene):
+    named = jd.Scene(scene.shapes | {GROUP: scene.shapes["spot"]}, scene.camera)
+    assert list(motion(named, f"{GROUP}.translate.x")) == [f"{GROUP}.vertices"]
+    moved = jd.move(named, {f"{GROUP}.translate.x": 1.0}).parameters()
+    assert np.array_equal(moved["spot.vertices"], named.parameters()["spot.vertices"])
 
 
 def test_the_image_of_a_translated_shape(scene):
@@ -82,6 +119,8 @@ def test_the_image_of_a_translated_shape(scene):
             "'sport.translate.x' is no motion of this scene; did you mean 'spot.translate.x'?",
         ),
         ({"camera.scale": 2.0}, "'camera.scale' is no motion"),
+        ({"spot+spot.translate.x": 2.0}, "'spot.spot.translate.x' is no motion"),
+        ({"spot+roof.translate.x": 2.0}, "'spot.roof.translate.x' is no motion"),
         ({"spot.vertices": 1.0}, "known: floor.scale, .* camera.translate; .x, .y, .z"),
         ({"spot.rotate.": 1.0}, "is no motion"),
         ({"spot.rotate.w": 1.0}, "is no motion"),
