@@ -5,6 +5,7 @@ import ast
 import dataclasses
 import html
 import inspect
+import operator
 import os
 import re
 import shlex
@@ -153,6 +154,31 @@ CODE = {
     "docs/write_a_light.md": (imports, False),
     "docs/write_an_estimator.md": (with_a_scene("spot"), True),
 }
+
+
+def calls_in_tables(page: str) -> list[str]:
+    """Code in cells of tables that is Python with a name of ours; … stands for what readers fill in."""
+    cells = re.findall(r"(?<=`)[^`|\n]*\bjd\.[^`|\n]*(?=`)", (ROOT / page).read_text())
+    return [cell.replace("…", "...") for cell in cells]
+
+
+@pytest.mark.parametrize("page", ["docs/coming_from.md", "docs/faq.md"])
+def test_calls_that_pages_recommend_are_possible(page):
+    """They are Python, their names are public, and functions have the parameters that are named."""
+    found = 0
+    for text in calls_in_tables(page):
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("jd."):
+                called = operator.attrgetter(ast.unparse(node).removeprefix("jd."))(jd)
+                assert called is not None, text
+            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("jd."):
+                called = operator.attrgetter(ast.unparse(node.func).removeprefix("jd."))(jd)
+                named = {keyword.arg: None for keyword in node.keywords if keyword.arg}
+                whole = "..." not in ast.unparse(node)
+                bind = inspect.signature(called).bind if whole and node.args else inspect.signature(called).bind_partial
+                bind(*[None] * len(node.args), **named)
+                found += 1
+    assert found >= (20 if page == "docs/coming_from.md" else 1)
 
 
 def test_every_page_with_code_is_run():

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from jaxdr.geometry.mesh import Mesh
 from jaxdr.geometry.queries import Geometry, Rays, closest_hit
 from jaxdr.optimize.reconstruction.hull import surface_of
-from jaxdr.optimize.warp_distances import surface_distances
 
 DEEP = 0.03  # of the longest side: beyond what points are off by
 HOLLOW = 0.15  # share of the points from which on the outlines alone are no good start
@@ -37,6 +36,8 @@ def carved(
     """
     from gpytoolbox import fast_winding_number
     from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
+
+    from jaxdr.optimize.warp_distances import surface_distances  # on use: importing Warp takes long
 
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     low, high = vertices.min(0), vertices.max(0)
