@@ -97,7 +97,7 @@ def test_a_run_improves_and_leaves_everything(config, tmp_path):
     written = {str(p.relative_to(tmp_path / "run")) for p in (tmp_path / "run").rglob("*") if p.is_file()}
     numbers = range(0, 31, 3)
     assert written == {
-        *("jaxdr.json", ".jaxdr.lock", "config.json", "metrics.csv", "metrics.json"),
+        *("jaxdr.json", ".jaxdr.lock", "config.json", "metrics.csv", "metrics.json", "report.html"),
         *("targets.npy", "checkpoint.npz"),
         *(f"pictures/{i:05d}.png" for i in numbers),
         *(f"meshes/{i:05d}.glb" for i in numbers),

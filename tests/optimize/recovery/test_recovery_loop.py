@@ -94,6 +94,7 @@ def test_shape_and_texture_improve_together_and_leave_everything(config, tmp_pat
         *(
             "jaxdr.json",
             ".jaxdr.lock",
+            "report.html",
             "config.json",
             "metrics.csv",
             "metrics.json",
