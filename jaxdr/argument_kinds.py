@@ -8,7 +8,7 @@ number that has to be known.
 import inspect
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from itertools import chain, repeat
 from os import PathLike
@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import AbstractArray, PRNGKeyArray
+from jaxtyping import AbstractArray, PRNGKeyArray, jaxtyped
 from numpy.typing import ArrayLike
 
 Checked = TypeVar("Checked", bound=Callable)
@@ -27,6 +27,7 @@ Checked = TypeVar("Checked", bound=Callable)
 NUMBERS = "made of numbers"
 LONGEST = 60  # characters of a value in a message
 LARGEST = 2**63  # whole numbers are below
+MANY = 1000  # rows of a list are looked at one by one up to here
 ARRAY_LIKE, KEYS = (frozenset(typing.get_args(union)) for union in (ArrayLike, PRNGKeyArray))
 # How a message names a class of the package, where a name alone would not say what to write.
 SUCH_AS = {
@@ -95,7 +96,7 @@ def shown(value: Any) -> str:
     if inspect.isroutine(value):
         return f"the function {value.__name__}"
     if not isinstance(value, bool | int | float | complex | str | bytes | Sequence | Mapping | PathLike | None):
-        return repr(value.item()) if isinstance(value, np.generic) else _of_type(value)
+        return repr(value.item()) if dtype is not None and shape == () else _of_type(value)
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # Python does not write whole numbers of more than 4,300 digits
@@ -107,7 +108,7 @@ def made_of_numbers(value: Any) -> bool:
     """Whether a value is a number, or an array or regular lists of numbers; no complex ones, and no True and False."""
     try:
         shape_of(value)
-    except (WrongKind, TypeError, ValueError):
+    except (WrongKind, TypeError, ValueError, RuntimeError):  # the last one from tensors that need a gradient
         return False
     return True
 
@@ -120,6 +121,8 @@ def shape_of(value: Any) -> tuple[int, ...]:
         if isinstance(value, int) and not abs(value) < LARGEST:
             raise WrongKind
         return ()
+    if isinstance(value, list | tuple) and len(value) > MANY:
+        value = np.asarray(value)  # raises ValueError where rows differ
     if isinstance(value, list | tuple):
         shapes = {shape_of(part) for part in value}
         if len(shapes) > 1:
@@ -145,6 +148,8 @@ def _taken(kinds: dict[str, Kind], name: str, value: Any, owner: str) -> Any:
         got = shown(value)
         if kind.words.startswith(NUMBERS) and isinstance(value, str | PathLike) and PurePath(value).suffix:
             got += "; jaxdr.load_image reads files"
+        if any(kind.__module__.split(".")[0] == "torch" for kind in type(value).__mro__):
+            got += "; jaxdr.torch differentiates tensors"
         raise ValueError(f"{owner}: {name} must be {kind.words}, got {got}") from None
 
 
@@ -218,7 +223,11 @@ def _tuple(parts: tuple[Any, ...]) -> Kind | None:
     kinds = [_kind(part) for part in parts]
 
     def taken(value: Any) -> tuple:
-        if not isinstance(value, Collection) or isinstance(value, str) or len(value) != len(kinds):
+        if (
+            not isinstance(value, Sequence | np.ndarray | jax.Array)
+            or isinstance(value, str)
+            or len(value) != len(kinds)
+        ):
             raise WrongKind
         return tuple(kind.taken(part) if kind else part for kind, part in zip(kinds, value, strict=True))
 
@@ -261,6 +270,8 @@ def _plural(part: Any) -> str:
     names = {str: "names", int: "whole numbers", bool: "flags", float: "numbers"}
     if set(typing.get_args(part)) >= ARRAY_LIKE:
         return "numbers"
+    if any(isinstance(each, type) and issubclass(each, AbstractArray) for each in (part, *typing.get_args(part))):
+        return "arrays"
     return names.get(part) or f"jaxdr.{getattr(part, '__name__', part)}"
 
 
@@ -268,13 +279,15 @@ def _array(annotation: Any) -> Kind:
     """Arrays of jaxtyping, whose axes agree by name only inside of the function."""
     dimensions = annotation.dim_str
     likewise = annotation.dtype[Any, dimensions]  # NumPy's arrays as well as JAX's
+    kinds = jax.Array | np.ndarray  # not those of other libraries, which have shapes and types, too
     flags = annotation.dtype.__name__ == "Bool"
     axes = ", ".join("..." if axis[0] == "*" else axis for axis in dimensions.split())
     words = f"{'flags' if flags else 'floats'} of shape [{axes}]"
 
     def taken(value: Any) -> Any:
-        if not isinstance(value, likewise):
-            raise WrongKind
+        with jaxtyped("context"):  # names of axes are not those of the caller's function
+            if not (isinstance(value, kinds) and isinstance(value, likewise)):
+                raise WrongKind
         return value
 
     return Kind(words, taken)
@@ -340,8 +353,8 @@ def _flag(value: Any) -> bool:
 
 def _key(value: Any) -> Any:
     """One of JAX's types of keys, or the words of an old one."""
-    dtype = getattr(value, "dtype", None)
-    if dtype is None or not (jnp.issubdtype(dtype, jax.dtypes.prng_key) or dtype == jnp.uint32):
+    is_array = isinstance(value, jax.Array | np.ndarray)
+    if not is_array or not (jnp.issubdtype(value.dtype, jax.dtypes.prng_key) or value.dtype == jnp.uint32):
         raise WrongKind
     return value
 

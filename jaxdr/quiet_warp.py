@@ -20,9 +20,14 @@ NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
 _lock = threading.Lock()
 
 
-@cache
 def start_warp() -> None:
     """Start Warp, if nobody did, without its banner and without its warning that there is no CUDA driver."""
+    with _lock:
+        _start_warp()
+
+
+@cache
+def _start_warp() -> None:
     with quiet(), _without(NO_DRIVER):
         wp.init()
 
@@ -52,9 +57,10 @@ def _without(start: bytes) -> Iterator[None]:
     except OSError:  # there is none
         yield
         return
-    sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
         try:
+            if sys.stderr is not None:
+                sys.stderr.flush()
             os.dup2(file.fileno(), 2)
             yield
         finally:

@@ -3,8 +3,9 @@
 Arrays are shared by DLPack, so nothing is copied. A tensor and its gradient stay on one device. PyTorch is optional.
 """
 
+import types
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, update_wrapper
 from typing import Any, NamedTuple
 
 import jax
@@ -20,7 +21,6 @@ from jaxdr.scene.scene import Scene
 
 try:
     import torch
-    from torch.autograd.function import once_differentiable
 except ImportError as _missing:
     raise ImportError('jaxdr.torch needs PyTorch, which is optional: pip install -e ".[torch]"') from _missing
 
@@ -31,14 +31,16 @@ def from_jax(function: Callable) -> Callable:
 
     Arguments and results are any nesting of dictionaries, lists and tuples. Tensors become arrays of the same shape,
     type and device, and arrays become tensors. Numbers and JAX arrays such as random keys are passed on, and have no
-    derivative. All else, such as strings, is static: the function is compiled for each value. It is compiled for each
-    set of shapes and of tensors that need a gradient, so boundary terms are there only where they are needed.
+    derivative. All else, such as strings and flags, is static: the function is compiled for each value. It is compiled
+    for each set of shapes and of tensors that need a gradient, so boundary terms are there only where they are needed.
+    A function that is jitted already is taken without its `jit`.
 
-    Raises ValueError for what can't be called, for a tensor that JAX can't share, for one of float64 where JAX has no
-    float64, and for a result that is no array; TypeError for static arguments that can't be hashed. Second derivatives
-    raise PyTorch's RuntimeError.
+    Raises ValueError for what can't be called, for a tensor that JAX can't share, for one of float64 or int64 that JAX
+    would shorten, for a static argument that can't be hashed, inside `jax.jit`, and for a result that is no array.
+    Second derivatives raise RuntimeError.
     """
-    return _FromJax(function)
+    # JAX takes compiler options in the outermost function alone.
+    return _FromJax(function.__wrapped__ if hasattr(function, "lower") else function)
 
 
 @checked
@@ -55,9 +57,16 @@ def render(
     taken, too. The image is on the tensors' device. It is compiled once for each structure of the scene, names, `spp`
     and `integrator`.
 
-    Raises ValueError as `Scene.replace`, `jaxdr.render` and `from_jax` do.
+    Raises ValueError as `Scene.replace`, `jaxdr.render` and `from_jax` do, and for an integrator with guides.
     """
-    return _renderer(spp, integrator)(scene, dict(parameters), key)
+    try:
+        image = _renderer(spp, integrator)
+    except TypeError as problem:
+        raise ValueError(
+            "jaxdr.torch.render: this integrator has arrays, such as guides, and can't be kept; make your own function "
+            "once: from_jax(lambda parameters, key: jaxdr.render(scene.replace(parameters), key, spp, integrator))"
+        ) from problem
+    return image(scene, dict(parameters), key)
 
 
 @cache
@@ -68,11 +77,11 @@ def _renderer(spp: int, integrator: Integrator | None) -> Callable:
 class _Arguments(NamedTuple):
     """What is static about the arguments of a call; hashable."""
 
-    structure: Any  # a jax.tree_util.PyTreeDef
+    structure: Any  # a jax.tree_util.PyTreeDef, of (arguments, arguments by name)
     static: tuple  # for each leaf: (value,), or None if it is traced
     wanted: tuple[bool, ...]  # for each traced leaf: whether it is differentiated
 
-    def joined(self, differentiated: list, others: list) -> tuple:
+    def joined(self, differentiated: list, others: list) -> tuple[tuple, dict]:
         """The arguments, of the traced leaves in their order."""
         parts = {True: iter(differentiated), False: iter(others)}
         traced = (next(parts[wanted]) for wanted in self.wanted)
@@ -85,32 +94,37 @@ class _FromJax:
 
     def __init__(self, function: Callable):
         self.function = function
-        self.__doc__ = function.__doc__
+        update_wrapper(self, function)
         self.value = jit(self._value, static_argnums=0)
         self.value_and_vjp = jit(self._value_and_vjp, static_argnums=0)
         self.tangent = jit(self._tangent, static_argnums=0)
 
-    def __call__(self, *arguments: Any) -> Any:
-        leaves, structure = jax.tree.flatten(arguments)
-        static, traced, wanted = [], [], []
-        for leaf in leaves:
-            is_traced = isinstance(leaf, torch.Tensor | jax.Array | int | float | complex) or hasattr(leaf, "__array__")
-            static.append(None if is_traced else (leaf,))
-            if is_traced:
-                traced.append(leaf)
-                wanted.append(_is_differentiated(leaf))
-        call = _Arguments(structure, tuple(static), tuple(wanted))
-        others = [_array(leaf) for leaf, wants in zip(traced, wanted, strict=True) if not wants]
-        differentiated = [leaf for leaf, wants in zip(traced, wanted, strict=True) if wants]
-        shapes: list = []
-        results = _Function.apply(self, call, others, shapes, *differentiated)
-        return jax.tree.unflatten(shapes[0], results)
+    def __get__(self, owner: Any, kind: type | None = None) -> Callable:
+        return self if owner is None else types.MethodType(self, owner)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        leaves, structure = jax.tree.flatten((arguments, named))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            raise ValueError("jaxdr.torch: inside of jax.jit or jax.grad call the function of JAX arrays itself")
+        static = tuple(None if _is_traced(leaf) else (leaf,) for leaf in leaves)
+        traced = [leaf for leaf, value in zip(leaves, static, strict=True) if value is None]
+        call = _Arguments(structure, static, tuple(map(_is_differentiated, traced)))
+        try:
+            hash(call)
+        except TypeError as problem:
+            raise ValueError(f"jaxdr.torch: an argument that is no number and no array: {problem}") from problem
+        pairs = list(zip(traced, call.wanted, strict=True))
+        others = [_array(leaf) for leaf, wanted in pairs if not wanted]
+        results = _Function.apply(self, call, others, shape := [], *(leaf for leaf, wanted in pairs if wanted))
+        return jax.tree.unflatten(shape[0], results)
 
     def _value(self, call: _Arguments, differentiated: list, others: list) -> Any:
-        result = self.function(*call.joined(differentiated, others))
+        arguments, named = call.joined(differentiated, others)
+        result = self.function(*arguments, **named)
         for leaf in jax.tree.leaves(result, is_leaf=lambda x: x is None):
-            if not isinstance(leaf, jax.Array | int | float | complex):
-                kind = type(leaf).__name__
+            is_key = isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+            if is_key or not isinstance(leaf, jax.Array | int | float | complex):
+                kind = "a random key" if is_key else type(leaf).__name__
                 raise ValueError(f"jaxdr.torch: the function returned {kind} where an array was expected")
         return jax.tree.map(jnp.asarray, result)
 
@@ -128,7 +142,7 @@ def _pulled_back(pullback: Callable, cotangent: Any) -> list:
 
 
 class _Function(torch.autograd.Function):
-    """A call of `_FromJax`, as PyTorch's autograd sees it."""
+    """A call of `_FromJax`, as PyTorch's autograd sees it. Its cotangents are the conjugates of JAX's."""
 
     @staticmethod
     def forward(ctx, owner: _FromJax, call: _Arguments, others: list, shapes: list, *tensors: torch.Tensor):
@@ -150,21 +164,47 @@ class _Function(torch.autograd.Function):
         return tuple(results)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, *cotangents):
         tensors = ctx.saved_tensors
         leaves = [_cotangent(leaf, cotangent) for leaf, cotangent in zip(ctx.leaves, cotangents, strict=True)]
         gradients = _pulled_back(ctx.pullback, jax.tree.unflatten(ctx.structure, leaves))
-        return None, None, None, None, *(_tensor(g).to(t.dtype) for g, t in zip(gradients, tensors, strict=True))
+        found = [_tensor(jnp.conj(g)).to(t.dtype) for g, t in zip(gradients, tensors, strict=True)]
+        return None, None, None, None, *_first_only(found, tensors, cotangents)
 
     @staticmethod
     def jvp(ctx, _owner, _call, _others, _shapes, *tangents):
-        arrays = [_array(tensor) for tensor in ctx.saved_tensors]
-        moves = [
-            jnp.zeros_like(x) if t is None else _array(t).astype(x.dtype) for x, t in zip(arrays, tangents, strict=True)
-        ]
+        tensors = ctx.saved_tensors
+        arrays = [_array(tensor) for tensor in tensors]
+        pairs = zip(arrays, tangents, strict=True)
+        moves = [jnp.zeros_like(x) if t is None else _array(t).astype(x.dtype) for x, t in pairs]
         leaves = jax.tree.leaves(ctx.owner.tangent(ctx.call, arrays, ctx.others, moves))
-        return tuple(None if leaf.dtype == float0 else _tensor(leaf) for leaf in leaves)
+        found = iter(_first_only([_tensor(leaf) for leaf in leaves if leaf.dtype != float0], tensors, tangents))
+        return tuple(None if leaf.dtype == float0 else next(found) for leaf in leaves)
+
+
+def _first_only(derivatives: list, tensors: tuple, directions: tuple) -> tuple:
+    """Derivatives that depend on tensors and directions in a way that is not known: they can't be differentiated."""
+    return _FirstOnly.apply(len(derivatives), *derivatives, *tensors, *directions)
+
+
+class _FirstOnly(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, count: int, *given):
+        return tuple(derivative.view_as(derivative) for derivative in given[:count])
+
+    @staticmethod
+    def backward(ctx, *_):
+        raise RuntimeError("jaxdr.torch: functions of JAX have first derivatives only")
+
+    @staticmethod
+    def jvp(ctx, *_):
+        raise RuntimeError("jaxdr.torch: functions of JAX have first derivatives only")
+
+
+def _is_traced(leaf: Any) -> bool:
+    if isinstance(leaf, bool):
+        return False
+    return isinstance(leaf, torch.Tensor | jax.Array | int | float | complex) or hasattr(leaf, "__array__")
 
 
 def _is_differentiated(leaf: Any) -> bool:
@@ -182,11 +222,14 @@ def _array(leaf: Any) -> jax.Array:
     """The array that shares its memory with a tensor. Raises ValueError for a tensor that JAX can't share."""
     if not isinstance(leaf, torch.Tensor):
         return jnp.asarray(leaf)
-    if leaf.dtype in (torch.float64, torch.complex128) and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+    if leaf.dtype in (torch.float64, torch.complex128) and not jax.config.jax_enable_x64:
         raise ValueError(
             "jaxdr.torch: a tensor is float64, and JAX computes in float32: take tensor.float(), or call "
             'jax.config.update("jax_enable_x64", True) first'
         )
+    if leaf.dtype == torch.int64 and not jax.config.jax_enable_x64 and leaf.numel():
+        if max(int(leaf.max()), -int(leaf.min())) >= 2**31:
+            raise ValueError("jaxdr.torch: a tensor is int64, with numbers that don't fit into JAX's int32")
     try:
         # JAX shares what is in order and copies the rest. Bits of lazy negation and conjugation are resolved.
         return jax.dlpack.from_dlpack(leaf.detach().resolve_conj().resolve_neg().contiguous())
@@ -196,11 +239,11 @@ def _array(leaf: Any) -> jax.Array:
 
 
 def _tensor(array: jax.Array) -> torch.Tensor:
-    """The tensor that shares its memory with an array, which nobody else has."""
+    """The tensor that shares its memory with an array: a result of a jitted function, which nobody else has."""
     return torch.from_dlpack(jax.block_until_ready(array))
 
 
 def _cotangent(leaf: jax.ShapeDtypeStruct, cotangent: torch.Tensor | None) -> Any:
     if not jnp.issubdtype(leaf.dtype, jnp.inexact):
-        return jnp.zeros(leaf.shape, float0)  # pyright: ignore[reportArgumentType]
-    return jnp.zeros(leaf.shape, leaf.dtype) if cotangent is None else _array(cotangent)
+        return jnp.zeros(leaf.shape, float0)
+    return jnp.zeros(leaf.shape, leaf.dtype) if cotangent is None else _array(cotangent.conj())

@@ -81,9 +81,7 @@ def test_scenes_that_the_integrator_does_not_take_are_refused(image):
     "arguments, message",
     [
         ({"spp": 0}, "spp must be a positive whole number of samples per pixel, got 0"),
-        ({"spp": 2.5}, "got 2.5"),
-        ({"scene": 3}, "expected a jaxdr.Scene, got int"),
-        ({"integrator": jd.PathTracer}, "expected an integrator such as"),
+        ({"spp": -3}, "got -3"),
     ],
 )
 def test_wrong_arguments(function, arguments, message):

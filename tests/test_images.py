@@ -37,7 +37,7 @@ def test_exr_keeps_every_value(tmp_path, image):
 
 def test_missing_openexr_is_named(tmp_path, image, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(ValueError, match=r'pip install "jaxdr\[exr\]"'):
+    with pytest.raises(ValueError, match=r'pip install -e "\.\[exr\]"'):
         write_image(tmp_path / "a.exr", image)
 
 

@@ -133,12 +133,107 @@ def test_a_tensor_that_was_changed_in_between_is_refused():
         y.backward()
 
 
-def test_second_derivatives_are_refused():
+ONLY = "first derivatives only"
+
+
+def cube(x):
+    return x**3
+
+
+def gradient_penalty(function):
     x = torch.ones(3, requires_grad=True)
-    y = jdt.from_jax(lambda x: x**3)(x).pow(2).sum()
+    y = function(x).sum()
     (first,) = torch.autograd.grad(y, x, create_graph=True)
-    with pytest.raises(RuntimeError, match="once_differentiable"):
-        first.sum().backward()
+    (y + first.pow(2).sum()).backward()
+
+
+def forward_over_reverse(function):
+    x = torch.ones(3, requires_grad=True)
+    with torch.autograd.forward_ad.dual_level():
+        y = function(torch.autograd.forward_ad.make_dual(x, torch.ones(3))).sum()
+        return torch.autograd.grad(y, x, create_graph=True)
+
+
+def reverse_over_forward(function):
+    x = torch.ones(3, requires_grad=True)
+    with torch.autograd.forward_ad.dual_level():
+        y = function(torch.autograd.forward_ad.make_dual(x, torch.ones(3)))
+        return torch.autograd.grad(torch.autograd.forward_ad.unpack_dual(y).tangent.sum(), x)
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        lambda f: torch.autograd.functional.hessian(lambda x: f(x).sum(), torch.ones(3)),
+        lambda f: torch.autograd.functional.hvp(lambda x: f(x).sum(), torch.ones(3), torch.ones(3)),
+        gradient_penalty,
+        forward_over_reverse,
+        reverse_over_forward,
+    ],
+    ids=["hessian", "hvp", "penalty", "forward over reverse", "reverse over forward"],
+)
+def test_second_derivatives_are_refused(second):
+    """They would be zero without a word."""
+    with pytest.raises(RuntimeError, match=ONLY):
+        second(jdt.from_jax(cube))
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+@pytest.mark.parametrize(
+    "function",
+    [lambda z: jnp.real(z * z), lambda z: jnp.sin(z) * z, lambda z: jnp.abs(z)],
+    ids=["real", "holomorphic", "magnitude"],
+)
+def test_complex_numbers_have_the_derivatives_of_pytorch(function):
+    z = torch.tensor([1 + 2j, 3 - 1j, -0.5 + 0.1j], dtype=torch.complex128, requires_grad=True)
+    assert torch.autograd.gradcheck(jdt.from_jax(function), (z,), check_forward_ad=True)
+    x = torch.tensor([0.3, 2.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(jdt.from_jax(lambda x: jnp.exp(1j * x) * x), (x,), check_forward_ad=True)
+
+
+def test_several_backward_passes():
+    x = torch.ones(3, requires_grad=True)
+    y = jdt.from_jax(cube)(x).sum()
+    y.backward(retain_graph=True)
+    y.backward()
+    np.testing.assert_allclose(x.grad.numpy(), 6.0)
+
+
+def test_results_are_nobody_elses_memory():
+    """Changing a result in place changes neither the argument nor the gradient."""
+    x = torch.ones(3, requires_grad=True)
+    y = jdt.from_jax(lambda x: (x, 2 * x))(x)
+    with torch.no_grad():
+        y[0].fill_(7.0)
+    np.testing.assert_array_equal(x.detach().numpy(), 1.0)
+    y[1].sum().backward()
+    x.grad.zero_()
+    np.testing.assert_array_equal(y[1].detach().numpy(), 2.0)
+
+
+def test_arguments_by_name_flags_and_methods():
+    @jdt.from_jax
+    def scaled(x, *, by=2.0, negative=False):
+        """Its words."""
+        return -by * x if negative else by * x
+
+    class Scaler:
+        by = 3.0
+
+        @jdt.from_jax
+        def scaled(self, x):
+            return self.by * x
+
+    x = torch.ones(2)
+    assert scaled(x, by=3.0).tolist() == [3, 3] and scaled(x, negative=True).tolist() == [-2, -2]
+    assert scaled.__name__ == "scaled" and scaled.__doc__ == "Its words."
+    assert Scaler().scaled(x).tolist() == [3, 3]
+
+
+def test_a_jitted_function_is_taken_without_its_jit():
+    x = torch.ones(3, requires_grad=True)
+    jdt.from_jax(jd.jit(cube))(x).sum().backward()
+    np.testing.assert_allclose(x.grad.numpy(), 3.0)
 
 
 # Renderings
@@ -209,13 +304,28 @@ def test_a_renderer_is_kept():
         (lambda: jdt.from_jax(jnp.sum)(torch.ones(3).to_sparse()), "can't be shared with JAX"),
         (lambda: jdt.from_jax(jnp.sum)(torch.ones(3, device="meta")), "can't be shared with JAX"),
         (lambda: jdt.from_jax(lambda x: None)(torch.ones(3)), "returned NoneType where an array was expected"),
+        (lambda: jdt.from_jax(lambda x: KEY)(torch.ones(3)), "returned a random key where an array was expected"),
+        (lambda: jdt.from_jax(jnp.sum)(torch.ones(3), axis={0, 1}), "an argument that is no number and no array"),
+        (lambda: jax.jit(jdt.from_jax(jnp.sum))(jnp.ones(3)), "call the function of JAX arrays itself"),
+        (lambda: jdt.render(ball_scene(), {}, KEY, 1, guided()), "this integrator has arrays, such as guides"),
     ],
-    ids=["sparse", "no memory", "no array"],
+    ids=["sparse", "no memory", "no array", "key", "static", "inside of jit", "guides"],
 )
 def test_one_line_says_what_is_wrong(call, words):
     with pytest.raises(ValueError, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def guided() -> jd.PathTracer:
+    return jd.PathTracer(max_depth=2, boundary=jd.build_guides(ball_scene(), jd.GuidedEdges()))
+
+
+def test_int64_is_not_shortened_silently():
+    with jax.enable_x64(False):
+        assert jdt.from_jax(jnp.sum)(torch.tensor([1, 2])).item() == 3
+        with pytest.raises(ValueError, match="don't fit into JAX's int32"):
+            jdt.from_jax(jnp.sum)(torch.tensor([2**40]))
 
 
 def test_float64_is_not_shortened_silently():

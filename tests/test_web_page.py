@@ -1,17 +1,16 @@
 """The pages of runs and charts: a browser loads nothing for them, whatever is in the files that they show."""
 
+import json
+
 import numpy as np
 import pytest
+from PIL import Image
 
-import jaxdr as jd
 from jaxdr.chart.page import Section
 from jaxdr.chart.page import page as chart_page
-from jaxdr.optimize.reconstruction.config import ReconstructConfig
-from jaxdr.optimize.reconstruction.output import OutputFolder
-from jaxdr.optimize.reconstruction.page import page_row, report_page
-from jaxdr.views.evaluate import Evaluation, Score
+from jaxdr.view.folder import read_folder
+from jaxdr.view.page import page as run_page
 from jaxdr.web_page import content_policy
-from tests.views.folders import SIZE, write_nerf
 
 ATTACK = "</title><script src='https://example.org/x.js'></script><img src='https://example.org/x.png'>"
 
@@ -22,12 +21,13 @@ def of_chart(tmp_path) -> str:
 
 
 def of_reconstruction(tmp_path) -> str:
-    views = jd.load_views(write_nerf(tmp_path))
-    folder = OutputFolder(ReconstructConfig(folder=f"x{ATTACK}", output=str(tmp_path / "out")), views)
-    score = Score(ATTACK, 30.0, 0.9, None)
-    view = views.views[0].with_picture(np.ones((SIZE, SIZE, 3), np.float32), None)
-    row = page_row(view, np.ones((SIZE, SIZE, 4), np.float32), score)
-    return report_page([row], Evaluation((score,)), "held out", False, folder)
+    run, name = tmp_path / "<script src=x.js>", "<script src=y.js>"
+    (run / "compared").mkdir(parents=True)
+    Image.new("RGB", (4, 4)).save(run / "compared" / f"{name}.png")
+    (run / "config.json").write_text(json.dumps({"unknown": ATTACK}))
+    views = [{"name": name, "psnr": 30.0, "ssim": ATTACK}]
+    (run / "metrics.json").write_text(json.dumps({"judged_by": ATTACK, "views": views}))
+    return run_page(read_folder(run))
 
 
 @pytest.mark.parametrize("make", [of_chart, of_reconstruction])

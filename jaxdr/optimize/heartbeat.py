@@ -1,11 +1,13 @@
 """Signs of life: what was begun last and is not done is asked once a second to show that it goes on."""
 
+import os
+import shutil
 import sys
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 PERIOD = 1.0  # seconds
 PATIENCE = 5.0  # seconds of silence before a line, where there is no terminal; then twice as long, each time
@@ -38,7 +40,8 @@ def beating(shown: Shown) -> Iterator[None]:
         yield
     finally:
         with _lock:
-            _shown.remove(shown)
+            if shown in _shown:
+                _shown.remove(shown)
             if not _shown and _stop is not None:
                 _stop.set()
                 _stop = None
@@ -46,9 +49,20 @@ def beating(shown: Shown) -> Iterator[None]:
 
 def _beat(stop: threading.Event) -> None:
     while not stop.wait(PERIOD):
-        with _lock:
+        with _lock, suppress(Exception):  # such as a terminal that is gone: the work itself goes on
             if _shown and not stop.is_set():
                 _shown[-1].beat()
+
+
+def _forget() -> None:
+    """In a child process: its parent's thread is not there, and may have held the lock."""
+    global _lock, _stop
+    _lock, _stop = threading.Lock(), None
+    _shown.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
 
 
 class Pauses:
@@ -82,6 +96,7 @@ class _Working(Shown):
     def beat(self) -> None:
         line = f"{self.text} ({clock(self.pauses.seconds())})"
         if sys.stderr.isatty():
+            line = line[1 - shutil.get_terminal_size().columns :]  # a line that wraps can't be written over
             print(f"\r{line}", end="", file=sys.stderr, flush=True)
             self.width = len(line)
         elif self.pauses.due():

@@ -92,7 +92,7 @@ class Progress(Shown):
 
     def _left(self) -> str:
         """How long the remaining steps take, by the last ones that prepared nothing."""
-        if not self.paces:
+        if not self.paces or self.done == self.total:
             return ""
         return f"{clock(sum(self.paces) / len(self.paces) * (self.total - self.done))} left"
 

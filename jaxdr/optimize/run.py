@@ -123,6 +123,7 @@ def _steps(task: Task, folder: RunFiles) -> dict:
                 after, row = task.step(state, done, progress.say)
             except NotFinite as problem:
                 folder.save_checkpoint(*task.saved(state, done))
+                folder.save_page(progress.say)
                 raise NotFinite(f"{problem}; the state before that step is in {folder.checkpoint}") from None
             state, done = after, done + 1
             folder.add_metrics({**row, folder.columns[0]: done, "seconds": round(task.seconds(), 2)})
@@ -137,10 +138,10 @@ def _steps(task: Task, folder: RunFiles) -> dict:
                 folder.save_checkpoint(*task.saved(state, done))
             if stop and not last:
                 task.stopped(state, progress.say)
-                folder.save_page()
+                folder.save_page(progress.say)
                 raise Interrupted(f"stopped after step {done}; checkpoint in {folder.checkpoint}")
     with working(f"{folder.path}: writing the results"):
         summary = task.finish(state, done)
         folder.save_summary(summary)
-        folder.save_page()
+        folder.save_page(say)
     return summary

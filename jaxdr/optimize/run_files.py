@@ -12,7 +12,6 @@ from jaxtyping import PyTree
 
 from jaxdr.atomic_file import CannotWrite, append_text, atomic_path
 from jaxdr.optimize.checkpoint import Checkpoint, Owner, Place, load_checkpoint, save_checkpoint
-from jaxdr.optimize.heartbeat import say
 from jaxdr.optimize.progress import Stopped
 from jaxdr.optimize.results_folder import MARKER, Results, files_of, results_folder, settled
 from jaxdr.untrusted import json_text, reason
@@ -115,7 +114,7 @@ class RunFiles:
         """Write `metrics.json`; numbers that are not finite become null."""
         self.write_text("metrics.json", json_text(summary))
 
-    def save_page(self) -> None:
+    def save_page(self, say: Callable[[str], None]) -> None:
         """Write `report.html`, the page of `jaxdr view`. If something can't be shown, a line says so."""
         try:
             write_page(self.path, self.path / PAGE)

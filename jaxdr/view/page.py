@@ -107,7 +107,8 @@ def _compared(results: Results) -> list[str]:
     scores = view_scores(results.summary) if results.summary else {}
     kind = results.summary and dict(summary_rows(results.summary)).get("judged_by")
     some = "" if len(scores) <= len(results.compared) else f" {len(results.compared)} of {len(scores)} are shown."
-    note = f"Views that were {kind}: photograph, rendering, difference. Red is too bright, blue too dark.{some}"
+    views = f"Views that were {kind}: photograph" if kind else "Photograph"
+    note = f"{views}, rendering, difference. Red is too bright, blue too dark.{some}"
     captions = [(" · ".join((item.name, *scores.get(item.name, ()))), item) for item in results.compared]
     return [f"<h2>Photographs and renderings</h2><p class='note'>{html.escape(note)}</p>", _figures("wide", captions)]
 

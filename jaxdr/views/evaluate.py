@@ -59,11 +59,10 @@ class Evaluation(NamedTuple):
             "iou": ("IoU", 3),
         }
         shown = {name: words for name, words in figures.items() if name in found}
-        numbers = {kind: {name: found[name][kind] for name in shown} for kind in ("mean", "worst")}
-        numbers |= {score.name: score._asdict() for score in self.scores}
+        numbers = [(kind, {name: found[name][kind] for name in shown}) for kind in ("mean", "worst")]
+        numbers += [(score.name, score._asdict()) for score in self.scores]
         rows = [
-            (name, *(f"{row[figure]:.{digits}f}" for figure, (_, digits) in shown.items()))
-            for name, row in numbers.items()
+            (name, *(f"{row[figure]:.{digits}f}" for figure, (_, digits) in shown.items())) for name, row in numbers
         ]
         return html_summary("Evaluation", table(("view", *(words for words, _ in shown.values())), rows))
 

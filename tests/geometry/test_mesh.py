@@ -44,7 +44,7 @@ BAD_INPUT = {
     "nan vertex": (dict(vertices=np.array([[0, 0, 0], [1, 0, np.nan], [0, 1, 0]])), r"vertices\[1\].*not finite"),
     "overflow": (dict(vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1e39, 0]])), r"vertices\[2\].*not finite"),
     "vertex shape": (dict(vertices=CORNER[:, :2]), r"vertices must be numbers of shape \[n, 3\].*\[4, 2\]"),
-    "vertex type": (dict(vertices=CORNER.astype(str)), "vertices must be numbers"),
+    "vertex type": (dict(vertices=CORNER.astype(str)), "vertices must be made of numbers"),
     "no vertices": (dict(vertices=np.zeros((0, 3))), "vertices is empty"),
     "index too large": (dict(faces=[[0, 1, 2], [0, 1, 4]]), r"faces\[1\] = \[0, 1, 4\] is out of range.*4 vertices"),
     "negative index": (dict(faces=[[0, -1, 2]]), r"faces\[0\].*out of range"),

@@ -122,5 +122,5 @@ def test_nothing_is_printed(capfd, bumpy):
 
 def test_says_how_to_install_it(bumpy, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyinstantmeshes", None)
-    with pytest.raises(ImportError, match=r'pip install "jaxdr\[field-aligned\]"'):
+    with pytest.raises(ImportError, match=r'pip install -e "\.\[field-aligned\]"'):
         jd.remesh_field_aligned(bumpy, 400)

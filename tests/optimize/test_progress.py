@@ -52,7 +52,7 @@ def test_lines_where_there_is_no_terminal(time_of, capsys):
     assert capsys.readouterr().err.splitlines() == [
         "optimise 3/7  loss 0.5",
         "optimise 6/7  loss 0.2  0:04 left",
-        "optimise 7/7  loss 0.1235  0:00 left",
+        "optimise 7/7  loss 0.1235",
         "done",
     ]
 

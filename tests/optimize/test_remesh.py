@@ -87,9 +87,11 @@ def test_shading_is_kept(gpytoolbox, sphere):
 
 
 def test_rejects_bad_lengths(gpytoolbox, sphere):
-    for length in (0.0, -1.0, 10.0, float("nan")):
+    for length in (0.0, -1.0, 10.0):
         with pytest.raises(ValueError, match="edge_length must lie between"):
             remesh(sphere, length)
+    with pytest.raises(ValueError, match="edge_length must be a number, got nan"):
+        remesh(sphere, float("nan"))
 
 
 def test_rejects_a_non_manifold_mesh(gpytoolbox):
@@ -115,5 +117,5 @@ def test_unusable_results_are_refused(gpytoolbox, sphere, monkeypatch, vertices,
 
 def test_says_how_to_install_gpytoolbox(sphere, monkeypatch):
     monkeypatch.setitem(sys.modules, "gpytoolbox", None)
-    with pytest.raises(ImportError, match=r'pip install "jaxdr\[remesh\]"'):
+    with pytest.raises(ImportError, match=r'pip install -e "\.\[remesh\]"'):
         remesh(sphere, 0.3)

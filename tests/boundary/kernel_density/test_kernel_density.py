@@ -45,7 +45,7 @@ def test_the_plain_kernel_is_the_papers():
     "options, message",
     [
         ({"radius": 0.0}, "radius must be positive"),
-        ({"radius": float("nan")}, "radius must be positive"),
+        ({"radius": float("nan")}, "radius must be a number, got nan"),
         ({"alpha": 1.0}, "alpha must lie between 0 and 1"),
         ({"alpha": 0.0}, "alpha must lie between 0 and 1"),
         ({"iterations": 0}, "iterations must be at least 1"),

@@ -61,5 +61,5 @@ def test_it_looks_as_the_paint_did(tmp_path, textured):
 
 def test_without_xatlas_its_remedy_is_said(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
-    with pytest.raises(ImportError, match=r"jaxdr\[reconstruct\]"):
+    with pytest.raises(ImportError, match=r"\.\[reconstruct\]"):
         unwrapped(painted()[0], 64)
