@@ -91,6 +91,8 @@ def shown(value: Any) -> str:
     if isinstance(value, Tracer):
         return "a traced value"
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if any(kind.__module__.partition(".")[0] == "torch" for kind in type(value).__mro__):
+        return f"a tensor of shape {list(shape or ())} ({dtype}); jaxdr.torch differentiates tensors"
     if dtype is not None and shape:
         return f"an array of shape {list(shape)} ({dtype})"
     if inspect.isroutine(value):
@@ -148,8 +150,6 @@ def _taken(kinds: dict[str, Kind], name: str, value: Any, owner: str) -> Any:
         got = shown(value)
         if kind.words.startswith(NUMBERS) and isinstance(value, str | PathLike) and PurePath(value).suffix:
             got += "; jaxdr.load_image reads files"
-        if any(kind.__module__.split(".")[0] == "torch" for kind in type(value).__mro__):
-            got += "; jaxdr.torch differentiates tensors"
         raise ValueError(f"{owner}: {name} must be {kind.words}, got {got}") from None
 
 

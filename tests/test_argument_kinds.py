@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beartype import beartype
+from jaxtyping import Float, jaxtyped
 
 import jaxdr as jd
 from jaxdr.argument_kinds import checked, made_of_numbers, shown
@@ -144,3 +146,47 @@ def test_what_is_made_of_numbers(value):
 @pytest.mark.parametrize("value", [None, True, "1", [[1], 2], [1, "a"], 1j, {}, {1}, np.array([True]), np.array(["a"])])
 def test_what_is_not_made_of_numbers(value):
     assert not made_of_numbers(value)
+
+
+def test_names_of_axes_are_not_those_of_the_callers_function():
+    """H and W of the caller's picture are others than those of a picture that it passes on."""
+
+    @jaxtyped(typechecker=beartype)
+    def half(image: Float[jax.Array, "H W 3"]):
+        return jd.losses.l2(image[::2, ::2], image[::2, ::2])
+
+    assert half(jnp.zeros((8, 8, 3))) == 0.0
+
+
+class Tensor:
+    """Of another library: it has a shape and a type, and gives its numbers only if it needs no gradient."""
+
+    shape, dtype = (4, 4, 3), "torch.float32"
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+
+
+Tensor.__module__ = "torch"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: jd.losses.l2(Tensor(), Tensor()),
+        lambda: jd.Picture(Tensor()),
+        lambda: jd.Diffuse(Tensor()),
+        lambda: jd.render(wrong_arguments.SCENE, Tensor()),
+    ],
+    ids=["loss", "picture", "material", "key"],
+)
+def test_tensors_of_pytorch_are_refused_with_the_way_to_go(call):
+    with pytest.raises(
+        ValueError, match=r"got a tensor of shape \[4, 4, 3\] \(torch.float32\); jaxdr\.torch differentiates tensors"
+    ):
+        call()
+
+
+def test_long_lists_are_looked_at_as_arrays():
+    rows = [[0.0, 1.0, 2.0]] * 5000
+    assert made_of_numbers(rows) and not made_of_numbers([*rows, [1.0]]) and not made_of_numbers([*rows, ["a", 1, 2]])
