@@ -9,14 +9,17 @@ photographs. Somebody comes from PyTorch.
 """
 
 import argparse
+import fcntl
 import os
 import pty
 import re
 import select
 import shlex
+import struct
 import subprocess
 import sys
 import tempfile
+import termios
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -83,6 +86,7 @@ def steps(folder: Path) -> list[Step]:
 def measured(command: str, folder: Path, environment: dict[str, str], log: Path) -> Measured:
     """Run a line on a terminal. A silence is the time between two outputs, or before the first, or after the last."""
     outside, inside = pty.openpty()
+    fcntl.ioctl(inside, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
     start = last = time.perf_counter()
     process = subprocess.Popen(
         command, shell=True, cwd=folder, env=environment, stdin=inside, stdout=inside, stderr=inside, close_fds=True

@@ -1,5 +1,6 @@
 """Progress for people: a bar on a terminal or in a notebook, else lines; and signals that wait for a step's end."""
 
+import os
 import signal
 import sys
 import threading
@@ -38,7 +39,8 @@ class Progress(Shown):
             if IN_NOTEBOOK or sys.stderr.isatty():
                 layout = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
                 settings = {"initial": self.done, "desc": self.name, "bar_format": layout}
-                self.bar = tqdm(total=self.total, file=sys.stderr, dynamic_ncols=True, **settings)
+                width = {"dynamic_ncols": True} if _has_width() else {"ncols": 80}
+                self.bar = tqdm(total=self.total, file=sys.stderr, **width, **settings)
             self.context.enter_context(beating(self))
         return self
 
@@ -99,6 +101,14 @@ class Progress(Shown):
     def _postfix(self) -> None:
         parts = (self._left(), self.note, self.values)
         self.bar.set_postfix_str(", ".join(part for part in parts if part), refresh=False)
+
+
+def _has_width() -> bool:
+    """Whether the terminal says how wide it is: a bar of no width shows nothing."""
+    try:
+        return IN_NOTEBOOK or os.get_terminal_size(sys.stderr.fileno()).columns > 0
+    except (OSError, ValueError):
+        return False
 
 
 class Interrupted(Exception):
