@@ -53,5 +53,7 @@ def main(steps: int = STEPS) -> dict[str, jax.Array]:
 
 
 if __name__ == "__main__":
-    for name, value in main().items():
+    with jd.working("finding albedo and light"):
+        found = main()
+    for name, value in found.items():
         print(name, value)

@@ -43,7 +43,8 @@ def main() -> tuple[float, float]:
         return (mean(STEP, key, MANY, plain) - mean(-STEP, key, MANY, plain)) / (2 * STEP)
 
     keys = jax.random.split(jax.random.key(0), KEYS)
-    ours, theirs = (jnp.array([function(key) for key in keys]) for function in (by_jvp, by_difference))
+    with jd.working("compiling and rendering"):
+        ours, theirs = (jnp.array([function(key) for key in keys]) for function in (by_jvp, by_difference))
     for name, values in (("jvp", ours), ("finite differences", theirs)):
         print(f"{name:20s} {values.mean():.5f} ± {values.std() / KEYS**0.5:.5f}")
     ratio = ours.mean() / theirs.mean()

@@ -43,4 +43,6 @@ def main() -> jax.Array:
 
 
 if __name__ == "__main__":
-    print("mean absolute derivative:", float(jnp.abs(main()).mean()))
+    with jd.working("compiling and rendering"):
+        derivative = main()
+    print("mean absolute derivative:", float(jnp.abs(derivative).mean()))

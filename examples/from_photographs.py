@@ -55,4 +55,6 @@ def main(folder: str = "photographs", steps: int = STEPS) -> tuple[float, float]
 
 
 if __name__ == "__main__":
-    print("PSNR of held-out photographs: {:.1f} dB before, {:.1f} dB after".format(*main()))
+    with jd.working("finding shape, colours and sky"):
+        psnr = main()
+    print("PSNR of held-out photographs: {:.1f} dB before, {:.1f} dB after".format(*psnr))

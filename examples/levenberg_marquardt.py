@@ -48,4 +48,6 @@ def main(steps: int = 12) -> jax.Array:
 
 
 if __name__ == "__main__":
-    print("found", main(), "true", TRUE)
+    with jd.working("compiling and solving"):
+        found = main()
+    print("found", found, "true", TRUE)

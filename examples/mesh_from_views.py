@@ -55,4 +55,6 @@ def main(steps: int = STEPS) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    print("Chamfer distance: {:.4f} before, {:.4f} after".format(*main()))
+    with jd.working("finding the figure"):
+        distances = main()
+    print("Chamfer distance: {:.4f} before, {:.4f} after".format(*distances))

@@ -42,6 +42,8 @@ def main(steps: int = STEPS) -> jax.Array:
         return optax.apply_updates(pose, updates), state, loss
 
     pose, state = START, optimiser.init(START)
+    with jd.working("compiling"):
+        step(pose, state, jax.random.key(1))
     for i in range(steps):
         pose, state, loss = step(pose, state, jax.random.key(i + 1))
         if i % 20 == 0 or i == steps - 1:

@@ -1,6 +1,6 @@
-"""Take photographs: a folder of pictures, masks and cameras, for from_photographs.py and `jaxdr reconstruct`.
+"""Take photographs: a folder of pictures, masks and cameras in the layout of instant-ngp.
 
-It has the layout of instant-ngp. The folder is the argument, or `photographs`. Put your own photographs in its place.
+The folder is the argument, or `photographs`. Put your own photographs in its place.
 """
 
 import json
@@ -58,9 +58,10 @@ def main(folder: str = "photographs", count=PHOTOGRAPHS, pixels=PIXELS, samples=
         # jaxdr's cameras have x to the left and look along +z; those of instant-ngp x to the right, along -z.
         matrix = np.asarray(pose) @ np.diag([-1.0, 1.0, -1.0, 1.0])
         frames.append({"file_path": f"images/{i:02d}.png", "transform_matrix": matrix.tolist()})
-    cameras = {"camera_angle_x": float(np.radians(FOV)), "frames": frames}
-    (Path(folder) / "transforms.json").write_text(json.dumps(cameras, indent=1))
+    cameras = json.dumps({"camera_angle_x": np.radians(FOV), "frames": frames}, indent=1)
+    (Path(folder) / "transforms.json").write_text(cameras)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with jd.working("taking photographs"):
+        main(*sys.argv[1:])

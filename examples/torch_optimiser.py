@@ -32,12 +32,14 @@ def main(steps: int = STEPS) -> tuple[torch.Tensor, torch.Tensor]:
         moved = jd.move(scene, {"ball.translate": place})
         return jd.render(moved.replace({"ball.bsdf.reflectance": colour}), key, SAMPLES, tracer)
 
-    with torch.no_grad():
+    with torch.no_grad(), jd.working("compiling the image"):
         target = image(torch.tensor([0.4, 0.1, 0.2]), torch.tensor([0.8, 0.4, 0.1]), jax.random.key(0))
 
     place = torch.zeros(3, requires_grad=True)
     latent = torch.zeros(3, requires_grad=True)  # has no bounds; a sigmoid of it is a colour
     optimiser = torch.optim.Adam([{"params": [place], "lr": 0.03}, {"params": [latent], "lr": 0.1}])
+    with jd.working("compiling the gradient"):
+        image(place, torch.sigmoid(latent), jax.random.key(1)).sum().backward()
     for step in range(steps):
         optimiser.zero_grad()
         found = image(place, torch.sigmoid(latent), jax.random.key(step + 1))

@@ -50,4 +50,6 @@ def main(pixels: int = 48) -> jax.Array:
 
 
 if __name__ == "__main__":
-    print("derivative of the mean by k:", main())
+    with jd.working("compiling and rendering"):
+        derivative = main()
+    print("derivative of the mean by k:", derivative)

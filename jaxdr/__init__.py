@@ -37,6 +37,7 @@ from jaxdr.optimize import losses as losses
 from jaxdr.optimize.adam import adam_uniform as adam_uniform
 from jaxdr.optimize.chamfer import chamfer as chamfer
 from jaxdr.optimize.field_aligned import remesh_field_aligned as remesh_field_aligned
+from jaxdr.optimize.heartbeat import working as working
 from jaxdr.optimize.preconditioner import LargeSteps as LargeSteps
 from jaxdr.optimize.remesh import remesh as remesh
 from jaxdr.plan.plan import plan as plan

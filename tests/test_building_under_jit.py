@@ -114,7 +114,7 @@ NOT_BUILT = """
     EstimatorWarning Film Gaussian GuidedEdges KernelDensity LineSampling MarkovChains Moving PathTracer Picture Plan
     QuadricSampling RednerWAS Requests ReusedGuides Tent Term Texture View Views WalkOnCaps WarpedArea adam_uniform
     build_guides chamfer derivative_terms evaluate_views guide_report jit losses plan refit_guides render
-    render_aovs render_views save_gltf save_mesh write_image
+    render_aovs render_views save_gltf save_mesh working write_image
 """
 
 

@@ -126,6 +126,7 @@ VALID: dict[str, dict[str, Any]] = {
     "shapes.torus": {},
     "shapes.transformed": {"mesh": BALL, "matrix": MATRIX},
     "shapes.trefoil_tube": {},
+    "working": {"text": "compiling"},
     "write_image": {"path": "out.npy", "image": PICTURE},
 }
 

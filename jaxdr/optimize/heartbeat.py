@@ -9,6 +9,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from jaxdr.argument_kinds import checked
+
 PERIOD = 1.0  # seconds
 PATIENCE = 5.0  # seconds of silence before a line, where there is no terminal; then twice as long, each time
 MOST_PATIENCE = 60.0
@@ -127,11 +129,13 @@ def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
+@checked
 @contextmanager
 def working(text: str) -> Iterator[None]:
     """Inside the block a line on stderr says what goes on, and for how long: on a terminal from the first second on.
 
-    Elsewhere it is printed after a few seconds, and then less and less often.
+    Elsewhere it is printed after a few seconds, and then less and less often. For scripts, while they compile:
+    `with jaxdr.working("compiling"): gradient(x, key)`. Raises ValueError for a text that is no string.
     """
     shown = _Working(text)
     clear_line()
