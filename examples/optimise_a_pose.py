@@ -31,7 +31,8 @@ def main(steps: int = STEPS) -> jax.Array:
         placed = jd.move(scene, {"box.translate.x": x, "box.translate.y": y, "box.rotate.z": angle})
         return jd.render(placed, key, spp=spp, integrator=tracer)
 
-    target = image(TRUE, jax.random.key(0), spp=256)
+    with jd.working("rendering the target"):
+        target = image(TRUE, jax.random.key(0), spp=256)
     optimiser = optax.adam(optax.cosine_decay_schedule(0.04, steps, alpha=0.05))
 
     @jax.jit
