@@ -15,7 +15,7 @@ import trimesh
 import jaxdr as jd
 
 PIXELS, SAMPLES, PHOTOGRAPHS, FOV = 128, 64, 24, 30.0
-SPOT = Path(__file__).parents[1] / "experiments/data/spot_low.obj"  # by Keenan Crane, in the public domain
+SPOT = Path(__file__).resolve().parents[1] / "experiments/data/spot_low.obj"  # by Keenan Crane, in the public domain
 Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # of meshes and skies that have y up
 
 
