@@ -159,7 +159,7 @@ CODE = {
 def calls_in_tables(page: str) -> list[str]:
     """Code in cells of tables that is Python with a name of ours; … stands for what readers fill in."""
     cells = re.findall(r"(?<=`)[^`|\n]*\bjd\.[^`|\n]*(?=`)", (ROOT / page).read_text())
-    return [cell.replace("…", "...") for cell in cells]
+    return [cell.replace("…", "...") + (" ..." if cell.endswith(":") else "") for cell in cells]
 
 
 @pytest.mark.parametrize("page", ["docs/coming_from.md", "docs/faq.md"])

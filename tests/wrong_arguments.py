@@ -193,6 +193,7 @@ def allowed(name: str, parameter: inspect.Parameter) -> set[str]:
 # Beyond what annotations say. A shape may be so large that no face of it has an area in float32, as `Mesh` says.
 ALLOWED = {
     "Picture.titles": {"a name"},
+    "working.text": {"a name"},
     "BidirectionalPathTracer.boundary": {"None"},
     "PathTracer.boundary": {"None"},
     "adam_uniform.learning_rate": {"a function"},
