@@ -47,18 +47,16 @@ class Measured(NamedTuple):
     status: int
 
 
-def block(page: str, language: str, number: int) -> str:
-    """A fenced block of a page, by its number among those of its language."""
-    found = re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
-    return found[number]
+def blocks(page: str, language: str) -> list[str]:
+    """The fenced blocks of a page that are in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
 
 
 def steps(folder: Path) -> list[Step]:
     """What the three do. Code of pages is written to files of the folder."""
-    (folder / "twenty_lines.py").write_text(block("README.md", "python", 0))
-    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs/quickstart.md").read_text(), re.DOTALL | re.MULTILINE)
-    (folder / "quickstart.py").write_text("\n".join(blocks))
-    install, *job = block("README.md", "sh", 0).splitlines()
+    (folder / "twenty_lines.py").write_text(blocks("README.md", "python")[0])
+    (folder / "quickstart.py").write_text("\n".join(blocks("docs/quickstart.md", "python")))
+    install, *job = blocks("README.md", "sh")[0].splitlines()
     scene = "experiments/data/reference_scenes/direct_spot/scene.xml"
     run = f"jupyter nbconvert --to notebook --execute --output-dir {folder}"
     return [

@@ -15,28 +15,19 @@ import torch
 
 import jaxdr as jd
 import jaxdr.torch
+from experiments.compilation.scenes import MOVING, scene_of
 
 ROUNDS = 9
 
 
-def readme_scene() -> jd.Scene:
-    """The scene of README's twenty lines."""
-    ball = jd.Shape(jd.shapes.sphere(3, radius=0.5, center=(0.0, 0.0, 0.8)), jd.Diffuse((0.8, 0.5, 0.3)))
-    floor = jd.Shape(jd.shapes.plane(10.0), jd.TwoSided(jd.Diffuse(0.5)))
-    lamp = jd.shapes.transformed(jd.shapes.rectangle(1.0, 1.0), jd.look_at((2, 1, 4), (0, 0, 0.5), (0, 1, 0)))
-    shapes = {"ball": ball, "floor": floor, "lamp": jd.Shape(lamp, jd.Diffuse(0.0), jd.AreaEmitter(20.0))}
-    pose = jd.look_at((0, -4, 2.5), (0, 0, 0.5), (0, 0, 1))
-    return jd.Scene(shapes, jd.Perspective(pose, fov=35.0, film=jd.Film(128, 128)))
-
-
 def main() -> None:
     """Prints a table: value and gradient of both, and seconds."""
-    scene = readme_scene()
+    scene = scene_of("plain", jd.Film(128, 128))
     target = jd.render(scene, jax.random.key(0), spp=64)
-    vertices = scene.parameters()["ball.vertices"] + jnp.array([0.1, 0.0, 0.0])
+    vertices = scene.parameters()[MOVING] + jnp.array([0.1, 0.0, 0.0])
 
     def loss(x, key):
-        return jd.losses.l2(jd.render(scene.replace({"ball.vertices": x}), key, spp=16), target)
+        return jd.losses.l2(jd.render(scene.replace({MOVING: x}), key, spp=16), target)
 
     in_jax = jd.jit(jax.value_and_grad(loss))
     of_tensors = torch.from_numpy(np.array(vertices)).requires_grad_()
@@ -44,7 +35,7 @@ def main() -> None:
 
     def in_torch(key):
         of_tensors.grad = None
-        image = jaxdr.torch.render(scene, {"ball.vertices": of_tensors}, key, spp=16)
+        image = jaxdr.torch.render(scene, {MOVING: of_tensors}, key, spp=16)
         value = torch.mean((image - target_tensor) ** 2)
         value.backward()
         return value.detach(), of_tensors.grad
